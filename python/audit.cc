@@ -40,7 +40,7 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
   });
   if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
   Json item = {{"contact", gradient.contact},
-               {"loss", NumberToJson(gradient.loss)},
+               {"loss", gradient.loss},
                {"gradient", GradientToJson(scene, gradient.gradient)},
                {"events", EventsToJson(gradient.events)}};
   if (!gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, gradient.one_sided);
@@ -101,14 +101,6 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   return ToPython(AuditToJson(request, report));
 }
 
-py::dict ModelSummaries() {
-  py::dict summaries;
-  for (const ModelTraits& model : AllContactModels()) {
-    summaries[py::str(std::string(model.name))] = std::string(model.summary);
-  }
-  return summaries;
-}
-
 // Colour, line and marker of a contact model in every figure, in matplotlib's names.
 py::dict StyleOfModel(const std::string& contact) {
   static constexpr const char* kLines[] = {"solid", "dashed", "dotted", "dashdot"};
@@ -135,7 +127,7 @@ void BindAudit(py::module_* module) {
               py::arg("width_sweep"),
               py::arg("surrogate"),
               py::arg("threads"));
-  module->def("contact_models", &ModelSummaries);
+  module->def("contact_models", [] { return SummariesOf(AllContactModels()); });
   module->def("style", &StyleOfModel, py::arg("contact"));
 }
 

@@ -37,11 +37,19 @@ class Computation {
   }
   // The exception of Python's that has stopped it, or None.
   py::object StoppedBy() const;
-  // Runs and throws.
+  // Runs, and throws what has stopped it, or else what `compute` has thrown.
   template <typename Compute>
   void RunOrThrow(const Compute& compute) {
-    Run(compute);
+    std::exception_ptr thrown;
+    Run([&] {
+      try {
+        compute();
+      } catch (...) {
+        thrown = std::current_exception();
+      }
+    });
     Rethrow();
+    if (thrown) std::rethrow_exception(thrown);
   }
 
   // For what computes to ask, from any thread. The thread that began it looks for signals now and then.

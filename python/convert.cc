@@ -1,6 +1,7 @@
 #include "convert.h"
 
 #include <algorithm>
+#include <cmath>
 #include <thread>
 
 #include "saltus/control/control_rows.h"
@@ -22,7 +23,7 @@ py::object ToPython(const Json& value) {
   if (value.is_boolean()) return py::bool_(value.get<bool>());
   if (value.is_number_unsigned()) return py::int_(value.get<std::uint64_t>());
   if (value.is_number_integer()) return py::int_(value.get<std::int64_t>());
-  if (value.is_number_float()) return py::float_(value.get<double>());
+  if (value.is_number_float() && std::isfinite(value.get<double>())) return py::float_(value.get<double>());
   return py::none();
 }
 

@@ -35,6 +35,14 @@ std::optional<Surrogate> ReadSurrogate(const py::object& surrogate);
 // 0 is one per core. ValueError.
 int ReadThreads(int threads);
 
+// The summaries of contact models or solvers, by their names.
+template <typename Entries>
+py::dict SummariesOf(const Entries& entries) {
+  py::dict summaries;
+  for (const auto& entry : entries) summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
+  return summaries;
+}
+
 // Parts of the module.
 void BindScene(py::module_* module);
 void BindSimulation(py::module_* module);

@@ -4,6 +4,7 @@
 #include "arrays.h"
 #include "computation.h"
 #include "convert.h"
+#include "motion.h"
 #include "saltus/control/control_rows.h"
 #include "scene/units.h"
 
@@ -95,10 +96,7 @@ class EndState {
 
   void Read(std::span<double> final) const {
     simulator_->GetState(simulator_->num_steps(), final);
-    for (size_t i = 0; i < final.size(); i += simulator_->body_size()) {
-      const Vec2d position = ConvertPosition({final[i], final[i + 1]}, near_.units, scene_.units);
-      std::copy_n(position.data(), 2, final.data() + i);
-    }
+    ConvertPositions(final, simulator_->body_size(), near_.units, scene_.units);
   }
 
   static void Check(const Computation& computation, const std::string& failure) {

@@ -20,21 +20,6 @@ namespace {
 
 using Matrices = std::vector<Eigen::MatrixXd>;
 
-// Without the GIL; what `compute` throws is thrown here.
-template <typename Function>
-void Compute(const Function& compute) {
-  Computation computation;
-  std::exception_ptr error;
-  computation.RunOrThrow([&] {
-    try {
-      compute();
-    } catch (...) {
-      error = std::current_exception();
-    }
-  });
-  if (error) std::rethrow_exception(error);
-}
-
 // The exact motion of a scene under a control, or under its own; runs are simulated under `contact`, whose steps are
 // those of the scene.
 PlannedMotion PlanScene(const Scene& scene, const py::object& control, const py::object& contact_name) {
@@ -50,7 +35,7 @@ PlannedMotion PlanScene(const Scene& scene, const py::object& control, const py:
     numbers = ControlOfRows(scene, View(rows));
   }
   PlannedMotion planned;
-  Compute([&] {
+  Computation().RunOrThrow([&] {
     const auto motion = MakeSimulator("event", scene, Precision::kDouble);
     if (!motion->Rollout(InitialState(scene), numbers)) throw std::runtime_error(motion->WhyFailed());
     planned.plan = MakePlan(*motion, numbers);
@@ -75,7 +60,7 @@ py::tuple Track(const PlannedMotion& planned, const Matrices& Q, const Eigen::Ma
   const TrackingCost cost{.Q = Q, .R = R, .QT = QT};
   if (const std::string wrong = planned.what_is_wrong_with(cost); !wrong.empty()) throw py::value_error(wrong);
   Regulator regulator;
-  Compute([&] { regulator = saltus::Track(planned.linear, cost); });
+  Computation().RunOrThrow([&] { regulator = saltus::Track(planned.linear, cost); });
   return RegulatorToPython(regulator, planned.remark);
 }
 
@@ -96,7 +81,8 @@ py::tuple Propagate(const PlannedMotion& planned, const std::array<Eigen::Matrix
   const Noise noise = CheckedNoise(planned, covariances, gains);
   Covariance found;
   const Regulator regulator{.gains = gains};
-  Compute([&] { found = saltus::Propagate(planned.linear, noise, gains.empty() ? nullptr : &regulator); });
+  Computation().RunOrThrow(
+      [&] { found = saltus::Propagate(planned.linear, noise, gains.empty() ? nullptr : &regulator); });
   std::vector<std::tuple<std::string, double, double>> risks;
   for (const SequenceRisk& risk : found.risks) risks.emplace_back(risk.what, risk.time, risk.probability);
   const std::string warning = found.Warning();
@@ -110,7 +96,7 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
   if (samples < 1) throw py::value_error("samples: expected a number of at least 1");
   const int used = ReadThreads(threads);
   MonteCarlo runs;
-  Compute([&] {
+  Computation().RunOrThrow([&] {
     runs = RunMonteCarlo(
         planned.plan, gains, noise, planned.make_plant, {.samples = samples, .seed = seed, .threads = used});
   });
@@ -122,7 +108,7 @@ void Predict(SaltedKalmanFilter* filter, double time, const std::vector<double>&
              const Eigen::MatrixXd& process) {
   if (!(time >= filter->time())) throw py::value_error("time: expected one of at least the filter's time");
   bool ok = false;
-  Compute([&] { ok = filter->Predict(time, control, process); });
+  Computation().RunOrThrow([&] { ok = filter->Predict(time, control, process); });
   if (!ok) throw std::runtime_error(filter->WhyFailed());
 }
 

@@ -226,14 +226,7 @@ class Problem {
     std::vector<double> gradient;
     double loss = 0;
     Compute([&] {
-      if (shooting_ == nullptr) {
-        HybridProblem free = problem_;
-        free.free.control = problem_.system.num_controls() > 0;
-        free.free.duration = true;
-        for (int i = 0; i < static_cast<int>(free.guess.initial.size()); ++i) free.free.initial.push_back(i);
-        for (int i = 0; i < problem_.system.num_parameters(); ++i) free.free.parameters.push_back(i);
-        shooting_ = std::make_unique<HybridShooting>(free);
-      }
+      if (shooting_ == nullptr) shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem_));
       const HybridInput& guess = problem_.guess;
       std::vector<double> z = guess.control;
       z.resize(static_cast<std::size_t>(guess.num_intervals) * problem_.system.num_controls());
@@ -353,17 +346,10 @@ class Problem {
   // Without the GIL, one after the other.
   template <typename Function>
   void Compute(const Function& function) {
-    Computation computation;
-    std::exception_ptr error;
-    computation.RunOrThrow([&] {
+    Computation().RunOrThrow([&] {
       const std::lock_guard lock(mutex_);
-      try {
-        function();
-      } catch (...) {
-        error = std::current_exception();
-      }
+      function();
     });
-    if (error) std::rethrow_exception(error);
   }
 
   HybridProblem problem_;
@@ -430,13 +416,7 @@ void BindHybrid(py::module_* module) {
               py::arg("steps"),
               py::arg("width_sweep"),
               py::arg("budget"));
-  module->def("hybrid_solvers", [] {
-    py::dict summaries;
-    for (const HybridSolverEntry& entry : HybridSolvers()) {
-      summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
-    }
-    return summaries;
-  });
+  module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }
 
 }  // namespace saltus::python

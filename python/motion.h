@@ -1,8 +1,6 @@
 // A scene under a contact model as Python sees it: numbers of the scene, whatever units and origin are computed in.
 #pragma once
 
-#include <optional>
-
 #include "arrays.h"
 #include "computation.h"
 #include "saltus/control/single_shooting.h"
@@ -23,6 +21,9 @@ std::span<const double> NearVariables(const Scene& scene, const Scene& near, std
                                       std::vector<double>* moved, size_t points = 1);
 // The other way round, of a gradient of one point. Precondition: HasTorques(scene).
 void PutGradient(const Scene& scene, std::span<const double> gradient, std::span<double> to);
+
+// The first two of every `stride` numbers as a position, from one origin to another.
+void ConvertPositions(std::span<double> numbers, size_t stride, const Units& from, const Units& to);
 
 // Loss and gradient by the decision variables. Used by one thread at a time: others wait.
 class Simulation {

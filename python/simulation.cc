@@ -37,6 +37,13 @@ Shape VariablesShape(const SingleShooting& shooting) {
 
 bool HasTorques(const Scene& scene) { return scene.optimize == Optimize::kControl && scene.num_turned() > 0; }
 
+void ConvertPositions(std::span<double> numbers, size_t stride, const Units& from, const Units& to) {
+  for (size_t i = 0; i + 1 < numbers.size(); i += stride) {
+    const Vec2d position = ConvertPosition({numbers[i], numbers[i + 1]}, from, to);
+    std::copy_n(position.data(), 2, numbers.data() + i);
+  }
+}
+
 std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
                                       std::vector<double>* moved, size_t points) {
   if (HasTorques(scene)) {
@@ -51,11 +58,8 @@ std::span<const double> NearVariables(const Scene& scene, const Scene& near, std
     return *moved;
   }
   if (scene.optimize != Optimize::kPosition) return z;
-  moved->resize(z.size());
-  for (size_t i = 0; i + 1 < z.size(); i += 2) {
-    const Vec2d position = ConvertPosition({z[i], z[i + 1]}, scene.units, near.units);
-    std::copy_n(position.data(), 2, moved->data() + i);
-  }
+  moved->assign(z.begin(), z.end());
+  ConvertPositions(*moved, 2, scene.units, near.units);
   return *moved;
 }
 
@@ -163,10 +167,7 @@ py::tuple Simulation::Residuals(const py::object& z) {
 }
 
 void Simulation::MoveFromNear(std::span<double> states) const {
-  for (size_t i = 0; i < states.size(); i += body_size()) {
-    const Vec2d position = ConvertPosition({states[i], states[i + 1]}, near_.units, scene_.units);
-    std::copy_n(position.data(), 2, states.data() + i);
-  }
+  ConvertPositions(states, body_size(), near_.units, scene_.units);
 }
 
 py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
@@ -202,11 +203,7 @@ py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
 Array Simulation::NearState(const py::object& state) const {
   const Array read = ReadArray(state, "state", {scene_.num_bodies(), body_size()});
   Array near = ToArray(View(read), {read.size()});
-  const std::span<double> numbers = MutableView(near);
-  for (size_t i = 0; i < numbers.size(); i += body_size()) {
-    const Vec2d position = ConvertPosition({numbers[i], numbers[i + 1]}, scene_.units, near_.units);
-    std::copy_n(position.data(), 2, numbers.data() + i);
-  }
+  ConvertPositions(MutableView(near), body_size(), scene_.units, near_.units);
   return near;
 }
 

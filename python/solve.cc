@@ -92,13 +92,6 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
 }
 
-py::dict SolverSummaries() {
-  py::dict summaries;
-  for (const SolverEntry& entry : AllSolvers())
-    summaries[py::str(std::string(entry.name))] = std::string(entry.summary);
-  return summaries;
-}
-
 }  // namespace
 
 void BindSolve(py::module_* module) {
@@ -143,7 +136,7 @@ void BindSolve(py::module_* module) {
       py::arg("threads"),
       py::arg("memory_limit"),
       py::arg("keep_iterates"));
-  module->def("solvers", &SolverSummaries);
+  module->def("solvers", [] { return SummariesOf(AllSolvers()); });
 }
 
 }  // namespace saltus::python

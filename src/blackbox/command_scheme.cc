@@ -25,21 +25,22 @@ ProtocolJson NamesOf(int count, const Name& name) {
 
 }  // namespace
 
-CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options, const ProtocolJson& scene)
-    : system_(system),
-      options_(std::move(options)),
-      conversation_(std::make_unique<Conversation>(options_.command, options_.on_error_line)) {
+ProtocolJson NamesToJson(const HybridSystem& system) {
   ProtocolJson modes = ProtocolJson::array();
   for (int mode = 0; mode < system.num_modes(); ++mode) {
     modes.push_back({{"name", system.ModeName(mode)},
                      {"states", NamesOf(system.state_size(mode), [&](int i) { return system.StateName(mode, i); })}});
   }
-  ProtocolJson hello = {
-      {"saltus", 1},
-      {"hybrid",
-       {{"modes", std::move(modes)},
-        {"controls", NamesOf(system.num_controls(), [&](int i) { return system.ControlName(i); })},
-        {"parameters", NamesOf(system.num_parameters(), [&](int i) { return system.ParameterName(i); })}}}};
+  return {{"modes", std::move(modes)},
+          {"controls", NamesOf(system.num_controls(), [&](int i) { return system.ControlName(i); })},
+          {"parameters", NamesOf(system.num_parameters(), [&](int i) { return system.ParameterName(i); })}};
+}
+
+CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options, const ProtocolJson& scene)
+    : system_(system),
+      options_(std::move(options)),
+      conversation_(std::make_unique<Conversation>(options_.command, options_.on_error_line)) {
+  ProtocolJson hello = {{"saltus", 1}, {"hybrid", NamesToJson(system)}};
   if (!scene.is_null()) hello["scene"] = scene;
   const std::string line = Answer(hello.dump(), "the greeting");
   if (!broken_.empty()) return;

@@ -24,6 +24,9 @@ namespace saltus {
 
 class Conversation;
 
+// The names of a system as JSON: {"modes": [{"name", "states"}], "controls", "parameters"}.
+nlohmann::ordered_json NamesToJson(const HybridSystem& system);
+
 class CommandScheme final : public HybridScheme {
  public:
   // Starts the command; of the options `copies` has no meaning. `scene`: what the command is told beside the names of

@@ -3,7 +3,6 @@
 #include <glog/logging.h>
 #include <yaml-cpp/yaml.h>
 
-#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <set>

@@ -1,7 +1,6 @@
 // The other side of the protocol: a contact model of this library, as a black box.
 #pragma once
 
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>

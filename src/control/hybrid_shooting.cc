@@ -16,6 +16,17 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 
 }  // namespace
 
+HybridProblem WithAllFree(HybridProblem problem) {
+  HybridInput& guess = problem.guess;
+  guess.control.resize(static_cast<std::size_t>(guess.num_intervals) * problem.system.num_controls());
+  problem.free = {.control = problem.system.num_controls() > 0, .duration = true};
+  problem.free.initial.resize(guess.initial.size());
+  problem.free.parameters.resize(guess.parameters.size());
+  std::iota(problem.free.initial.begin(), problem.free.initial.end(), 0);
+  std::iota(problem.free.parameters.begin(), problem.free.parameters.end(), 0);
+  return problem;
+}
+
 HybridShooting::HybridShooting(const HybridProblem& problem)
     : problem_(problem), simulator_(problem.system, problem.integration) {
   CHECK_EQ(WhatIsWrongWith(problem), "");

@@ -13,6 +13,10 @@
 
 namespace saltus {
 
+// The problem with everything free that a motion depends on, without bounds: its variables are the control, the initial
+// state, the parameters and the duration.
+HybridProblem WithAllFree(HybridProblem problem);
+
 class HybridShooting final : public ShootingFunction {
  public:
   // Precondition: WhatIsWrongWith(problem) is empty.

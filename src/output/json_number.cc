@@ -26,7 +26,7 @@ void AppendNumber(double value, int significant_digits, std::string* text) {
   if (digits.find_first_of(".e") == std::string_view::npos) text->append(".0");
 }
 
-// Writes a document whose numbers are known to be finite. Documents have millions of numbers: each is formatted once.
+// Documents have millions of numbers: each is formatted once.
 class Writer {
  public:
   explicit Writer(int significant_digits) : digits_(significant_digits) {}
@@ -42,7 +42,7 @@ class Writer {
   static size_t RoomAfter(size_t used) { return used < kColumns ? kColumns - used - 1 : 0; }
 
   void Scalar(const Json& value) {
-    if (value.is_number_float()) {
+    if (value.is_number_float() && std::isfinite(value.get<double>())) {
       AppendNumber(value.get<double>(), digits_, &text_);
     } else {
       text_ += value.dump(-1, ' ', false, Json::error_handler_t::replace);
@@ -148,35 +148,10 @@ class Writer {
   std::string text_;
 };
 
-std::optional<Json::json_pointer> FindNonFinite(const Json& value) {
-  const Json::json_pointer here;
-  if (value.is_number_float() && !std::isfinite(value.get<double>())) return here;
-  if (value.is_object()) {
-    for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
-      if (const auto found = FindNonFinite(child)) return here / key / *found;
-    }
-  } else if (value.is_array()) {
-    for (size_t i = 0; i < value.size(); ++i) {
-      if (const auto found = FindNonFinite(value[i])) return here / i / *found;
-    }
-  }
-  return std::nullopt;
-}
-
 }  // namespace
 
-std::optional<std::string> FormatJsonNumber(double value, int significant_digits) {
+std::string DumpJson(const nlohmann::ordered_json& document, int significant_digits) {
   CHECK(1 <= significant_digits && significant_digits <= kDoubleDigits) << significant_digits;
-  if (!std::isfinite(value)) return std::nullopt;
-  std::string text;
-  AppendNumber(value, significant_digits, &text);
-  return text;
-}
-
-StatusOr<std::string> DumpJson(const nlohmann::ordered_json& document, int significant_digits) {
-  if (const auto place = FindNonFinite(document)) {
-    return Status::Error("number at '" + place->to_string() + "' is not finite");
-  }
   return Writer(significant_digits).Document(document);
 }
 

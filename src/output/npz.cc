@@ -7,11 +7,9 @@
 #include <bit>
 #include <charconv>
 #include <cstring>
-#include <functional>
 #include <limits>
 #include <memory>
 #include <new>
-#include <numeric>
 #include <optional>
 #include <string_view>
 #include <type_traits>

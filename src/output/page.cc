@@ -1,7 +1,5 @@
 #include "output/page.h"
 
-#include <algorithm>
-
 #include "base/file.h"
 #include "base/interrupt.h"
 

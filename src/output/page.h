@@ -7,7 +7,6 @@
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
 #include "base/status.h"
@@ -52,6 +51,9 @@ class Page {
   // until opened.
   void AddTable(const Table& table, const std::string& caption, const std::vector<std::string>& notes = {},
                 bool folded = false);
+  void AddTableIfAny(const Table& table, const std::string& caption) {
+    if (!table.rows().empty()) AddTable(table, caption);
+  }
   void AddFigure(const Figure& figure, const std::string& caption);
   void AddReplay(const Replay& replay, const std::string& caption);
   // A figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Left out if there is no data.

@@ -54,16 +54,6 @@ std::string Figures(const ProgressState& state) {
   return whole < state.elapsed ? text + passed : text + "  " + Duration(whole - state.elapsed) + " left";
 }
 
-// Whole UTF-8 characters only, so that a terminal is never sent half of one.
-std::string Truncate(std::string text, size_t columns) {
-  size_t width = 0;
-  for (size_t i = 0; i < text.size(); ++i) {
-    const bool starts_character = (static_cast<unsigned char>(text[i]) & 0xc0) != 0x80;
-    if (starts_character && ++width > columns) return text.substr(0, i);
-  }
-  return text;
-}
-
 }  // namespace
 
 std::optional<ProgressMode> ParseProgressMode(std::string_view word) {
@@ -85,7 +75,8 @@ std::string ProgressBar(const ProgressState& state, size_t columns) {
     if (0 < filled && filled < width) bar[filled - 1] = '>';
     bar = " [" + bar + "]";
   }
-  return Truncate(state.name + bar + " " + figures + note, columns);
+  const std::string line = state.name + bar + " " + figures + note;
+  return line.substr(0, PrefixOf(line, columns));
 }
 
 std::string ProgressLine(const ProgressState& state) {

@@ -11,7 +11,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <functional>
 #include <optional>
 
 namespace saltus {
@@ -111,6 +110,20 @@ std::string Cell::Exact() const {
   if (number == nullptr) return "";
   std::array<char, 64> buffer;
   return std::string(buffer.data(), std::to_chars(buffer.data(), buffer.data() + buffer.size(), *number).ptr);
+}
+
+std::vector<Column> ColumnsOf(std::string_view text) {
+  std::vector<Column> columns;
+  while (!text.empty()) {
+    const size_t end = std::min(text.find("; "), text.size());
+    Column& column = columns.emplace_back(Column{std::string(text.substr(0, end))});
+    text.remove_prefix(std::min(end + 2, text.size()));
+    const size_t colon = column.header.rfind(':');
+    if (colon == std::string::npos) continue;
+    column.significant_digits = std::stoi(column.header.substr(colon + 1));
+    column.header.resize(colon);
+  }
+  return columns;
 }
 
 Table::Table(std::vector<Column> columns, size_t keys) : columns_(std::move(columns)), keys_(keys) {
@@ -304,15 +317,6 @@ namespace {
 
 bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }
 
-// Bytes of the first `columns` characters.
-size_t PrefixOf(std::string_view text, size_t columns) {
-  size_t seen = 0;
-  for (size_t i = 0; i < text.size(); ++i) {
-    if (StartsCharacter(text[i]) && ++seen > columns) return i;
-  }
-  return text.size();
-}
-
 std::optional<size_t> ColumnsFromEnvironment() {
   const char* value = std::getenv("COLUMNS");
   if (value == nullptr) return std::nullopt;
@@ -349,6 +353,14 @@ std::string Joined(const std::vector<std::string>& words, std::string_view separ
 
 std::string JoinedNames(const std::vector<std::string>& names) {
   return names.empty() ? "none" : Joined(names, ", ", "`");
+}
+
+size_t PrefixOf(std::string_view text, size_t columns) {
+  size_t seen = 0;
+  for (size_t i = 0; i < text.size(); ++i) {
+    if (StartsCharacter(text[i]) && ++seen > columns) return i;
+  }
+  return text.size();
 }
 
 size_t DisplayWidth(std::string_view text) {

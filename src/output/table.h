@@ -36,6 +36,9 @@ std::string JoinedNames(const std::vector<std::string>& names);
 // Columns that UTF-8 text takes, were every code point one column wide.
 size_t DisplayWidth(std::string_view text);
 
+// Bytes of the characters that fit into so many columns: never a part of one.
+size_t PrefixOf(std::string_view text, size_t columns);
+
 // `text` in lines of at most `width` columns, broken between words, and within those that are wider. Line feeds break
 // too. At least one line. Precondition: width > 0.
 std::vector<std::string> WrapText(std::string_view text, size_t width);
@@ -95,6 +98,10 @@ struct Column {
   std::string header;
   int significant_digits = 6;  // of floating-point numbers when displayed; CSV has all digits
 };
+
+// The columns of a text such as "contact; loss:8": their headers, separated by "; ", each with the digits shown after a
+// colon, if they are others than usual.
+std::vector<Column> ColumnsOf(std::string_view text);
 
 class Table {
  public:

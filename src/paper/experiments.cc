@@ -3,7 +3,6 @@
 #include <cmath>
 #include <map>
 
-#include "base/interrupt.h"
 #include "output/npz.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
@@ -185,18 +184,17 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
   for (const Experiment& experiment : experiments.all()) {
     const auto published = PublishedNames().find(experiment.contact);
     const SolvedRun* run = experiment.Find("gd");
-    if (published == PublishedNames().end() || run == nullptr || run->report.losses.size() < 2) continue;
+    if (published == PublishedNames().end() || experiment.precision != published->second.precision) continue;
+    if (run == nullptr || run->report.losses.size() < 2) continue;
     const std::string name = published->second.name;
     const Scene& scene = experiment.scene;
     if (scene.optimize == Optimize::kVelocity) {
-      if (experiment.precision != published->second.precision) continue;
       const std::string suffix = scene.contact.friction > 0 ? "_mu_0.1" : "";
       WriteVelocityRun(experiment, run->report, results + "/ground_wall_" + name + suffix + ".npz");
     } else if (experiment.contact == "compliant_warp") {
-      if (experiment.precision != published->second.precision) continue;
       const std::string suffix = "_kn_" + StiffnessName(scene.contact.stiffness);
       WriteControlRun(run->report, results + "/two_balls_1_" + name + suffix + ".npz");
-    } else if (experiment.precision == published->second.precision) {
+    } else {
       WriteControlRun(run->report, results + "/two_balls_1_" + name + ".npz");
     }
   }

@@ -7,7 +7,6 @@
 #include <map>
 
 #include "audit/gradient/statistics.h"
-#include "base/interrupt.h"
 #include "output/table.h"
 #include "paper/experiments.h"
 #include "programs/audit_output.h"
@@ -187,7 +186,7 @@ double FormulationAudit::CostOf(size_t model) const {
 }
 
 CaptionedTable FormulationAudit::ToTable() const {
-  std::vector<Column> columns = {{"contact"}, {"class"}};
+  std::vector<Column> columns = ColumnsOf("contact; class");
   for (size_t task = 1; task <= tasks_.size(); ++task) {
     const std::string number = ", task " + std::to_string(task);
     columns.push_back({"loss" + number, 7});

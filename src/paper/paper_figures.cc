@@ -1,7 +1,6 @@
 #include "paper/paper_figures.h"
 
 #include <algorithm>
-#include <numeric>
 
 #include "exact/two_disc_optimum.h"
 #include "programs/scene_drawing.h"

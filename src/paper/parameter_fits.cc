@@ -3,9 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/interrupt.h"
 #include "base/random.h"
-#include "identify/unknowns.h"
 #include "output/table.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"
@@ -126,19 +124,8 @@ bool ParameterFits::Fit::IsHonest(const Scene& truth) const {
 }
 
 CaptionedTable ParameterFits::ToTable() const {
-  Table table({{"contact"},
-               {"recording of"},
-               {"restitution", 4},
-               {"its error", 2},
-               {"its standard error", 2},
-               {"mass", 4},
-               {"its error", 2},
-               {"its standard error", 2},
-               {"misfit", 3},
-               {"iterations"},
-               {"evaluations"},
-               {"milliseconds", 3},
-               {"verdict"}},
+  Table table(ColumnsOf("contact; recording of; restitution:4; its error:2; its standard error:2; mass:4; its error:2; "
+                        "its standard error:2; misfit:3; iterations; evaluations; milliseconds:3; verdict"),
               2);
   for (const Fit& fit : fits_) {
     if (!fit.report) continue;

@@ -122,31 +122,26 @@ bool PublishedRow::Matches() const { return ours && std::abs(*ours - expected) <
 std::vector<PublishedRow> ReadPublished(const std::string& path) {
   const StatusOr<CsvDocument> csv = ReadCsv(path);
   if (!csv.ok()) throw InputError(csv.status().message());
-  const auto column = [&](const char* name) {
-    const std::optional<size_t> index = csv->Find(name);
-    if (!index) throw InputError(path + ": no column '" + name + "'");
-    return *index;
-  };
-  const size_t table = column("table"), problem = column("problem"), friction = column("friction"),
-               contact = column("contact"), precision = column("precision"), quantity = column("quantity"),
-               published = column("published"), expected = column("expected"), tolerance = column("tolerance"),
-               verdict = column("verdict"), note = column("note");
   std::vector<PublishedRow> rows;
   for (size_t i = 0; i < csv->rows.size(); ++i) {
-    const std::vector<std::string>& cells = csv->rows[i];
+    const auto cell = [&](const char* column) -> const std::string& {
+      const std::optional<size_t> index = csv->Find(column);
+      if (!index) throw InputError(path + ": no column '" + column + "'");
+      return csv->rows[i][*index];
+    };
     const std::string where = path + ", row " + std::to_string(i + 1);
     PublishedRow row;
-    row.table = cells[table];
-    row.problem = cells[problem];
-    row.friction = ToNumber(cells[friction], where);
-    row.contact = cells[contact];
-    row.precision = cells[precision] == "float" ? Precision::kFloat : Precision::kDouble;
-    row.quantity = cells[quantity];
-    row.published = cells[published];
-    row.expected = ToNumber(cells[expected], where);
-    row.tolerance = ToNumber(cells[tolerance], where);
-    row.verdict = cells[verdict];
-    row.note = cells[note];
+    row.table = cell("table");
+    row.problem = cell("problem");
+    row.friction = ToNumber(cell("friction"), where);
+    row.contact = cell("contact");
+    row.precision = cell("precision") == "float" ? Precision::kFloat : Precision::kDouble;
+    row.quantity = cell("quantity");
+    row.published = cell("published");
+    row.expected = ToNumber(cell("expected"), where);
+    row.tolerance = ToNumber(cell("tolerance"), where);
+    row.verdict = cell("verdict");
+    row.note = cell("note");
     rows.push_back(std::move(row));
   }
   return rows;
@@ -180,8 +175,7 @@ std::string VerdictInWords(const PublishedRow& row) {
 }
 
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
-  Table table(
-      {{"contact"}, {"quantity"}, {"precision"}, {"published"}, {"ours", 9}, {"exact", 9}, {"verdict"}, {"why"}});
+  Table table(ColumnsOf("contact; quantity; precision; published; ours:9; exact:9; verdict; why"));
   for (const PublishedRow& row : rows) {
     if (row.table != name) continue;
     const bool as_printed = row.verdict.empty() || row.verdict == "match";

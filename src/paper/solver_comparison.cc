@@ -2,13 +2,11 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <limits>
 #include <optional>
 #include <set>
 #include <string_view>
 
-#include "base/interrupt.h"
 #include "exact/two_disc_optimum.h"
 #include "paper/descent_audit.h"
 #include "paper/experiments.h"
@@ -208,8 +206,7 @@ std::vector<CaptionedTable> SolverComparison::Tables() const {
 }
 
 Table SolverComparison::Headline() const {
-  Table table(
-      {{"solver"}, {"method"}, {"exact loss", 10}, {"above the optimum", 3}, {"gradients"}, {"milliseconds", 3}});
+  Table table(ColumnsOf("solver; method; exact loss:10; above the optimum:3; gradients; milliseconds:3"));
   table.AddRow({"optimum", "hybrid minimum principle, in continuous time", strike_.optimum, Cell(), Cell(), Cell()});
   constexpr std::pair<const char*, const char*> kShown[] = {
       {"mode_search", "search over sequences of impacts, with lower bounds"},
@@ -230,15 +227,9 @@ Table SolverComparison::Headline() const {
 }
 
 Table SolverComparison::TaskTable(const Task& task) const {
-  Table table({{"contact"},
-               {"solver"},
-               {"loss under the model", 7},
-               {"exact loss", 7},
-               {"gap", 3},
-               {"iterations"},
-               {"gradients"},
-               {"milliseconds", 3},
-               {"termination"}});
+  Table table(
+      ColumnsOf("contact; solver; loss under the model:7; exact loss:7; gap:3; iterations; gradients; milliseconds:3; "
+                "termination"));
   for (const SolvedRun& run : task.runs) {
     const SolveReport& report = run.report;
     if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != exact_)) continue;
@@ -261,14 +252,9 @@ Table SolverComparison::TaskTable(const Task& task) const {
 }
 
 Table SolverComparison::StepShootingTable() const {
-  Table table({{"contact"},
-               {"feasible path, 480", 8},
-               {"termination, 480"},
-               {"feasible path, 1000", 8},
-               {"termination, 1000"},
-               {"Lagrangian", 8},
-               {"open", 2},
-               {"termination"}});
+  Table table(
+      ColumnsOf("contact; feasible path, 480:8; termination, 480; feasible path, 1000:8; termination, 1000; "
+                "Lagrangian:8; open:2; termination"));
   const auto exact = [](const SolvedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
   for (const SolvedRun& coarse : strike_.runs) {
     if (coarse.report.solver != "ceres_shooting") continue;

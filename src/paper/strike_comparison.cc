@@ -5,7 +5,6 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
-#include "base/interrupt.h"
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
 #include "programs/parallel.h"
@@ -139,17 +138,10 @@ const StrikeComparison::Entry* StrikeComparison::Find(int reference, const std::
 }
 
 std::vector<CaptionedTable> StrikeComparison::Tables() const {
-  Table free(
-      {{"steps"}, {"solver"}, {"exact loss", 12}, {"gap", 3}, {"iterations"}, {"milliseconds", 3}, {"termination"}});
-  Table bounded({{"bound"},
-                 {"solver"},
-                 {"exact loss", 12},
-                 {"gap", 3},
-                 {"impacts"},
-                 {"largest force of the bound", 9},
-                 {"iterations"},
-                 {"milliseconds", 3},
-                 {"termination"}});
+  Table free(ColumnsOf("steps; solver; exact loss:12; gap:3; iterations; milliseconds:3; termination"));
+  Table bounded(
+      ColumnsOf("bound; solver; exact loss:12; gap:3; impacts; largest force of the bound:9; iterations; "
+                "milliseconds:3; termination"));
   for (const Entry& entry : entries_) {
     const SolveReport& report = entry.run.report;
     if (!entry.run.exact.ok) continue;

@@ -30,8 +30,6 @@ DEFINE_string(given, "", "JSON file with an externally computed gradient to audi
 namespace saltus {
 namespace {
 
-constexpr std::size_t kMostNamed = 6;  // models in one line
-
 // An audit that has nothing to say but why.
 ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
   ModelAudit audit;
@@ -72,8 +70,8 @@ Json GivenToJson(const GivenAudit& audit) {
   Json entries = Json::array();
   for (const GivenEntry& entry : audit.entries) {
     entries.push_back({{"entry", entry.entry},
-                       {"given", NumberToJson(entry.given)},
-                       {"exact", NumberToJson(entry.exact)},
+                       {"given", entry.given},
+                       {"exact", entry.exact},
                        {"verdict", VerdictToString(entry.verdict)}});
   }
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
@@ -178,9 +176,6 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
 void PrintAuditTable(const Request& request, const AuditReport& report) {
   const TextLayout layout = LayoutOfStandardOutput();
   const std::string& name = request.scene.name;
-  const auto print = [&](const std::string& caption, const Table& table) {
-    std::cout << Paragraph(name + ": " + caption, layout.width) << "\n" << table.ToText(layout) << "\n";
-  };
   for (const ModelAudit& audit : report.models) {
     const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) && audit.own &&
                           audit.own->agreement == Agreement::kAgrees;
@@ -193,14 +188,13 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
   Table gradients = GradientTable(request, report);
   // A row an entry, whose exact value is beside it wherever it goes on.
   if (!gradients.FitsOneLine(layout.width)) gradients = gradients.Transposed("entry", report.reference ? 2 : 1);
-  print((surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : std::string("gradient")) +
-            " of the loss at the initial guess",
-        gradients);
-  print("verdicts", VerdictTable(report));
-  const Table plateaus = PlateauTable(report);
-  if (!plateaus.rows().empty()) print("differences of the loss", plateaus);
-  const Table boxes = BlackBoxTable(report);
-  if (!boxes.rows().empty()) print("black boxes, from a head-on impact", boxes);
+  PrintTable(name + ": " +
+                 (surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : std::string("gradient")) +
+                 " of the loss at the initial guess",
+             gradients);
+  PrintTable(name + ": verdicts", VerdictTable(report));
+  PrintTableIfAny(name + ": differences of the loss", PlateauTable(report));
+  PrintTableIfAny(name + ": black boxes, from a head-on impact", BlackBoxTable(report));
   std::string remarks;
   const auto remark = [&](const std::string& of, const std::string& text) {
     remarks += Paragraph(of + ": " + text, layout.width);
@@ -232,8 +226,7 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {
   const std::size_t asked = request.contacts.size() + simulators;
   bool failed = report.models.size() < asked;
-  std::size_t without = 0;
-  std::string named;
+  std::vector<std::string> without;
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
     if (audit.gradient.ok()) continue;
@@ -243,11 +236,11 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
       return kWrongInput;
     }
     failed = failed || !not_applicable;
-    if (not_applicable || ++without > kMostNamed) continue;
-    named += (without == 1 ? "" : ", ") + audit.gradient.contact + ": " + audit.gradient.reason;
+    if (!not_applicable) without.push_back(audit.gradient.contact + ": " + audit.gradient.reason);
   }
-  if (without > kMostNamed) named += " and " + std::to_string(without - kMostNamed) + " more";
-  if (without > 0) std::cerr << "no gradient of " << without << " of " << asked << " (" << named << ")" << std::endl;
+  if (!without.empty()) {
+    std::cerr << "no gradient of " << without.size() << " of " << asked << " (" << FirstOf(without) << ")" << std::endl;
+  }
   return failed ? kAnswerFailed : kDone;
 }
 

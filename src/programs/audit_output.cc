@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <tuple>
 
@@ -19,37 +18,29 @@ namespace saltus {
 
 namespace {
 
+constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl};
+
 // One column a component, named as a derivative of the loss: position and velocity of every disc that moves, and the
 // first force on every controlled disc, and the first torque.
 std::vector<Column> GradientColumns(const Scene& scene) {
-  std::vector<Column> columns = {{"contact"}, {"loss", 8}};
-  for (const char* quantity : {"p", "v"}) {
-    for (const Body& body : scene.bodies) {
-      if (body.fixed) continue;
-      for (const char* axis : {"x", "y"})
-        columns.push_back({"d/d" + std::string(quantity) + axis + " " + body.name, 5});
-    }
-  }
-  for (int body : scene.control.bodies) {
-    for (const char* axis : {"x", "y"})
-      columns.push_back({"d/du" + std::string(axis) + "[0] " + scene.bodies[body].name, 5});
+  std::vector<Column> columns = ColumnsOf("contact; loss:8");
+  for (const Quantity quantity : kShown) {
+    std::vector<std::string> names = EntryNames(scene, quantity, 1);
+    if (quantity == Quantity::kControl) names.resize(2 * scene.num_controlled());
+    for (const std::string& name : names) columns.push_back({"d/d" + name, 5});
   }
   for (int body : scene.control.turned) columns.push_back({"d/dtorque[0] " + scene.bodies[body].name, 5});
-  columns.push_back({"rel. error", 3});
-  columns.push_back({"angle, rad", 3});
+  columns.insert(columns.end(), {{"rel. error", 3}, {"angle, rad", 3}});
   return columns;
 }
 
-// The cells of those columns, from derivatives by the initial state (B x 4) and the control.
-std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell loss,
-                              const std::vector<double>& initial, const std::vector<double>& control) {
+// The cells of those columns but for the last two.
+std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell loss, const ModelGradient& gradient) {
   std::vector<Cell> row = {name, std::move(loss)};
-  for (int offset : {0, 2}) {
-    for (int i = 0; i < scene.num_bodies(); ++i) {
-      if (scene.bodies[i].fixed) continue;
-      for (int j = 0; j < 2; ++j) row.emplace_back(initial[4 * i + offset + j]);
-    }
+  for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
+    for (const double entry : EntriesOf(scene, gradient, quantity, 1)) row.emplace_back(entry);
   }
+  const std::vector<double>& control = gradient.gradient.control;
   for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
   for (int t = 0; t < scene.num_turned(); ++t) {
     row.emplace_back(control[scene.TurnIndex(0, t)] / scene.bodies[scene.control.turned[t]].radius);
@@ -57,22 +48,29 @@ std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell 
   return row;
 }
 
-std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, const ModelGradient& gradient) {
-  return GradientRow(scene, name, gradient.loss, gradient.gradient.initial, gradient.gradient.control);
+// With the standard errors of an estimate in place of its entries.
+ModelGradient StandardErrorsOf(ModelGradient gradient) {
+  gradient.gradient.initial = gradient.initial_error;
+  gradient.gradient.control = gradient.control_error;
+  return gradient;
+}
+
+// One number of every level of a study.
+std::vector<double> OfLevels(const std::vector<RefinementLevel>& levels, double RefinementLevel::*number) {
+  std::vector<double> numbers;
+  for (const RefinementLevel& level : levels) numbers.push_back(level.*number);
+  return numbers;
 }
 
 // "consistent, order 0.98" or "wrong, error 0.89": the number that the verdict rests on.
 Cell VerdictCell(const QuantityStudy* study) {
   const bool failed = study != nullptr && study->levels.empty();  // in its first rollout
   if (study == nullptr || failed || !study->IsJudged()) return {};
-  char text[64];
-  const char* verdict = VerdictToString(study->verdict);
+  std::string text = VerdictToString(study->verdict);
   if (study->verdict == Verdict::kConsistent) {
-    std::snprintf(text, sizeof text, "%s, order %.2f", verdict, study->order);
-  } else if (study->verdict == Verdict::kRight) {
-    std::snprintf(text, sizeof text, "%s", verdict);
-  } else {
-    std::snprintf(text, sizeof text, "%s, error %.2g", verdict, study->decisive);
+    text += Format(", order %.2f", study->order);
+  } else if (study->verdict != Verdict::kRight) {
+    text += Format(", error %.2g", study->decisive);
   }
   return Cell(text).With(ToneOf(study->verdict));
 }
@@ -109,36 +107,28 @@ Table GradientTable(const Request& request, const AuditReport& report) {
   if (report.reference) {
     const bool one = report.reference->ambiguous.empty();
     const std::string name = (one ? "exact (" : "in one order (") + report.reference->contact + ")";
-    add(GradientRow(request.scene, name, *report.reference), std::nullopt);
+    add(GradientRow(request.scene, name, report.reference->loss, *report.reference), std::nullopt);
   }
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
     const ModelGradient& gradient = audit.gradient;
-    add(GradientRow(request.scene, LabelOf(gradient.contact, gradient.surrogate), gradient), audit.error);
+    const std::string name = LabelOf(gradient.contact, gradient.surrogate);
+    add(GradientRow(request.scene, name, gradient.loss, gradient), audit.error);
     if (gradient.initial_error.empty()) continue;
-    add(GradientRow(request.scene, "  standard error", {}, gradient.initial_error, gradient.control_error),
-        std::nullopt);
+    add(GradientRow(request.scene, "  standard error", {}, StandardErrorsOf(gradient)), std::nullopt);
   }
   return table;
 }
 
 Table VerdictTable(const AuditReport& report) {
-  Table table({{"contact"},
-               {"verdict"},
-               {"class"},
-               {"by position"},
-               {"by velocity"},
-               {"by control"},
-               {"first wrong step"},
-               {"of"},
-               {"wrong in"},
-               {"why"}});
+  Table table(
+      ColumnsOf("contact; verdict; class; by position; by velocity; by control; first wrong step; of; wrong in; why"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
     std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
                              Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
                              audit.recognition ? Cell(ContactClassToString(audit.recognition->contact_class)) : Cell()};
-    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+    for (const Quantity quantity : kShown) {
       row.push_back(VerdictCell(audit.refinement ? audit.refinement->Find(quantity) : nullptr));
     }
     if (const ContactError* first = audit.FirstWrong()) {
@@ -153,7 +143,7 @@ Table VerdictTable(const AuditReport& report) {
 }
 
 Table EntryTable(const Scene& scene, const AuditReport& report) {
-  Table table({{"contact"}, {"quantity"}, {"entry"}, {"exact"}, {"own steps"}, {"converges to"}, {"wrong sign"}});
+  Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.refinement || !audit.refinement->ok()) continue;
     const int intervals = audit.refinement->intervals;
@@ -181,21 +171,19 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
 }
 
 Table SurrogateTable(const Scene& scene, const AuditReport& report) {
-  Table table(
-      {{"contact"}, {"surrogate"}, {"biased"}, {"quantity"}, {"entry"}, {"value"}, {"standard error"}, {"exact"}});
+  Table table(ColumnsOf("contact; surrogate; biased; quantity; entry; value; standard error; exact"));
   for (const ModelAudit& audit : report.models) {
     const ModelGradient& gradient = audit.gradient;
     if (!gradient.ok() || !gradient.surrogate) continue;
-    ModelGradient error = gradient;
-    error.gradient.initial = gradient.initial_error;
-    error.gradient.control = gradient.control_error;
-    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+    for (const Quantity quantity : kShown) {
       if (quantity == Quantity::kControl && scene.num_controlled() == 0) continue;
       const int intervals = gradient.num_steps;
       const std::vector<std::string> names = EntryNames(scene, quantity, intervals);
       const std::vector<double> values = EntriesOf(scene, gradient, quantity, intervals);
       std::vector<double> errors, exact;
-      if (!gradient.initial_error.empty()) errors = EntriesOf(scene, error, quantity, intervals);
+      if (!gradient.initial_error.empty()) {
+        errors = EntriesOf(scene, StandardErrorsOf(gradient), quantity, intervals);
+      }
       if (report.reference && report.reference->num_steps % intervals == 0) {
         exact = EntriesOf(scene, *report.reference, quantity, intervals);
       }
@@ -215,7 +203,7 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
 }
 
 Table RefinementTable(const AuditReport& report) {
-  Table table({{"contact"}, {"quantity"}, {"verdict"}, {"order"}, {"steps"}, {"error"}, {"smallest"}, {"largest"}});
+  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.refinement) continue;
     for (const QuantityStudy& study : audit.refinement->quantities) {
@@ -235,17 +223,8 @@ Table RefinementTable(const AuditReport& report) {
 }
 
 Table BlackBoxTable(const AuditReport& report) {
-  Table table({{"simulator"},
-               {"reports"},
-               {"bits"},
-               {"motion"},
-               {"e", 3},
-               {"keep", 3},
-               {"feed", 3},
-               {"e, finer", 3},
-               {"keep, finer", 3},
-               {"feed, finer", 3},
-               {"gradient"}});
+  Table table(ColumnsOf(
+      "simulator; reports; bits; motion; e:3; keep:3; feed:3; e, finer:3; keep, finer:3; feed, finer:3; gradient"));
   const auto add = [](const std::optional<BlackBoxFindings::HeadOn>& impact, std::vector<Cell>* row) {
     for (const auto member :
          {&BlackBoxFindings::HeadOn::e, &BlackBoxFindings::HeadOn::keep, &BlackBoxFindings::HeadOn::feed}) {
@@ -265,8 +244,7 @@ Table BlackBoxTable(const AuditReport& report) {
 }
 
 Table PlateauTable(const AuditReport& report) {
-  Table table(
-      {{"contact"}, {"entry"}, {"gradient", 5}, {"narrow differences", 5}, {"wide differences", 5}, {"finding"}});
+  Table table(ColumnsOf("contact; entry; gradient:5; narrow differences:5; wide differences:5; finding"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.widths) continue;
     for (const WidthSweep& sweep : audit.widths->sweeps) {
@@ -284,7 +262,7 @@ Table PlateauTable(const AuditReport& report) {
 }
 
 Table GivenTable(const std::vector<GivenEntry>& entries) {
-  Table table({{"entry"}, {"given", 5}, {"exact", 9}, {"verdict"}});
+  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
   for (const GivenEntry& entry : entries) {
     table.AddRow(
         {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
@@ -315,19 +293,14 @@ Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
 Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
   Json quantities = Json::array();
   for (const QuantityStudy& quantity : study.quantities) {
-    std::vector<double> steps, errors;
-    for (const RefinementLevel& level : quantity.levels) {
-      steps.push_back(level.steps);
-      errors.push_back(level.error);
-    }
     quantities.push_back({{"quantity", QuantityToString(quantity.quantity)},
                           {"verdict", VerdictToString(quantity.verdict)},
-                          {"order", NumberToJson(quantity.order)},
-                          {"steps", NumbersToJson(steps)},
-                          {"error", NumbersToJson(errors)},
+                          {"order", quantity.order},
+                          {"steps", OfLevels(quantity.levels, &RefinementLevel::steps)},
+                          {"error", OfLevels(quantity.levels, &RefinementLevel::error)},
                           {"entries", EntryNames(scene, quantity.quantity, study.intervals)},
-                          {"exact", NumbersToJson(quantity.exact)},
-                          {"converges_to", NumbersToJson(quantity.finest)},
+                          {"exact", quantity.exact},
+                          {"converges_to", quantity.finest},
                           {"one_sided", quantity.one_sided},
                           {"wrong_signs", quantity.wrong_signs}});
   }
@@ -342,7 +315,7 @@ Json ContactsToJson(const Attribution& attribution) {
                         {"a", error.a},
                         {"b", error.b},
                         {"exact_impacts", error.exact_impacts},
-                        {"error", NumberToJson(error.error)},
+                        {"error", error.error},
                         {"stays", error.stays},
                         {"block", BlockToString(error.block)},
                         {"why", error.why}});
@@ -351,13 +324,13 @@ Json ContactsToJson(const Attribution& attribution) {
 }
 
 Json RecognitionToJson(const ContactRecognition& found) {
-  Json evidence = {{"restitution", NumberToJson(found.restitution)}, {"words", found.words}};
+  Json evidence = {{"restitution", found.restitution}, {"words", found.words}};
   if (found.step >= 0) {
     evidence["step"] = found.step;
     evidence["bodies"] = {found.a, found.b};
   }
   const auto add = [&](const char* key, const std::optional<double>& value) {
-    if (value) evidence[key] = NumberToJson(*value);
+    if (value) evidence[key] = *value;
   };
   add("rebound", found.rebound);
   add("finer_rebound", found.finer_rebound);
@@ -374,13 +347,13 @@ Json WidthsToJson(const WidthSweepStudy& study) {
   for (const WidthSweep& sweep : study.sweeps) {
     sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
                       {"entry", sweep.entry},
-                      {"gradient", NumberToJson(sweep.gradient)},
-                      {"narrow", NumberToJson(sweep.narrow)},
-                      {"wide", NumberToJson(sweep.wide)},
+                      {"gradient", sweep.gradient},
+                      {"narrow", sweep.narrow},
+                      {"wide", sweep.wide},
                       {"finding", WidthFindingToString(sweep.finding)},
-                      {"grid_width", NumberToJson(sweep.grid_width)},
-                      {"widths", NumbersToJson(sweep.widths)},
-                      {"slopes", NumbersToJson(sweep.slopes)}});
+                      {"grid_width", sweep.grid_width},
+                      {"widths", sweep.widths},
+                      {"slopes", sweep.slopes}});
   }
   return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
 }
@@ -393,19 +366,15 @@ void AddBlackBox(const BlackBoxFindings& found, Json* item) {
   if (found.precision_found > 0) to["own_gradient"] = found.own_gradient;
   if (found.motion != BlackBoxFindings::Motion::kUnknown) to["motion"] = MotionToString(found.motion);
   const auto add = [](const BlackBoxFindings::HeadOn& impact, Json* measured) {
-    (*measured)["e"] = NumberToJson(impact.e);
-    (*measured)["keep"] = NumberToJson(impact.keep);
-    (*measured)["feed"] = NumberToJson(impact.feed);
+    (*measured)["e"] = impact.e;
+    (*measured)["keep"] = impact.keep;
+    (*measured)["feed"] = impact.feed;
   };
   if (found.head_on) add(*found.head_on, item);
   if (found.finer) add(*found.finer, &to["finer"]);
   if (!found.levels.empty()) {
-    std::vector<double> steps, errors;
-    for (const RefinementLevel& level : found.levels) {
-      steps.push_back(level.steps);
-      errors.push_back(level.error);
-    }
-    to["loss_error"] = {{"steps", NumbersToJson(steps)}, {"error", NumbersToJson(errors)}};
+    to["loss_error"] = {{"steps", OfLevels(found.levels, &RefinementLevel::steps)},
+                        {"error", OfLevels(found.levels, &RefinementLevel::error)}};
   }
   if (!found.remarks.empty()) to["findings"] = found.remarks;
 }
@@ -423,7 +392,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     return item;
   }
   if (audit.interrupted) item["termination"] = "interrupted";
-  item["loss"] = NumberToJson(audit.gradient.loss);
+  item["loss"] = audit.gradient.loss;
   item["gradient"] = DerivativesToJson(scene, audit.gradient.gradient);
   if (!audit.gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, audit.gradient.one_sided);
   if (!audit.gradient.initial_error.empty()) {
@@ -432,24 +401,24 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
                               {"control", ControlGradientToJson(scene, audit.gradient.control_error)}};
   }
   if (audit.error) {
-    item["relative_error"] = NumberToJson(audit.error->relative);
-    item["angle"] = NumberToJson(audit.error->angle);
+    item["relative_error"] = audit.error->relative;
+    item["angle"] = audit.error->angle;
     if (audit.error->in_standard_errors) {
-      item["error_in_standard_errors"] = NumberToJson(*audit.error->in_standard_errors);
+      item["error_in_standard_errors"] = *audit.error->in_standard_errors;
     }
   }
   item["verdict"] = VerdictToString(audit.verdict);
   if (audit.refinement && audit.refinement->conditioning) {
-    item["condition"] = NumberToJson(audit.refinement->conditioning->condition);
-    item["rounding"] = NumberToJson(audit.refinement->conditioning->rounding);
+    item["condition"] = audit.refinement->conditioning->condition;
+    item["rounding"] = audit.refinement->conditioning->rounding;
   }
   if (audit.own && audit.own->agreement != Agreement::kUndecided) {
     item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
   }
   for (const ParameterAudit& parameter : audit.parameters) {
     item["parameters"].push_back({{"name", parameter.name},
-                                  {"gradient", NumberToJson(parameter.gradient)},
-                                  {"difference", parameter.difference ? NumberToJson(*parameter.difference) : Json()},
+                                  {"gradient", parameter.gradient},
+                                  {"difference", parameter.difference ? Json(*parameter.difference) : Json()},
                                   {"verdict", VerdictToString(parameter.verdict)}});
   }
   AddTies(audit.ambiguous, audit.spread, &item);
@@ -515,8 +484,6 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
 
 namespace {
 
-constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl};
-
 // Errors of right gradients are rounding; below this line of the figure they would squeeze all others.
 constexpr double kLowestError = 1e-7;
 
@@ -528,18 +495,15 @@ Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity qu
   for (const ModelAudit& audit : report.models) {
     const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
     if (study == nullptr) continue;
-    std::vector<double> x, y;
-    for (const RefinementLevel& level : study->levels) {
-      x.push_back(scene.duration / level.steps);
-      y.push_back(level.error);
-      highest = std::max(highest, level.error);
-    }
+    std::vector<double> x = OfLevels(study->levels, &RefinementLevel::steps);
+    for (double& steps : x) steps = scene.duration / steps;
+    const std::vector<double> y = OfLevels(study->levels, &RefinementLevel::error);
+    for (const double error : y) highest = std::max(highest, error);
     Series series = Series::ForModel(audit.gradient.contact, x, y);
     // One label a model, whatever the panel.
     const QuantityStudy* named = audit.refinement->Find(Quantity::kPosition);
-    char order[32];
-    std::snprintf(order, sizeof order, " (%.1f)", std::abs(named->order) < 0.05 ? 0.0 : named->order);
-    series.label += named->verdict == Verdict::kRight ? " (right)" : order;
+    const double order = std::abs(named->order) < 0.05 ? 0.0 : named->order;
+    series.label += named->verdict == Verdict::kRight ? " (right)" : Format(" (%.1f)", order);
     panel.series.push_back(std::move(series));
   }
   panel.y.min = kLowestError;
@@ -605,6 +569,8 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
     const int entry = TellingEntry(report, quantity);
     if (entry < 0) continue;
     Panel panel{.x = {.label = "width / grid width", .log = true}};
+    // Single differences across an impact that changes step would hide the levels.
+    double low = std::numeric_limits<double>::infinity(), high = -low;
     for (const ModelAudit& audit : report.models) {
       if (!audit.widths || !audit.widths->ok()) continue;
       const WidthSweep& sweep = audit.widths->sweeps[entry];
@@ -616,12 +582,6 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
           exact && panel.reference_lines.empty()) {
         panel.reference_lines.push_back({.value = *exact, .label = "exact"});
       }
-    }
-    // Single differences across an impact that changes step would hide the levels.
-    double low = std::numeric_limits<double>::infinity(), high = -low;
-    for (const ModelAudit& audit : report.models) {
-      if (!audit.widths || !audit.widths->ok()) continue;
-      const WidthSweep& sweep = audit.widths->sweeps[entry];
       low = std::min({low, sweep.narrow, sweep.wide});
       high = std::max({high, sweep.narrow, sweep.wide});
     }
@@ -867,8 +827,7 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   const size_t entries = gradients.columns().size(), models = gradients.rows().size();
   if (entries > 12 && models <= kModelsAbreast) gradients = gradients.Transposed("entry", audit.reference ? 2 : 1);
   page->AddTable(gradients, "Gradients of the loss at the initial guess.", {}, entries * models > kManyNumbers);
-  const Table plateaus = PlateauTable(audit);
-  if (!plateaus.rows().empty()) page->AddTable(plateaus, "Finite differences of the loss.");
+  page->AddTableIfAny(PlateauTable(audit), "Finite differences of the loss.");
   AddMotions(request, audit, page);
   if (request.options.surrogate) return;
   AddWrongSteps(request, audit, page);

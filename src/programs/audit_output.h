@@ -1,7 +1,6 @@
 // The results of an audit as tables, JSON, files and a page.
 #pragma once
 
-#include <string>
 #include <vector>
 
 #include "output/figure.h"

@@ -2,11 +2,11 @@
 
 #include <gflags/gflags.h>
 
-#include <algorithm>
 #include <cmath>
+#include <iostream>
 
-#include "base/suggestion.h"
 #include "feedback/noisy_states.h"
+#include "programs/motion.h"
 #include "programs/program.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
@@ -181,15 +181,8 @@ std::optional<FeedbackOptions> SceneFeedbackFromFlags() {
 
 FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
-  Scene scene = given;
-  scene.free.clear();
-  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
   double price_of_time = 0;
-  if (scene.objective.duration) {
-    scene.duration = DurationOf({control, durations}, scene);
-    price_of_time = scene.objective.duration->weight * scene.duration;
-    scene.objective.duration.reset();
-  }
+  const Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
   FeedbackStudy none;
   // One step of the plant is one interval of the plan, whatever its model.
   Scene plant_scene = scene;
@@ -292,45 +285,28 @@ double FinalError(const Covariance& covariance) { return std::sqrt(covariance.no
 
 namespace {
 
-Json MatrixToJson(const Eigen::MatrixXd& matrix) {
-  Json rows = Json::array();
-  for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
-    Json row = Json::array();
-    for (Eigen::Index j = 0; j < matrix.cols(); ++j) row.push_back(NumberToJson(matrix(i, j)));
-    rows.push_back(std::move(row));
-  }
-  return rows;
-}
-
-Json MatricesToJson(const std::vector<Eigen::MatrixXd>& matrices) {
-  Json list = Json::array();
-  for (const Eigen::MatrixXd& matrix : matrices) list.push_back(MatrixToJson(matrix));
-  return list;
-}
-
 Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, bool states) {
   const Covariance& covariance = loop.covariance;
-  Json item = {{"final_error", NumberToJson(FinalError(covariance))},
-               {"covariance", MatrixToJson(covariance.nodes.back())},
-               {"event_deviations", NumbersToJson(covariance.event_times)},
-               {"change_probability", NumberToJson(covariance.change_probability)},
+  Json item = {{"final_error", FinalError(covariance)},
+               {"covariance", covariance.nodes.back()},
+               {"event_deviations", covariance.event_times},
+               {"change_probability", covariance.change_probability},
                {"risks", Json::array()}};
-  if (loop.expected_loss) item["expected_loss"] = NumberToJson(*loop.expected_loss);
+  if (loop.expected_loss) item["expected_loss"] = *loop.expected_loss;
   for (const SequenceRisk& risk : covariance.risks) {
-    item["risks"].push_back(
-        {{"what", risk.what}, {"time", NumberToJson(risk.time)}, {"probability", NumberToJson(risk.probability)}});
+    item["risks"].push_back({{"what", risk.what}, {"time", risk.time}, {"probability", risk.probability}});
   }
   if (const std::string warning = covariance.Warning(); !warning.empty()) item["warning"] = warning;
-  if (states) item["covariances"] = MatricesToJson(covariance.nodes);
+  if (states) item["covariances"] = covariance.nodes;
   if (!loop.runs) return item;
   const MonteCarlo& runs = *loop.runs;
   Json of_runs = {{"samples", study.samples}, {"failed", runs.failed}, {"otherwise", runs.otherwise}};
   if (runs.counted > 1) {
-    of_runs["final_error"] = NumberToJson(FinalError(study, runs));
-    of_runs["covariance"] = MatrixToJson(runs.covariance);
+    of_runs["final_error"] = FinalError(study, runs);
+    of_runs["covariance"] = runs.covariance;
     if (study.loss) {
-      of_runs["loss"] = NumberToJson(runs.loss);
-      of_runs["loss_error"] = NumberToJson(runs.loss_error);
+      of_runs["loss"] = runs.loss;
+      of_runs["loss_error"] = runs.loss_error;
     }
   }
   item["runs"] = std::move(of_runs);
@@ -341,28 +317,20 @@ Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, boo
 
 Json FeedbackToJson(const FeedbackStudy& study, bool states) {
   if (!study.reason.empty()) return {{"failed", study.reason}};
-  Json item = {{"times", NumbersToJson(study.times)}};
+  Json item = {{"times", study.times}};
   if (!study.remark.empty()) item["remark"] = study.remark;
-  if (study.loss) item["loss"] = NumberToJson(*study.loss);
+  if (study.loss) item["loss"] = *study.loss;
   if (!study.plant.empty()) item["plant"] = study.plant;
-  if (study.closed) item["gains"] = MatricesToJson(study.gains);
-  if (study.closed && states) item["cost_to_go"] = MatricesToJson(study.cost_to_go);
+  if (study.closed) item["gains"] = study.gains;
+  if (study.closed && states) item["cost_to_go"] = study.cost_to_go;
   item["open"] = LoopToJson(study, study.open, states);
   if (study.closed) item["closed"] = LoopToJson(study, *study.closed, states);
   return item;
 }
 
 Table FeedbackTable(const NamedStudies& studies) {
-  Table table({{"run"},
-               {"loop"},
-               {"final error", 4},
-               {"first order", 4},
-               {"expected loss", 8},
-               {"±", 2},
-               {"first order", 8},
-               {"other events", 3},
-               {"first order", 3},
-               {"remark"}},
+  Table table(ColumnsOf("run; loop; final error:4; first order:4; expected loss:8; ±:2; first order:8; other events:3; "
+                        "first order:3; remark"),
               2);
   for (const auto& [name, study] : studies) {
     if (!study->reason.empty()) {
@@ -402,17 +370,22 @@ std::string FeedbackCaption(const FeedbackOptions& options) {
          std::to_string(options.samples) + " noisy runs in each loop and to first order";
 }
 
+void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies) {
+  PrintTableIfAny(name + FeedbackCaption(options), FeedbackTable(studies));
+  const size_t width = LayoutOfStandardOutput().width;
+  for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, width) << std::endl;
+}
+
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies) {
   std::vector<std::string> lines;
   for (const auto& [name, study] : studies) {
     if (!study->reason.empty()) continue;
-    if (const std::string warning = study->open.covariance.Warning(); !warning.empty()) {
-      lines.push_back(name + ", open loop: " + warning);
-    }
-    if (!study->closed) continue;
-    if (const std::string warning = study->closed->covariance.Warning(); !warning.empty()) {
-      lines.push_back(name + ", closed loop: " + warning);
-    }
+    const auto warn = [&, of = name](const char* loop, const Covariance& covariance) {
+      const std::string warning = covariance.Warning();
+      if (!warning.empty()) lines.push_back(of + loop + warning);
+    };
+    warn(", open loop: ", study->open.covariance);
+    if (study->closed) warn(", closed loop: ", study->closed->covariance);
   }
   return lines;
 }

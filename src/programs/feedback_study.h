@@ -62,6 +62,8 @@ using NamedStudies = std::vector<std::pair<std::string, const FeedbackStudy*>>;
 // One row for each loop of each study.
 Table FeedbackTable(const NamedStudies& studies);
 // What the table shows, in a sentence without its full stop.
+// Table and warnings on standard output, with `name` before the caption.
+void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies);
 std::string FeedbackCaption(const FeedbackOptions& options);
 // The warnings of the studies.
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies);

@@ -44,33 +44,30 @@ struct HybridRequest : HybridTask {
   ProgressMode progress = ProgressMode::kAuto;
 };
 
-// Where --set puts the value of a name of NamesOf.
-double* PlaceOf(const std::string& name, HybridProblem* problem) {
+// What --set changes, by name.
+std::vector<std::pair<std::string, double*>> PlacesOf(HybridProblem* problem) {
   const HybridSystem& system = problem->system;
   HybridInput& guess = problem->guess;
+  std::vector<std::pair<std::string, double*>> places;
   for (int i = 0; i < system.num_parameters(); ++i) {
-    if (system.ParameterName(i) == name) return &guess.parameters.at(i);
+    places.emplace_back(system.ParameterName(i), &guess.parameters.at(i));
   }
   for (int i = 0; i < system.state_size(guess.mode); ++i) {
-    if (system.StateName(guess.mode, i) == name) return &guess.initial.at(i);
+    places.emplace_back(system.StateName(guess.mode, i), &guess.initial.at(i));
   }
-  if (name == "duration") return &guess.duration;
-  return &problem->integration.tolerance;
-}
-
-std::vector<std::string> NamesOf(const HybridProblem& problem) {
-  std::vector<std::string> names;
-  for (int i = 0; i < problem.system.num_parameters(); ++i) names.push_back(problem.system.ParameterName(i));
-  for (int i = 0; i < problem.system.state_size(problem.guess.mode); ++i) {
-    names.push_back(problem.system.StateName(problem.guess.mode, i));
-  }
-  names.insert(names.end(), {"duration", "tolerance"});
-  return names;
+  places.emplace_back("duration", &guess.duration);
+  places.emplace_back("tolerance", &problem->integration.tolerance);
+  return places;
 }
 
 void ReadSet(HybridProblem* problem) {
-  for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, NamesOf(*problem)))
-    *PlaceOf(name, problem) = value;
+  if (FLAGS_set.empty()) return;
+  const auto places = PlacesOf(problem);
+  std::vector<std::string> names;
+  for (const auto& [name, place] : places) names.push_back(name);
+  for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, names)) {
+    *std::find_if(places.begin(), places.end(), [&](const auto& one) { return one.first == name; })->second = value;
+  }
 }
 
 // The guess's control on another number of intervals: the mean over each.
@@ -103,8 +100,6 @@ std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
 }
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
-  std::vector<std::string> known;
-  for (const HybridSolverEntry& entry : HybridSolvers()) known.emplace_back(entry.name);
   if (FLAGS_solver.empty()) {
     // Least squares where it applies; constraints and bounds are for phases.
     for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd", "ceres_phases"}) {
@@ -115,16 +110,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
     return {};
   }
   if (FLAGS_solver == kNoSolver) return {};
-  return ReadNames("solver", FLAGS_solver, known, "'all', 'none' or some of ");
-}
-
-// Prints them if --solver=list asks for that.
-bool ListedSolvers() {
-  if (FLAGS_solver != "list") return false;
-  for (const HybridSolverEntry& entry : HybridSolvers()) {
-    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
-  }
-  return true;
+  return ReadNames("solver", FLAGS_solver, NameList(HybridSolvers()), "'all', 'none' or some of ");
 }
 
 void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
@@ -244,23 +230,18 @@ HybridResults Compute(const HybridRequest& request) {
   return results;
 }
 
-Cell NumberCell(const Json& value) { return value.is_number() ? Cell(value.get<double>()) : Cell(); }
-
 // The derivatives of the loss by all but the control, whose norm stands for it.
 Table GradientTable(const HybridProblem& problem, const Json& gradient) {
-  Table table({{"variable"}, {"value", 10}, {"derivative of the loss", 10}});
+  Table table(ColumnsOf("variable; value:10; derivative of the loss:10"));
   const HybridInput& guess = problem.guess;
-  for (std::size_t i = 0; i < guess.initial.size(); ++i) {
-    table.AddRow({problem.system.StateName(guess.mode, static_cast<int>(i)) + " at the start",
-                  guess.initial[i],
-                  NumberCell(gradient["initial"][i])});
+  for (int i = 0; i < static_cast<int>(guess.initial.size()); ++i) {
+    const std::string name = problem.system.StateName(guess.mode, i) + " at the start";
+    table.AddRow({name, guess.initial[i], CellOf(gradient["initial"][i])});
   }
-  for (std::size_t i = 0; i < guess.parameters.size(); ++i) {
-    table.AddRow({problem.system.ParameterName(static_cast<int>(i)),
-                  guess.parameters[i],
-                  NumberCell(gradient["parameters"][i])});
+  for (int i = 0; i < static_cast<int>(guess.parameters.size()); ++i) {
+    table.AddRow({problem.system.ParameterName(i), guess.parameters[i], CellOf(gradient["parameters"][i])});
   }
-  table.AddRow({"duration", guess.duration, NumberCell(gradient["duration"])});
+  table.AddRow({"duration", guess.duration, CellOf(gradient["duration"])});
   double sum = 0;
   for (const Json& row : gradient["control"]) {
     for (const Json& entry : row) sum += std::pow(entry.get<double>(), 2);
@@ -270,28 +251,19 @@ Table GradientTable(const HybridProblem& problem, const Json& gradient) {
 }
 
 Table EventTable(const Json& motion) {
-  Table table({{"event"}, {"time", 12}, {"mode"}, {"guard"}, {"next mode"}});
+  Table table(ColumnsOf("event; time:12; mode; guard; next mode"));
   int number = 0;
   for (const Json& event : motion["events"]) {
-    table.AddRow({++number,
-                  NumberCell(event["time"]),
-                  event["mode"].get<std::string>(),
-                  event["guard"].get<std::string>(),
-                  event["next_mode"].get<std::string>()});
+    std::vector<Cell> row = {++number};
+    for (const char* key : {"time", "mode", "guard", "next_mode"}) row.push_back(CellOf(event[key]));
+    table.AddRow(std::move(row));
   }
   return table;
 }
 
 Table RunsTable(const std::vector<SolveReport>& reports) {
-  Table table({{"solver"},
-               {"initial loss", 10},
-               {"final loss", 10},
-               {"iterations"},
-               {"gradients"},
-               {"seconds", 3},
-               {"termination"},
-               {"certificate"},
-               {"remark"}});
+  Table table(ColumnsOf(
+      "solver; initial loss:10; final loss:10; iterations; gradients; seconds:3; termination; certificate; remark"));
   for (const SolveReport& report : reports) {
     const bool ran = !report.losses.empty();
     const auto of = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
@@ -310,7 +282,7 @@ Table RunsTable(const std::vector<SolveReport>& reports) {
 
 // What was optimised but for the control, of each solver.
 Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>& reports) {
-  std::vector<Column> columns = {{"variable"}, {"guess", 10}};
+  std::vector<Column> columns = ColumnsOf("variable; guess:10");
   std::vector<HybridInput> solutions;
   for (const SolveReport& report : reports) {
     if (report.losses.empty()) continue;
@@ -335,14 +307,7 @@ Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>
 }
 
 Table AuditsTable(const std::vector<HybridAudit>& audits) {
-  Table table({{"scheme"},
-               {"verdict"},
-               {"steps"},
-               {"loss", 8},
-               {"exact loss", 8},
-               {"order", 3},
-               {"finest error", 3},
-               {"reason"}});
+  Table table(ColumnsOf("scheme; verdict; steps; loss:8; exact loss:8; order:3; finest error:3; reason"));
   for (const HybridAudit& audit : audits) {
     double error = 0;
     for (const HybridAudit::Part& part : audit.parts) {
@@ -365,30 +330,26 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
   const TextLayout layout = LayoutOfStandardOutput();
   const Json& document = results.document;
   const Json& motion = document["motion"];
-  const auto print = [&](const std::string& title, const Table& table) {
-    if (!table.rows().empty()) std::cout << Paragraph(title, layout.width) << "\n" << table.ToText(layout) << std::endl;
-  };
   if (motion.contains("failed")) {
     std::cout << Paragraph(request.name + ": no motion: " + motion["failed"].get<std::string>(), layout.width) << "\n";
   } else {
-    print(request.name + ": events of the motion from the guess", EventTable(motion));
+    PrintTableIfAny(request.name + ": events of the motion from the guess", EventTable(motion));
     if (motion.contains("remark")) std::cout << Paragraph(motion["remark"].get<std::string>(), layout.width) << "\n";
   }
   if (document.contains("gradient")) {
-    print(request.name + ": loss " + NumberCell(document["loss"]).Display(12) + ", and its gradient",
-          GradientTable(request.problem, document["gradient"]));
+    PrintTableIfAny(request.name + ": loss " + CellOf(document["loss"]).Display(12) + ", and its gradient",
+                    GradientTable(request.problem, document["gradient"]));
   } else {
     std::cout << Paragraph("No loss: " + document["failed"].get<std::string>(), layout.width) << "\n";
   }
-  print(request.name + ": solvers", RunsTable(results.reports));
-  print(request.name + ": solutions", SolutionTable(request.problem, results.reports));
+  PrintTableIfAny(request.name + ": solvers", RunsTable(results.reports));
+  PrintTableIfAny(request.name + ": solutions", SolutionTable(request.problem, results.reports));
   if (!results.studies.empty()) {
     NamedStudies studies;
     for (const auto& [label, study] : results.studies) studies.emplace_back(label, &study);
-    print(request.name + ": " + FeedbackCaption(*request.feedback), FeedbackTable(studies));
-    for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, layout.width) << std::endl;
+    PrintFeedback(request.name + ": ", *request.feedback, studies);
   }
-  print(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
+  PrintTableIfAny(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
 }
 
 // One file: the page with the document in it.
@@ -427,7 +388,10 @@ int RunHybridProgram(int argc, char** argv, const Program& program, const std::f
   const std::vector<std::string> arguments(argv, argv + argc);
   return RunMain(argc, argv, program, [&] {
     const InterruptGuard guard;
-    if (ListedSolvers()) return kDone;
+    if (FLAGS_solver == "list") {
+      PrintList(HybridSolvers());
+      return kDone;
+    }
     HybridRequest request{read()};
     ReadHybridRequest(arguments, &request);
     const HybridResults results = Compute(request);

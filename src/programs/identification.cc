@@ -44,13 +44,13 @@ Json EstimatesToJson(const IdentifyReport& report, const IdentifyReport* exact) 
   for (std::size_t i = 0; i < report.estimates.size(); ++i) {
     const Estimate& estimate = report.estimates[i];
     const bool determined = IsDetermined(estimate);
-    Json item = {{"name", estimate.name}, {"start", NumberToJson(estimate.start)}};
-    item["value"] = determined ? NumberToJson(estimate.value) : Json();
-    item["standard_error"] = determined ? NumberToJson(estimate.standard_error) : Json();
-    item["interval"] = determined ? NumbersToJson({estimate.low, estimate.high}) : Json();
+    Json item = {{"name", estimate.name}, {"start", estimate.start}};
+    item["value"] = determined ? Json(estimate.value) : Json();
+    item["standard_error"] = determined ? Json(estimate.standard_error) : Json();
+    item["interval"] = determined ? Json({estimate.low, estimate.high}) : Json();
     item["determination"] = DeterminationToString(estimate.determination);
     if (!estimate.with.empty()) item["with"] = estimate.with;
-    if (const auto bias = Bias(exact, report, i)) item["bias"] = NumberToJson(*bias);
+    if (const auto bias = Bias(exact, report, i)) item["bias"] = *bias;
     list.push_back(std::move(item));
   }
   return list;
@@ -61,24 +61,23 @@ Json ResidualToJson(const Scene& scene, const std::vector<Recording>& recordings
   const Sample& sample = recording.samples[at.sample];
   Json item = {{"recording", recording.name}};
   if (sample.line > 0) item["line"] = sample.line;
-  item["time"] = NumberToJson(sample.time);
+  item["time"] = sample.time;
   item["body"] = scene.bodies[sample.body].name;
-  item["residual"] = NumbersToJson({at.standardised[0], at.standardised[1]});
+  item["residual"] = at.standardised;
   return item;
 }
 
 Json LawToJson(const LearnedLaw& learned) {
-  Json item = {
-      {"name", learned.law.name}, {"parameters", NumbersToJson(learned.law.parameters)}, {"impacts", learned.impacts}};
+  Json item = {{"name", learned.law.name}, {"parameters", learned.law.parameters}, {"impacts", learned.impacts}};
   item["curve"] = Json::array();
   for (const LawPoint& at : learned.curve) {
-    Json point = {{"speed", NumberToJson(at.speed)},
-                  {"sliding", NumberToJson(at.sliding)},
-                  {"restitution", NumberToJson(at.restitution)},
-                  {"standard_error", NumberToJson(at.restitution_error)}};
+    Json point = {{"speed", at.speed},
+                  {"sliding", at.sliding},
+                  {"restitution", at.restitution},
+                  {"standard_error", at.restitution_error}};
     if (learned.law.HasFriction()) {
-      point["friction"] = NumberToJson(at.friction);
-      point["friction_standard_error"] = NumberToJson(at.friction_error);
+      point["friction"] = at.friction;
+      point["friction_standard_error"] = at.friction_error;
     }
     item["curve"].push_back(std::move(point));
   }
@@ -86,17 +85,17 @@ Json LawToJson(const LearnedLaw& learned) {
 }
 
 Json EventsToJson(const Scene& scene, const LearnedEventFunctions& learned) {
-  Json item = {{"name", learned.functions.name}, {"parameters", NumbersToJson(learned.functions.parameters)}};
+  Json item = {{"name", learned.functions.name}, {"parameters", learned.functions.parameters}};
   item["impacts"] = Json::array();
   for (const LearnedImpact& at : learned.impacts) {
     item["impacts"].push_back({{"segment", at.segment},
                                {"body", scene.bodies[at.body].name},
                                {"plane", scene.planes[at.plane].name},
-                               {"position", NumbersToJson({at.position[0], at.position[1]})},
-                               {"before", NumbersToJson({at.before[0], at.before[1]})},
-                               {"after", NumbersToJson({at.after[0], at.after[1]})},
-                               {"normal", NumbersToJson({at.normal[0], at.normal[1]})},
-                               {"beyond_plane", NumberToJson(at.scene_gap)}});
+                               {"position", at.position},
+                               {"before", at.before},
+                               {"after", at.after},
+                               {"normal", at.normal},
+                               {"beyond_plane", at.scene_gap}});
   }
   return item;
 }
@@ -140,12 +139,8 @@ const LearnedLaw* LawOf(const Identified& identified) {
 
 Table LawTable(const Identified& identified) {
   const std::optional<KnownLaw>& known = identified.known_law;
-  std::vector<Column> columns = {{"speed", 4},
-                                 {"sliding", 4},
-                                 {"restitution", 5},
-                                 {"standard error", 2},
-                                 {"friction", 5},
-                                 {"standard error of friction", 2}};
+  std::vector<Column> columns =
+      ColumnsOf("speed:4; sliding:4; restitution:5; standard error:2; friction:5; standard error of friction:2");
   if (known) columns.push_back({"known restitution", 5});
   Table table(columns);
   const LearnedLaw* learned = LawOf(identified);
@@ -175,17 +170,9 @@ Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known
 }
 
 Table EventTable(const Scene& scene, const Identified& identified) {
-  Table table({{"plane"},
-               {"recording"},
-               {"body"},
-               {"x", 5},
-               {"y", 5},
-               {"beyond m", 3},
-               {"turned rad", 3},
-               {"speed", 4},
-               {"speed after", 4},
-               {"restitution", 4}},
-              3);
+  Table table(
+      ColumnsOf("plane; recording; body; x:5; y:5; beyond m:3; turned rad:3; speed:4; speed after:4; restitution:4"),
+      3);
   for (const IdentifyReport& report : identified.reports) {
     if (!report.events) continue;
     for (const LearnedImpact& at : report.events->impacts) {
@@ -207,15 +194,7 @@ Table EventTable(const Scene& scene, const Identified& identified) {
 }
 
 Table EstimateTable(const Identified& identified) {
-  Table table({{"contact"},
-               {"parameter"},
-               {"start", 5},
-               {"value", 7},
-               {"standard error", 3},
-               {"from", 6},
-               {"to", 6},
-               {"remark"}},
-              2);
+  Table table(ColumnsOf("contact; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     for (const Estimate& estimate : identified.reports[i].estimates) {
       std::string remark;
@@ -248,16 +227,8 @@ Table FitTable(const Json& document) {
 
 // Every parameter under every contact model, beside what the exact fit has; empty without that, or others.
 Table ComparisonTable(const Identified& identified) {
-  Table table({{"parameter"},
-               {"contact"},
-               {"value", 7},
-               {"standard error", 3},
-               {"bias", 4},
-               {"bias, standard errors of event", 3},
-               {"iterations"},
-               {"seconds", 3},
-               {"verdict"},
-               {"remark"}},
+  Table table(ColumnsOf("parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event:3; "
+                        "iterations; seconds:3; verdict; remark"),
               2);
   const IdentifyReport* exact = ExactFit(identified);
   if (exact == nullptr || identified.reports.size() < 2) return table;
@@ -294,16 +265,7 @@ Table OutlierTable(const Json& document) {
 }
 
 Table ResidualTable(const Scene& scene, const Identified& identified) {
-  Table residuals({{"contact"},
-                   {"recording"},
-                   {"line"},
-                   {"time"},
-                   {"body"},
-                   {"x"},
-                   {"y"},
-                   {"residual_x"},
-                   {"residual_y"},
-                   {"outlier"}});
+  Table residuals(ColumnsOf("contact; recording; line; time; body; x; y; residual_x; residual_y; outlier"));
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     for (const SampleResidual& at : identified.reports[i].residuals) {
       const Recording& recording = identified.recordings[at.recording];
@@ -333,14 +295,13 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
     Json item = {{"contact", identified.contacts[i]}, {"verdict", FitVerdictToString(report.verdict)}};
     if (!report.reason.empty()) item["reason"] = report.reason;
     if (HasMinimum(report)) {
-      item["cost"] = NumberToJson(report.cost);
-      if (report.misfit > 0) item["misfit"] = NumberToJson(report.misfit);
-      if (report.sigma > 0) item["sigma"] = NumberToJson(report.sigma);
+      item["cost"] = report.cost;
+      if (report.misfit > 0) item["misfit"] = report.misfit;
+      if (report.sigma > 0) item["sigma"] = report.sigma;
       item["samples"] = report.residuals.size();
       item["impacts"] = report.impacts;
       item["parameters"] = EstimatesToJson(report, exact);
-      item["correlation"] = Json::array();
-      for (const std::vector<double>& row : report.correlation) item["correlation"].push_back(NumbersToJson(row));
+      item["correlation"] = report.correlation;
       if (report.law) item["law"] = LawToJson(*report.law);
       if (report.events) item["events"] = EventsToJson(scene, *report.events);
       item["outliers"] = Json::array();
@@ -350,7 +311,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
       item["segments"] = Json::array();
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
         item["segments"].push_back({{"recording", identified.recordings[report.segment_recording[s]].name},
-                                    {"begin", NumberToJson(report.segment_begin[s])},
+                                    {"begin", report.segment_begin[s]},
                                     {"position", VectorsToJson(scene, report.initial[s], 0)},
                                     {"velocity", VectorsToJson(scene, report.initial[s], 2)}});
       }
@@ -438,10 +399,6 @@ void AddResiduals(const Identified& identified, Page* page) {
   page->AddFigure(figure, "Distance of each sample from the fitted motion, in standard deviations of the noise.");
 }
 
-void AddTableIfAny(const Table& table, const std::string& caption, Page* page) {
-  if (!table.rows().empty()) page->AddTable(table, caption);
-}
-
 }  // namespace
 
 void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document) {
@@ -449,12 +406,11 @@ void WriteIdentifyReport(const Request& request, const Identified& identified, c
   const Scene& scene = request.scene;
   Page page = StartPage(scene);
   page.AddHeading("Fits");
-  AddTableIfAny(FitTable(document), "The fit of each contact model.", &page);
-  AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.", &page);
-  AddTableIfAny(
+  page.AddTableIfAny(FitTable(document), "The fit of each contact model.");
+  page.AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page.AddTableIfAny(
       ComparisonTable(identified),
-      "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.",
-      &page);
+      "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
   const Table law = LawTable(identified);
   if (!law.rows().empty()) {
     page.AddHeading("Law of impact");
@@ -473,9 +429,8 @@ void WriteIdentifyReport(const Request& request, const Identified& identified, c
   page.AddHeading("Motions");
   AddMotions(scene, identified, &page);
   AddResiduals(identified, &page);
-  AddTableIfAny(OutlierTable(document),
-                "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.",
-                &page);
+  page.AddTableIfAny(OutlierTable(document),
+                     "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
   FinishPage(request, document, &page);
 }
 

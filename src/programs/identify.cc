@@ -85,49 +85,39 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
 
 void PrintTables(const Scene& scene, const Identified& identified, const Json& document) {
   const TextLayout layout = LayoutOfStandardOutput();
+  const auto print = [&](const std::string& caption, const Table& table) {
+    std::cout << caption << "\n\n" << table.ToText(layout) << std::endl;
+  };
+  const auto print_if_any = [&](const std::string& caption, const Table& table) {
+    if (!table.rows().empty()) print(caption, table);
+  };
   const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
-  std::cout << scene.name << ": " << (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown) << "\n\n"
-            << FitTable(document).ToText(layout) << std::endl;
-  const Table estimates = EstimateTable(identified);
-  if (!estimates.rows().empty()) {
-    std::cout << "95 % confidence is from ... to\n\n" << estimates.ToText(layout) << std::endl;
-  }
-  const Table comparison = ComparisonTable(identified);
-  if (!comparison.rows().empty()) {
-    std::cout << "Beside event, whose motion and derivatives are exact: bias is what a value is more\n\n"
-              << comparison.ToText(layout) << std::endl;
-  }
-  const Table law = LawTable(identified);
-  if (!law.rows().empty()) {
-    std::cout << "Law of impact, at speeds that the impacts had, in m/s\n\n" << law.ToText(layout) << std::endl;
-  }
-  const Table events = EventTable(scene, identified);
-  if (!events.rows().empty()) {
-    std::cout
-        << "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned "
-           "by how much its normal is\n\n"
-        << events.ToText(layout) << std::endl;
-  }
-  const Table outliers = OutlierTable(document);
-  if (outliers.rows().empty()) return;
-  std::cout << "Outliers, at most " << kMostOutliersNamed << " of them, residuals in sigmas\n\n"
-            << outliers.ToText(layout) << std::endl;
+  print(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
+  print_if_any("95 % confidence is from ... to", EstimateTable(identified));
+  print_if_any("Beside event, whose motion and derivatives are exact: bias is what a value is more",
+               ComparisonTable(identified));
+  print_if_any("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified));
+  print_if_any(
+      "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by how "
+      "much its normal is",
+      EventTable(scene, identified));
+  print_if_any("Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them, residuals in sigmas",
+               OutlierTable(document));
 }
 
 void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified) {
   if (directory.empty()) return;
-  WriteTextFile(directory + "/" + scene.name + "_parameters.csv", EstimateTable(identified).ToCsv());
-  WriteTextFile(directory + "/" + scene.name + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
-  const Table comparison = ComparisonTable(identified), law = LawTable(identified);
-  const Table events = EventTable(scene, identified);
-  if (!events.rows().empty()) WriteTextFile(directory + "/" + scene.name + "_events.csv", events.ToCsv());
-  if (!comparison.rows().empty()) {
-    WriteTextFile(directory + "/" + scene.name + "_beside_event.csv", comparison.ToCsv());
-  }
-  if (law.rows().empty()) return;
-  const std::string path = directory + "/" + scene.name + "_law";
-  WriteTextFile(path + ".csv", law.ToCsv());
-  WriteFigureFiles(LawFigure(*LawOf(identified), identified.known_law), path);
+  const std::string path = directory + "/" + scene.name;
+  WriteTextFile(path + "_parameters.csv", EstimateTable(identified).ToCsv());
+  WriteTextFile(path + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
+  const auto write_if_any = [&](const std::string& suffix, const Table& table) {
+    if (!table.rows().empty()) WriteTextFile(path + suffix, table.ToCsv());
+  };
+  write_if_any("_events.csv", EventTable(scene, identified));
+  write_if_any("_beside_event.csv", ComparisonTable(identified));
+  write_if_any("_law.csv", LawTable(identified));
+  const LearnedLaw* law = LawOf(identified);
+  if (law != nullptr) WriteFigureFiles(LawFigure(*law, identified.known_law), path + "_law");
 }
 
 int ExitCodeOf(const Identified& identified) {

@@ -1,7 +1,5 @@
 #include "programs/json_output.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <iostream>
@@ -15,7 +13,7 @@ namespace saltus {
 
 Cell CellOf(const Json& value) {
   if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
-  if (value.is_number_float()) return value.get<double>();
+  if (value.is_number_float()) return std::isfinite(value.get<double>()) ? Cell(value.get<double>()) : Cell();
   if (value.is_number()) return value.get<int64_t>();
   if (value.is_string()) return value.get<std::string>();
   return value.is_structured() ? Cell(value.size()) : Cell();
@@ -25,29 +23,24 @@ namespace {
 
 Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   if (p.mass.empty()) return nullptr;
-  Json mass = Json::array(), force = Json::array();
-  for (double value : p.mass) mass.push_back(NumberToJson(value));
-  for (const Vec2d& value : p.force) force.push_back({NumberToJson(value[0]), NumberToJson(value[1])});
-  Json item = {{"restitution", NumberToJson(p.restitution)},
-               {"friction", NumberToJson(p.friction)},
-               {"stiffness", NumberToJson(p.stiffness)},
-               {"damping", NumberToJson(p.damping)},
-               {"gravity", {NumberToJson(p.gravity[0]), NumberToJson(p.gravity[1])}},
-               {"mass", mass},
-               {"force", force}};
-  for (double value : p.inertia) item["inertia"].push_back(NumberToJson(value));
+  Json item = {{"restitution", p.restitution},
+               {"friction", p.friction},
+               {"stiffness", p.stiffness},
+               {"damping", p.damping},
+               {"gravity", p.gravity},
+               {"mass", p.mass},
+               {"force", p.force}};
+  if (!p.inertia.empty()) item["inertia"] = p.inertia;
   if (!p.design.empty()) item["design"] = DesignToJson(scene, p.design);
   return item;
 }
 
 }  // namespace
 
-Json NumberToJson(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
-
 Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset) {
   Json vectors = Json::array();
   for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
-    vectors.push_back({NumberToJson(initial[i + offset]), NumberToJson(initial[i + offset + 1])});
+    vectors.push_back({initial[i + offset], initial[i + offset + 1]});
   }
   return vectors;
 }
@@ -55,7 +48,7 @@ Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int o
 Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry) {
   Json rotations = Json::array();
   for (size_t i = 4 * scene.bodies.size() + entry; i < initial.size(); i += kSpin) {
-    rotations.push_back(NumberToJson(initial[i]));
+    rotations.push_back(initial[i]);
   }
   return rotations;
 }
@@ -75,7 +68,7 @@ Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
       const double* row = &rows[begin + c * columns];
       const bool turns = std::find(turned.begin(), turned.end(), scene.control.bodies[c]) != turned.end();
       Json::array_t force(turns ? 3 : 2);
-      std::transform(row, row + force.size(), force.begin(), NumberToJson);
+      std::copy_n(row, force.size(), force.begin());
       forces.emplace_back(std::move(force));
     }
     intervals.emplace_back(std::move(forces));
@@ -104,8 +97,8 @@ Json EventsToJson(const std::vector<Event>& events) {
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item) {
   if (ambiguous.empty()) return;
   Json& list = (*item)["ambiguous"] = Json::array();
-  for (const Tie& tie : ambiguous) list.push_back({{"time", NumberToJson(tie.time)}, {"bodies", tie.bodies}});
-  if (spread) (*item)["loss_spread"] = {NumberToJson(spread->lowest), NumberToJson(spread->highest)};
+  for (const Tie& tie : ambiguous) list.push_back({{"time", tie.time}, {"bodies", tie.bodies}});
+  if (spread) (*item)["loss_spread"] = {spread->lowest, spread->highest};
 }
 
 Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
@@ -117,53 +110,49 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
   if (certificate.verdict == kNotApplicable || certificate.verdict == kAmbiguous) return item;
   item["scope"] = ScopeToString(certificate.scope);
   item["sequences_searched"] = certificate.sequences_searched;
-  item["stationarity"] = NumberToJson(certificate.stationarity);
-  item["costate_jump"] = NumberToJson(certificate.costate_jump);
-  item["hamiltonian"] = NumberToJson(certificate.hamiltonian);
-  item["transversality"] = NumberToJson(certificate.transversality);
-  if (certificate.gradient) item["gradient"] = NumberToJson(*certificate.gradient);
+  item["stationarity"] = certificate.stationarity;
+  item["costate_jump"] = certificate.costate_jump;
+  item["hamiltonian"] = certificate.hamiltonian;
+  item["transversality"] = certificate.transversality;
+  if (certificate.gradient) item["gradient"] = *certificate.gradient;
   if (certificate.curvature) {
     item["curvature"] = {{"kind", CurvatureToString(certificate.curvature->kind)},
-                         {"smallest", NumberToJson(certificate.curvature->smallest)},
+                         {"smallest", certificate.curvature->smallest},
                          {"direction", ControlToJson(scene, certificate.curvature->direction)}};
   }
-  if (certificate.final_time) item["final_time"] = NumberToJson(*certificate.final_time);
-  if (certificate.initial) item["initial"] = NumberToJson(*certificate.initial);
+  if (certificate.final_time) item["final_time"] = *certificate.final_time;
+  if (certificate.initial) item["initial"] = *certificate.initial;
   for (const ParameterCertificate& entry : certificate.parameters) {
-    item["parameters"].push_back({{"name", entry.name},
-                                  {"value", NumberToJson(entry.value)},
-                                  {"derivative", NumberToJson(entry.derivative)},
-                                  {"residual", NumberToJson(entry.residual)}});
+    item["parameters"].push_back(
+        {{"name", entry.name}, {"value", entry.value}, {"derivative", entry.derivative}, {"residual", entry.residual}});
   }
   for (const ConstraintCertificate& constraint : certificate.constraints) {
     constexpr const char* kQuantities[] = {"position", "velocity", "angle", "angular_velocity"};
     const Vec2d& nu = constraint.multiplier;
     const bool of_spin = constraint.quantity == TerminalTerm::Quantity::kAngle ||
                          constraint.quantity == TerminalTerm::Quantity::kAngularVelocity;
-    Json multiplier = NumberToJson(nu[0]);
-    if (!of_spin) multiplier = {NumberToJson(nu[0]), NumberToJson(nu[1])};
     item["constraints"].push_back({{"body", constraint.body},
                                    {"quantity", kQuantities[static_cast<int>(constraint.quantity)]},
-                                   {"multiplier", std::move(multiplier)}});
+                                   {"multiplier", of_spin ? Json(nu[0]) : Json(nu)}});
   }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {
-    Json entry = {{"time", NumberToJson(impact.time)},
+    Json entry = {{"time", impact.time},
                   {"a", impact.a},
                   {"b", impact.b},
-                  {"speed", NumberToJson(impact.speed)},
-                  {"multiplier", NumberToJson(impact.multiplier)},
-                  {"costate_jump", NumberToJson(impact.jump)},
-                  {"hamiltonian", NumberToJson(impact.hamiltonian)},
+                  {"speed", impact.speed},
+                  {"multiplier", impact.multiplier},
+                  {"costate_jump", impact.jump},
+                  {"hamiltonian", impact.hamiltonian},
                   {"on_node", impact.on_node}};
-    if (impact.theta) entry["theta"] = NumberToJson(*impact.theta);
+    if (impact.theta) entry["theta"] = *impact.theta;
     impacts.push_back(std::move(entry));
   }
   item["impacts"] = std::move(impacts);
   if (certificate.gradient_combined) {
-    item["gradient_early"] = NumberToJson(*certificate.gradient_early);
-    item["gradient_late"] = NumberToJson(*certificate.gradient_late);
-    item["gradient_combined"] = NumberToJson(*certificate.gradient_combined);
+    item["gradient_early"] = *certificate.gradient_early;
+    item["gradient_late"] = *certificate.gradient_late;
+    item["gradient_combined"] = *certificate.gradient_combined;
   }
   return item;
 }
@@ -176,9 +165,7 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
       const std::string& b = c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name;
       sequence.push_back({{"a", scene.bodies[c.a].name}, {"b", b}});
     }
-    list.push_back({{"sequence", std::move(sequence)},
-                    {"loss", NumberToJson(optimum.loss)},
-                    {"times", NumbersToJson(optimum.times)}});
+    list.push_back({{"sequence", std::move(sequence)}, {"loss", optimum.loss}, {"times", optimum.times}});
   }
   return list;
 }
@@ -186,15 +173,9 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
 Json SearchedToJson(const Searched& searched) {
   return {{"sequences", searched.sequences},
           {"starts", searched.starts},
-          {"work", NumberToJson(searched.work)},
+          {"work", searched.work},
           {"complete", searched.complete},
-          {"lower_bound", NumberToJson(searched.lower_bound)}};
-}
-
-Json NumbersToJson(const std::vector<double>& values) {
-  Json list = Json::array();
-  for (double value : values) list.push_back(NumberToJson(value));
-  return list;
+          {"lower_bound", searched.lower_bound}};
 }
 
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
@@ -211,7 +192,7 @@ Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {
 Json DesignToJson(const Scene& scene, const std::vector<double>& values) {
   Json item = Json::object();
   for (size_t i = 0; i < values.size(); ++i) {
-    item[NameOf(scene.design[i].parameter, scene)] = NumberToJson(values[i]);
+    item[NameOf(scene.design[i].parameter, scene)] = values[i];
   }
   return item;
 }
@@ -228,28 +209,19 @@ Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
 }
 
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys, size_t most_rows) {
-  std::vector<Column> heads;
+  std::vector<Column> heads = ColumnsOf(columns);
   std::vector<std::string> paths;
   std::vector<bool> of_parent, of_each;
-  for (size_t begin = 0; begin < columns.size();) {
-    const size_t end = std::min(columns.find("; ", begin), columns.size());
-    std::string head = columns.substr(begin, end - begin);
-    begin = end + 2;
-    Column column;
-    if (const size_t colon = head.rfind(':'); colon != std::string::npos) {
-      column.significant_digits = std::stoi(head.substr(colon + 1));
-      head.resize(colon);
-    }
-    const size_t equals = head.find('=');
-    column.header = head.substr(0, equals);
-    std::string path = equals == std::string::npos ? head : head.substr(equals + 1);
+  for (Column& head : heads) {
+    const size_t equals = head.header.find('=');
+    std::string path = head.header.substr(equals == std::string::npos ? 0 : equals + 1);
+    head.header.resize(std::min(equals, head.header.size()));
     std::replace(path.begin(), path.end(), ' ', '_');
     of_parent.push_back(path.starts_with('^'));
     of_each.push_back(path.ends_with("[]"));
     if (of_parent.back()) path.erase(0, 1);
     if (of_each.back()) path.resize(path.size() - 2);
     paths.push_back("/" + path);
-    heads.push_back(std::move(column));
   }
   const auto at = [](const Json& item, const std::string& path) -> const Json& {
     static const Json& nothing = *new Json;
@@ -281,9 +253,7 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
 }
 
 void PrintJson(const Json& document, Precision precision) {
-  const StatusOr<std::string> text = DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits);
-  CHECK(text.ok()) << text.status().message();
-  std::cout << *text << std::endl;
+  std::cout << DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits) << std::endl;
 }
 
 namespace {

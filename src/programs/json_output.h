@@ -1,6 +1,7 @@
 // Results as JSON, under the keys that the reference documents. No flags.
 #pragma once
 
+#include <Eigen/Core>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <vector>
@@ -11,8 +12,24 @@
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 
+// A vector as the list of its numbers, any other matrix as the list of its rows.
+template <int R, int C, int Options, int MostR, int MostC>
+struct nlohmann::adl_serializer<Eigen::Matrix<double, R, C, Options, MostR, MostC>> {
+  static void to_json(ordered_json& json, const Eigen::Matrix<double, R, C, Options, MostR, MostC>& matrix) {
+    json = ordered_json::array();
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+      if constexpr (C == 1) {
+        json.push_back(matrix[i]);
+      } else {
+        json.push_back(Eigen::VectorXd(matrix.row(i)));
+      }
+    }
+  }
+};
+
 namespace saltus {
 
+// Numbers that are not finite stand in it as they are; what prints it, or hands it to Python, makes null of them.
 using Json = nlohmann::ordered_json;
 
 // [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
@@ -52,18 +69,13 @@ void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item);
 // The same, and the key biased of a model whose options bias the derivative.
 void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item);
 
-// A finite number, or null.
-Json NumberToJson(double value);
-Json NumbersToJson(const std::vector<double>& values);
-
-// A boolean as "yes" or "no", numbers and text as they are, of a list or an object its size; empty for null.
+// A boolean as "yes" or "no", finite numbers and text as they are, of a list or an object its size; else empty.
 Cell CellOf(const Json& value);
 
 // A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
-// separated by "; ". Each has a header and, after "=", a path from the object, or with ^ from the parent (default: the
-// header, its spaces as underscores); after ":" the digits shown. A path that ends in [] makes a row of each element.
-// At most `most_rows` rows. Such as "contact=^contact; wrong in=block;
-// x=position/0:5".
+// those of ColumnsOf(), each header with a path behind it, after "=", from the object, or with ^ from the parent
+// (default: the header, its spaces as underscores). A path that ends in [] makes a row of each element. At most
+// `most_rows` rows. Such as "contact=^contact; wrong in=block; x=position/0:5".
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
               size_t most_rows = static_cast<size_t>(-1));
 

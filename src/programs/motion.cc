@@ -9,7 +9,6 @@
 #include <numeric>
 #include <tuple>
 
-#include "base/time_grid.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
@@ -410,6 +409,16 @@ Motion Refuse(const std::string& reason) {
 }
 
 }  // namespace
+
+Scene WithFixedTime(Scene scene, const MotionInput& input, double* price) {
+  scene.free.clear();
+  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
+  if (!scene.objective.duration) return scene;
+  scene.duration = DurationOf({input.control, input.durations}, scene);
+  *price = scene.objective.duration->weight * scene.duration;
+  scene.objective.duration.reset();
+  return scene;
+}
 
 Motion SimulateExactMotion(const Scene& given, const MotionInput& input, const MotionOptions& options) {
   if (const std::string reason = WhyNotApplicable(ExactModel()->name, given); !reason.empty()) return Refuse(reason);

@@ -59,6 +59,10 @@ struct MotionInput {
   std::vector<double> durations;  // s, of the K intervals; none: equally long
 };
 
+// The scene with its control as all that is free, and with the duration that the input has, if that is free; `price`
+// is then what the objective charges for it.
+Scene WithFixedTime(Scene scene, const MotionInput& input, double* price);
+
 struct MotionOptions {
   Precision precision = Precision::kDouble;
   std::size_t most_bytes = std::size_t{1} << 30;  // of states

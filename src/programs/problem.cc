@@ -49,7 +49,7 @@ Json LaunchesToJson(const std::vector<LaunchSolution>& launches) {
 }
 
 Table LaunchTable(const std::vector<LaunchSolution>& launches) {
-  Table table({{"strikes"}, {"velocity x", 12}, {"velocity y", 12}, {"speed²", 12}, {"remark"}});
+  Table table(ColumnsOf("strikes; velocity x:12; velocity y:12; speed²:12; remark"));
   for (const LaunchSolution& launch : launches) {
     table.AddRow({Sequence(launch),
                   launch.velocity[0],

@@ -254,22 +254,8 @@ void RefuseFlagsOfOthers(const Program& program) {
 namespace {
 
 template <typename Entries>
-std::vector<std::string> NameList(const Entries& entries) {
-  std::vector<std::string> names;
-  for (const auto& entry : entries) names.emplace_back(entry.name);
-  return names;
-}
-
-template <typename Entries>
 std::string Names(const Entries& entries) {
   return Joined(NameList(entries));
-}
-
-template <typename Entries>
-void PrintList(const Entries& entries) {
-  for (const auto& entry : entries) {
-    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
-  }
 }
 
 void PrintModels() {
@@ -607,6 +593,21 @@ void WriteTextFile(const std::string& path, const std::string& text) {
 void WriteFigureFiles(const Figure& figure, const std::string& path) {
   const Status status = WriteFigure(figure, path + ".svg", path + ".png");
   if (!InterruptGuard::GraceIsOver()) OrOutputError(status);
+}
+
+void PrintTable(const std::string& caption, const Table& table) {
+  const TextLayout layout = LayoutOfStandardOutput();
+  std::cout << Paragraph(caption, layout.width) << "\n" << table.ToText(layout) << std::endl;
+}
+
+void PrintTableIfAny(const std::string& caption, const Table& table) {
+  if (!table.rows().empty()) PrintTable(caption, table);
+}
+
+std::string FirstOf(const std::vector<std::string>& names) {
+  constexpr size_t kMost = 6;
+  if (names.size() <= kMost) return Joined(names);
+  return Joined({names.begin(), names.begin() + kMost}) + " and " + std::to_string(names.size() - kMost) + " more";
 }
 
 namespace {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstdio>
 #include <functional>
 #include <optional>
 #include <stdexcept>
@@ -33,6 +34,22 @@ void HoldMemoryBackAgain();
 
 // The items of a comma-separated list; none of an empty one.
 std::vector<std::string> SplitAtCommas(const std::string& list);
+
+// The names of contact models, solvers or the like.
+template <typename Entries>
+std::vector<std::string> NameList(const Entries& entries) {
+  std::vector<std::string> names;
+  for (const auto& entry : entries) names.emplace_back(entry.name);
+  return names;
+}
+
+// Names and summaries on standard output, one entry a line.
+template <typename Entries>
+void PrintList(const Entries& entries) {
+  for (const auto& entry : entries) {
+    std::printf("%-21s %s\n", std::string(entry.name).c_str(), std::string(entry.summary).c_str());
+  }
+}
 
 // The pairs of a flag's comma-separated list of name=value. Throws InputError for a name that is not one of `names`,
 // and for a value that is no finite number.
@@ -156,6 +173,13 @@ void WriteTextFile(const std::string& path, const std::string& text);
 
 // Writes <path>.svg and <path>.png. Throws OutputError if it cannot, unless the grace of an interrupt is over.
 void WriteFigureFiles(const Figure& figure, const std::string& path);
+
+// A table under its caption on standard output; the second, nothing if it has no rows.
+void PrintTable(const std::string& caption, const Table& table);
+void PrintTableIfAny(const std::string& caption, const Table& table);
+
+// The first few of some names in one line: "lcp, ncp and 12 more".
+std::string FirstOf(const std::vector<std::string>& names);
 
 Page StartPage(const Scene& scene);
 

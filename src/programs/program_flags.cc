@@ -5,7 +5,9 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <iterator>
 #include <optional>
+#include <sstream>
 
 #include "base/suggestion.h"
 #include "output/table.h"
@@ -17,60 +19,41 @@ constexpr char kProblems[] = "the problems' programs";
 constexpr char kHybridProblems[] = "the programs of hybrid systems";
 constexpr size_t kFlagColumns = 26;  // beside which a flag is explained
 
+std::vector<std::string> Words(const std::string& text) {
+  std::istringstream words(text);
+  return {std::istream_iterator<std::string>(words), {}};
+}
+
 const FlagGroup kScene = {"Scene (these flags override the file)",
-                          {"scene=FILE", "steps=N", "restitution=E", "friction=MU", "stiffness=X", "damping=X"}};
-const FlagGroup kModels = {"Contact models", {"contact=LIST", "precision=NAME"}};
-const FlagGroup kSimulators = {"Black-box simulators", {"simulate=COMMAND", "simulate_seconds=S"}};
+                          Words("scene=FILE steps=N restitution=E friction=MU stiffness=X damping=X")};
+const FlagGroup kModels = {"Contact models", Words("contact=LIST precision=NAME")};
+const FlagGroup kSimulators = {"Black-box simulators", Words("simulate=COMMAND simulate_seconds=S")};
 const FlagGroup kModelsAndSimulators = {"Contact models",
-                                        {"contact=LIST", "precision=NAME", "simulate=COMMAND", "simulate_seconds=S"}};
-const FlagGroup kSolvers = {"Solvers",
-                            {"solver=LIST",
-                             "iterations=N",
-                             "learning_rate=X",
-                             "rate_per_time",
-                             "sequence=LIST",
-                             "memory_limit=MIB",
-                             "search_work=N",
-                             "search_seconds=S",
-                             "search_memory=MIB",
-                             "search_starts=N",
-                             "search_seed=N"}};
-const FlagGroup kStart = {"Initial guess (these flags override the scene)", {"control=FILE", "warm_start=FILE"}};
+                                        Words("contact=LIST precision=NAME simulate=COMMAND simulate_seconds=S")};
+const FlagGroup kSolvers = {
+    "Solvers",
+    Words("solver=LIST iterations=N learning_rate=X rate_per_time sequence=LIST memory_limit=MIB search_work=N "
+          "search_seconds=S search_memory=MIB search_starts=N search_seed=N")};
+const FlagGroup kStart = {"Initial guess (these flags override the scene)", Words("control=FILE warm_start=FILE")};
 const FlagGroup kSurrogate = {
     "Surrogate gradients",
-    {"surrogate=NAME", "surrogate_sigma=X", "surrogate_samples=N", "surrogate_segments=N", "surrogate_seed=N"}};
+    Words("surrogate=NAME surrogate_sigma=X surrogate_samples=N surrogate_segments=N surrogate_seed=N")};
 const FlagGroup kFeedback = {"Feedback and uncertainty",
-                             {"feedback",
-                              "feedback_weights=LIST",
-                              "feedback_noise=LIST",
-                              "feedback_scale=X",
-                              "feedback_plant=MODEL",
-                              "feedback_samples=N",
-                              "feedback_seed=N"}};
-const FlagGroup kHybridFeedback = {"Feedback and uncertainty",
-                                   {"feedback",
-                                    "feedback_weights=LIST",
-                                    "feedback_noise=LIST",
-                                    "feedback_scale=X",
-                                    "feedback_samples=N",
-                                    "feedback_seed=N"}};
-const FlagGroup kOutput = {"Output", {"json", "output_dir=DIR", "progress=NAME", "threads=N"}};
+                             Words("feedback feedback_weights=LIST feedback_noise=LIST feedback_scale=X "
+                                   "feedback_plant=MODEL feedback_samples=N feedback_seed=N")};
+const FlagGroup kHybridFeedback = {
+    "Feedback and uncertainty",
+    Words("feedback feedback_weights=LIST feedback_noise=LIST feedback_scale=X feedback_samples=N feedback_seed=N")};
+const FlagGroup kOutput = {"Output", Words("json output_dir=DIR progress=NAME threads=N")};
 
 const std::vector<FlagGroup> kHybridGroups = {
-    {"Problem (in place of the program's own)", {"set=LIST", "steps=N"}},
+    {"Problem (in place of the program's own)", Words("set=LIST steps=N")},
     {"Solvers",
-     {"solver=LIST",
-      "iterations=N",
-      "learning_rate=X",
-      "rate_per_time",
-      "search_work=N",
-      "search_seconds=S",
-      "search_memory=MIB",
-      "search_starts=N",
-      "search_seed=N"}},
+     Words("solver=LIST iterations=N learning_rate=X rate_per_time search_work=N search_seconds=S search_memory=MIB "
+           "search_starts=N search_seed=N")},
     kHybridFeedback,
-    {"Audit of a time-stepping scheme", {"audit", "width_sweep", "simulate=COMMAND", "simulate_seconds=S"}},
-    {"Output", {"json", "states", "output_dir=DIR", "progress=NAME", "threads=N"}}};
+    {"Audit of a time-stepping scheme", Words("audit width_sweep simulate=COMMAND simulate_seconds=S")},
+    {"Output", Words("json states output_dir=DIR progress=NAME threads=N")}};
 constexpr char kHybridNotes[] =
     "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
     "ceres_lm, or where it does not apply ceres_lbfgs or gd.";
@@ -123,7 +106,7 @@ std::vector<Program> MakePrograms() {
         kModels,
         kSolvers,
         kStart,
-        {"Audit", {"attribution_seconds=S", "width_sweep"}},
+        {"Audit", Words("attribution_seconds=S width_sweep")},
         kSurrogate,
         kFeedback,
         kOutput}},
@@ -142,18 +125,18 @@ std::vector<Program> MakePrograms() {
        {"--scene=FILE [--contact=LIST] [--given=FILE] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
        {kScene,
         kModels,
-        {"Audit", {"attribution_seconds=S", "audit_seconds=S", "given=FILE", "width_sweep"}},
+        {"Audit", Words("attribution_seconds=S audit_seconds=S given=FILE width_sweep")},
         kSimulators,
         kSurrogate,
         kOutput}},
       {"saltus_solve",
        "Optimises a scene with the chosen contact models and solvers",
        {"--scene=FILE [--contact=LIST] [--solver=LIST|none] [--json]"},
-       {kScene, kModels, kSolvers, kStart, kSurrogate, kFeedback, {"States", {"states"}}, kOutput}},
+       {kScene, kModels, kSolvers, kStart, kSurrogate, kFeedback, {"States", Words("states")}, kOutput}},
       {"saltus_replay",
        "Writes a page that plays saved motions",
        {"FILE... [--scene=FILE] [--output=FILE.html]"},
-       {{"Replay", {"scene=FILE", "output=FILE"}}},
+       {{"Replay", Words("scene=FILE output=FILE")}},
        "A FILE is an NPZ file of a solution, the JSON output of saltus_solve --states, or a file of another simulator "
        "with the same keys (docs/how-to/replays.md lists them). Several files make one page of several motions.",
        true},
@@ -161,7 +144,7 @@ std::vector<Program> MakePrograms() {
        "Computes many points of some options, and prints one row of CSV for each",
        {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] "
         "[--solver=LIST|none]"},
-       {{"Points", {"sweep=POINTS", "program=COMMAND", "point_seconds=S", "retry_failed", "shard=I/N", "merge"}},
+       {{"Points", Words("sweep=POINTS program=COMMAND point_seconds=S retry_failed shard=I/N merge")},
         kScene,
         kModelsAndSimulators,
         kSolvers,
@@ -175,35 +158,27 @@ std::vector<Program> MakePrograms() {
       {"saltus_identify",
        "Fits parameters of a scene to recordings of its motion, with confidence intervals",
        {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},
-       {{"Data", {"recording=LIST", "segment=S"}},
-        {"Fit",
-         {"unknown=LIST",
-          "law=NAME",
-          "law_beside=FILE",
-          "events=NAME",
-          "known_start",
-          "loss=NAME",
-          "loss_scale=X",
-          "starts=N"}},
+       {{"Data", Words("recording=LIST segment=S")},
+        {"Fit", Words("unknown=LIST law=NAME law_beside=FILE events=NAME known_start loss=NAME loss_scale=X starts=N")},
         kScene,
-        {"Contact models (default: event)", {"contact=LIST"}},
+        {"Contact models (default: event)", Words("contact=LIST")},
         kOutput}},
       {"saltus_scene",
        "Writes a scene of many discs, or a control problem, to standard output",
        {"[--kind=NAME] [--discs=N] [--seed=N]"},
-       {{"Scene", {"kind=NAME", "discs=N", "seed=N", "steps=N", "restitution=E"}}}},
+       {{"Scene", Words("kind=NAME discs=N seed=N steps=N restitution=E")}}},
       {"saltus_simulate",
        "Runs a contact model as a black box: reads requests from standard input and answers on standard output, one "
        "JSON object per line",
        {"--contact=NAME [--precision=NAME] [--offer=LIST]"},
-       {kModels, {"Protocol", {"offer=LIST"}}}},
+       {kModels, {"Protocol", Words("offer=LIST")}}},
       {"saltus_reproduce",
        "Computes every table and figure of the paper, next to the published values",
        {"[--output_dir=DIR] [--simulate=\"[NAME=]COMMAND\"]"},
-       {{"What", {"[no]all_formulations", "every_solver"}},
+       {{"What", Words("[no]all_formulations every_solver")},
         kSimulators,
-        {"Input", {"problems_dir=DIR", "data_dir=DIR"}},
-        {"Output", {"output_dir=DIR", "progress=NAME", "threads=N"}}}}};
+        {"Input", Words("problems_dir=DIR data_dir=DIR")},
+        {"Output", Words("output_dir=DIR progress=NAME threads=N")}}}};
 }
 
 }  // namespace

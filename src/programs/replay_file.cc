@@ -195,7 +195,6 @@ class Reader {
       for (const Json& time : run[prefix + "times"]) motion.times.push_back(NumberIn(time, key + "times"));
       ReadStates(run[prefix + "states"], key + "states", &motion);
       if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &motion);
-      if (run.contains("control")) ReadControl(run, place, &motion);
       Add(std::move(motion), contact, key);
     }
   }
@@ -275,37 +274,6 @@ class Reader {
     }
   }
 
-  // Drawn only where it is said which discs it is of: in files with the whole scene.
-  void ReadControl(const Json& run, const std::string& place, ReplayMotion* motion) {
-    if (scene_pushed_.empty()) return;
-    for (const Json& row : run["control"]) {
-      if (!row.is_array() || row.size() != scene_pushed_.size()) Fail(place + "control", "[x, y] of each pushed disc");
-      for (const Json& force : row) {
-        const bool turns = force.is_array() && force.size() == 3;  // [x, y, torque]
-        const std::array<double, 2> pair = PairIn(turns ? Json{force[0], force[1]} : force, place + "control");
-        motion->control.insert(motion->control.end(), pair.begin(), pair.end());
-        motion->torques.push_back(turns ? NumberIn(force[2], place + "control") : 0);
-      }
-    }
-    if (!turns_) motion->torques.clear();
-    std::vector<double> durations;
-    if (run.contains("durations")) {
-      for (const Json& length : run["durations"]) durations.push_back(NumberIn(length, place + "durations"));
-    }
-    SetIntervals(durations, place, motion);
-  }
-
-  void SetIntervals(std::vector<double> durations, const std::string& place, ReplayMotion* motion) {
-    const size_t intervals = motion->control.size() / (2 * scene_pushed_.size());
-    if (durations.empty() && intervals > 0 && !motion->times.empty()) {
-      durations.assign(intervals, motion->times.back() / static_cast<double>(intervals));
-    }
-    if (durations.size() != intervals) Fail(place + "durations", std::to_string(intervals) + " numbers");
-    motion->pushed = scene_pushed_;
-    double end = 0;
-    for (const double length : durations) motion->ends.push_back(end += length);
-  }
-
   std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
     if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
     Fail(key, "numbers");
@@ -322,11 +290,10 @@ class Reader {
   void ReadArrayBodies(const NpzArrays& arrays) {
     const std::vector<std::string> text = Texts(arrays, "scene"), names = Texts(arrays, "name");
     if (!text.empty()) {
-      const std::variant<Scene, SceneFileError> scene = ParseScene(text[0], path_ + ": scene");
+      std::variant<Scene, SceneFileError> scene = ParseScene(text[0], path_ + ": scene");
       if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
-      file_.drawn = ReplayOf(std::get<Scene>(scene));
-      scene_pushed_ = std::get<Scene>(scene).control.bodies;
-      turns_ = std::get<Scene>(scene).num_turned() > 0;
+      scene_ = std::get<Scene>(std::move(scene));
+      file_.drawn = ReplayOf(*scene_);
       return;
     }
     const auto radius = arrays.find("radius");
@@ -357,23 +324,32 @@ class Reader {
       motion.times = Numbers(times->second, prefix + "times");
       ReadStateArray(states->second, prefix + "states", &motion);
       ReadTouchArrays(arrays, prefix, &motion);
-      if (const auto control = arrays.find("control"); control != arrays.end() && !scene_pushed_.empty()) {
-        const int64_t columns = turns_ ? 3 : 2, pushed = static_cast<int64_t>(scene_pushed_.size());
-        if (turns_ && (control->second.shape.size() != 3 || control->second.shape[1] != pushed ||
-                       control->second.shape[2] != columns)) {
-          Fail("control", "a shape of (K, " + std::to_string(pushed) + ", " + std::to_string(columns) + ")");
-        }
-        const std::vector<double> rows = Numbers(control->second, "control");
-        for (size_t i = 0; i < rows.size(); i += columns) {
-          motion.control.insert(motion.control.end(), {rows[i], rows[i + 1]});
-          if (turns_) motion.torques.push_back(rows[i + 2]);
-        }
-        const auto durations = arrays.find("durations");
-        SetIntervals(
-            durations == arrays.end() ? std::vector<double>() : Numbers(durations->second, "durations"), "", &motion);
-      }
+      ReadControl(arrays, &motion);
       Add(std::move(motion), model, prefix);
     }
+  }
+
+  // Drawn only where it is said which discs it is of: in files with the whole scene.
+  void ReadControl(const NpzArrays& arrays, ReplayMotion* motion) const {
+    const auto control = arrays.find("control"), lengths = arrays.find("durations");
+    if (control == arrays.end() || !scene_ || scene_->num_controlled() == 0) return;
+    const std::vector<int>& pushed = scene_->control.bodies;
+    const int64_t discs = static_cast<int64_t>(pushed.size());
+    const std::vector<int64_t>& shape = control->second.shape;
+    if (scene_->num_turned() > 0 && (shape.size() != 3 || shape[1] != discs || shape[2] != 3)) {
+      Fail("control", "a shape of (K, " + std::to_string(discs) + ", 3)");
+    }
+    SplitControl(*scene_, Numbers(control->second, "control"), motion);
+    const size_t intervals = motion->control.size() / (2 * pushed.size());
+    std::vector<double> durations;
+    if (lengths != arrays.end()) durations = Numbers(lengths->second, "durations");
+    if (durations.empty() && intervals > 0 && !motion->times.empty()) {
+      durations.assign(intervals, motion->times.back() / static_cast<double>(intervals));
+    }
+    if (durations.size() != intervals) Fail("durations", std::to_string(intervals) + " numbers");
+    motion->pushed = pushed;
+    double end = 0;
+    for (const double length : durations) motion->ends.push_back(end += length);
   }
 
   void ReadStateArray(const NpyArray& array, const std::string& key, ReplayMotion* motion) {
@@ -436,8 +412,7 @@ class Reader {
 
   std::string path_;
   bool given_;
-  std::vector<int> scene_pushed_;  // of the scene in the file
-  bool turns_ = false;             // it has torques
+  std::optional<Scene> scene_;  // in the file
   ReplayFile file_;
 };
 

@@ -215,13 +215,14 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
     Body& body = scene->bodies[i];
     const bool is_free = std::find(scene->free.begin(), scene->free.end(), i) != scene->free.end();
     const double* x = &solution.initial_state[4 * i];
+    const auto check = [&](const char* what, double difference, double size) {
+      if (!(difference > kSameStart * (1 + size))) return;
+      throw InputError(flag + ": the " + what + " of " + body.name +
+                       " is not the scene's, and not free: a solution of another scene");
+    };
     const auto take = [&](const Vec2d& given, const char* what, bool may_differ, Vec2d* own) {
-      if (may_differ) {
-        *own = given;
-      } else if ((given - *own).norm() > kSameStart * (1 + own->norm())) {
-        throw InputError(flag + ": the " + what + " of " + body.name +
-                         " is not the scene's, and not free: a solution of another scene");
-      }
+      if (!may_differ) return check(what, (given - *own).norm(), own->norm());
+      *own = given;
     };
     take(Vec2d(x[0], x[1]), "position", is_free && scene->optimize == Optimize::kPosition, &body.position);
     take(Vec2d(x[2], x[3]), "velocity", is_free && scene->optimize == Optimize::kVelocity, &body.velocity);
@@ -229,9 +230,8 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
     const double spin = solution.initial_state[4 * scene->bodies.size() + kSpin * i + 1];
     if (std::find(scene->free_spin.begin(), scene->free_spin.end(), i) != scene->free_spin.end()) {
       body.angular_velocity = spin;
-    } else if (std::abs(spin - body.angular_velocity) > kSameStart * (1 + std::abs(body.angular_velocity))) {
-      throw InputError(flag + ": the angular velocity of " + body.name +
-                       " is not the scene's, and not free: a solution of another scene");
+    } else {
+      check("angular velocity", std::abs(spin - body.angular_velocity), std::abs(body.angular_velocity));
     }
   }
 }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <iostream>
 #include <new>
 #include <sstream>
@@ -20,7 +19,6 @@ namespace {
 
 constexpr double kWorse = 1e-9;       // relative: losses differ by more than rounding
 constexpr double kOpenDefect = 1e-9;  // m, m/s
-constexpr size_t kMostNamed = 6;      // runs in one line
 
 // Whether a loss is less than another by more than rounding.
 bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
@@ -108,12 +106,6 @@ std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
   return refusals;
 }
 
-std::string SomeOf(const std::vector<std::string>& names) {
-  std::string text;
-  for (size_t i = 0; i < std::min(names.size(), kMostNamed); ++i) text += (i == 0 ? "" : ", ") + names[i];
-  return names.size() > kMostNamed ? text + " and " + std::to_string(names.size() - kMostNamed) + " more" : text;
-}
-
 }  // namespace
 
 SolvedRuns SolveAll(const Request& request) {
@@ -182,16 +174,8 @@ std::string WhyNoAnswer(const SolveReport& report) {
 }
 
 Table RunTable(const SolvedRuns& solved) {
-  Table table({{"contact"},
-               {"solver"},
-               {"initial loss", 10},
-               {"final loss", 10},
-               {"exact loss", 10},
-               {"iterations"},
-               {"gradients"},
-               {"seconds", 3},
-               {"termination"},
-               {"remark"}},
+  Table table(ColumnsOf("contact; solver; initial loss:10; final loss:10; exact loss:10; iterations; gradients; "
+                        "seconds:3; termination; remark"),
               2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
@@ -212,8 +196,8 @@ Table RunTable(const SolvedRuns& solved) {
   }
   for (const Refusal& refusal : RefusalsOf(solved)) {
     std::vector<Cell> row(table.columns().size());
-    row[0] = SomeOf(refusal.contacts);
-    row[1] = SomeOf(refusal.solvers);
+    row[0] = FirstOf(refusal.contacts);
+    row[1] = FirstOf(refusal.solvers);
     row[row.size() - 2] = TerminationToString(Termination::kNotApplicable);
     row.back() = refusal.reason;
     table.AddRow(std::move(row));
@@ -222,30 +206,15 @@ Table RunTable(const SolvedRuns& solved) {
 }
 
 void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
-  const TextLayout layout = LayoutOfStandardOutput();
-  const std::string& name = request.scene.name;
-  std::cout << name << ": " << request.scene.steps << " steps\n\n" << RunTable(solved).ToText(layout) << std::endl;
-  const Table design = DesignTable(request.scene, solved);
-  if (!design.rows().empty()) {
-    std::cout << name << ": parameters that were optimized, SI units\n\n" << design.ToText(layout) << std::endl;
-  }
-  const Table certificates = CertificateTable(solved);
-  const auto print_feedback = [&] {
-    const NamedStudies studies = StudiesOf(solved);
-    if (studies.empty()) return;
-    std::cout << Paragraph(name + ": " + FeedbackCaption(*request.feedback), layout.width) << "\n"
-              << FeedbackTable(studies).ToText(layout) << std::endl;
-    for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, layout.width) << std::endl;
-  };
-  if (certificates.rows().empty()) return print_feedback();
-  char tolerance[16];
-  std::snprintf(tolerance, sizeof tolerance, "%g", kCertificateTolerance);
-  std::cout << Paragraph(name + ": certificates of the exact loss, stationary with a residual of at most " + tolerance +
-                             ", a minimum with positive curvature (1 is that of the effort alone)",
-                         layout.width)
-            << "\n"
-            << certificates.ToText(layout) << std::endl;
-  print_feedback();
+  const std::string name = request.scene.name + ": ";
+  PrintTable(name + std::to_string(request.scene.steps) + " steps", RunTable(solved));
+  PrintTableIfAny(name + "parameters that were optimized, SI units", DesignTable(request.scene, solved));
+  PrintTableIfAny(name + "certificates of the exact loss, stationary with a residual of at most " +
+                      Format("%g", kCertificateTolerance) +
+                      ", a minimum with positive curvature (1 is that of the effort alone)",
+                  CertificateTable(solved));
+  const NamedStudies studies = StudiesOf(solved);
+  if (!studies.empty()) PrintFeedback(name, *request.feedback, studies);
 }
 
 std::string RemarkOn(const SolvedRun& run) {
@@ -264,18 +233,16 @@ int SolveExitCode(const SolvedRuns& solved) {
               << runs[0].report.reason << std::endl;
     return kWrongInput;
   }
-  size_t failed = 0;
-  std::string named;
+  std::vector<std::string> failed;
   for (const SolvedRun& run : runs) {
     const std::string why = WhyNoAnswer(run.report);
-    if (why.empty() || ++failed > kMostNamed) continue;
-    named += (failed == 1 ? "" : ", ") + run.report.contact + " " + run.report.solver + ": " + why;
+    if (!why.empty()) failed.push_back(run.report.contact + " " + run.report.solver + ": " + why);
   }
-  if (failed > kMostNamed) named += " and " + std::to_string(failed - kMostNamed) + " more";
-  if (failed > 0) {
-    std::cerr << "no answer from " << failed << " of " << runs.size() << " runs (" << named << ")" << std::endl;
+  if (!failed.empty()) {
+    std::cerr << "no answer from " << failed.size() << " of " << runs.size() << " runs (" << FirstOf(failed) << ")"
+              << std::endl;
   }
-  return failed > 0 || solved.interrupted ? kAnswerFailed : kDone;
+  return !failed.empty() || solved.interrupted ? kAnswerFailed : kDone;
 }
 
 int SolveMain(int argc, char** argv) {

@@ -24,9 +24,13 @@
 
 namespace saltus {
 
-// ---- Certificates in words
-
 namespace {
+
+MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
+
+bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
+
+// ---- Certificates in words
 
 using enum Certificate::Verdict;
 
@@ -96,7 +100,7 @@ std::string MeaningOf(const Certificate& certificate) {
 }
 
 Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
-  Table table({{"contact"}, {"solver"}, {"parameter"}, {"given", 8}, {"found", 8}, {"derivative of exact loss", 3}}, 3);
+  Table table(ColumnsOf("contact; solver; parameter; given:8; found:8; derivative of exact loss:3"), 3);
   const std::vector<double> given = DesignOf(scene);
   for (const SolvedRun& run : solved.runs) {
     for (size_t i = 0; i < run.report.parameters.size(); ++i) {
@@ -113,9 +117,7 @@ Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
 }
 
 Table CertificateTable(const SolvedRuns& solved) {
-  Table table(
-      {{"contact"}, {"solver"}, {"exact loss is at"}, {"residual", 2}, {"smallest curvature", 3}, {"what it means"}},
-      2);
+  Table table(ColumnsOf("contact; solver; exact loss is at; residual:2; smallest curvature:3; what it means"), 2);
   for (const SolvedRun& run : solved.runs) {
     if (!run.certificate) continue;
     const Certificate& certificate = *run.certificate;
@@ -142,8 +144,8 @@ Json StateToJson(const double* x, const double* rotations, size_t bodies) {
   Json state = Json::array();
   for (size_t i = 0; i < bodies; ++i) {
     Json body = Json::array();
-    for (size_t j = 0; j < kState; ++j) body.push_back(NumberToJson(x[kState * i + j]));
-    for (size_t j = 0; j < kSpin && rotations != nullptr; ++j) body.push_back(NumberToJson(rotations[kSpin * i + j]));
+    for (size_t j = 0; j < kState; ++j) body.push_back(x[kState * i + j]);
+    for (size_t j = 0; j < kSpin && rotations != nullptr; ++j) body.push_back(rotations[kSpin * i + j]);
     state.push_back(std::move(body));
   }
   return state;
@@ -203,9 +205,9 @@ Json TouchesToJson(const Motion& motion, const Scene& scene) {
     const Candidate& c = touch.contact;
     touches.push_back({{"a", scene.bodies[c.a].name},
                        {"b", c.plane ? walls[c.b] : scene.bodies[c.b].name},
-                       {"begin", NumberToJson(touch.begin)},
-                       {"end", NumberToJson(touch.end)},
-                       {"impulse", {NumberToJson(touch.impulse[0]), NumberToJson(touch.impulse[1])}}});
+                       {"begin", touch.begin},
+                       {"end", touch.end},
+                       {"impulse", touch.impulse}});
   }
   return touches;
 }
@@ -236,12 +238,14 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   const int64_t controlled = request.scene.num_controlled(), columns = ControlColumns(request.scene);
   NpzArrays arrays;
   if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
-  AddInitial("initial_", report.initial_state, bodies, &arrays);
-  if (controlled > 0) {
-    const int64_t intervals = static_cast<int64_t>(report.control.size()) / request.scene.control_width();
-    arrays["control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.control)};
-    if (!report.durations.empty()) arrays["durations"] = {{intervals}, report.durations};
-  }
+  const auto add_solution = [&](const std::string& prefix, const auto& solution) {
+    AddInitial(prefix + "initial_", solution.initial_state, bodies, &arrays);
+    if (controlled == 0) return;
+    const int64_t intervals = static_cast<int64_t>(solution.control.size()) / request.scene.control_width();
+    arrays[prefix + "control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, solution.control)};
+    if (!solution.durations.empty()) arrays[prefix + "durations"] = {{intervals}, solution.durations};
+  };
+  add_solution("", report);
   if (!report.parameters.empty()) {
     std::vector<std::string> names;
     for (const DesignParameter& design : request.scene.design) names.push_back(NameOf(design.parameter, request.scene));
@@ -250,12 +254,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   }
   if (report.best && !report.best->initial_state.empty()) {
     arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
-    AddInitial("best_initial_", report.best->initial_state, bodies, &arrays);
-    if (controlled > 0) {
-      const int64_t intervals = static_cast<int64_t>(report.best->control.size()) / request.scene.control_width();
-      arrays["best_control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, report.best->control)};
-      if (!report.best->durations.empty()) arrays["best_durations"] = {{intervals}, report.best->durations};
-    }
+    add_solution("best_", *report.best);
   }
   if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
   if (!report.standard_error.empty()) {
@@ -295,7 +294,7 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   const Motions motions = MotionsOf(request, run);
   const auto add = [&](const std::string& prefix, const Motion& motion) {
     if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
-    (*item)[prefix + "times"] = NumbersToJson(motion.times);
+    (*item)[prefix + "times"] = motion.times;
     (*item)[prefix + "states"] = StatesToJson(motion, bodies);
     (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
   };
@@ -305,41 +304,34 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
 
 void AddDrawn(const Scene& scene, Json* document) {
   const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
-  const auto pair = [](const Vec2d& v) { return Json{NumberToJson(v[0]), NumberToJson(v[1])}; };
   Json& bodies = list("bodies");
   for (const Body& body : scene.bodies) {
-    bodies.push_back({{"name", body.name}, {"radius", NumberToJson(body.radius)}, {"fixed", body.fixed}});
+    bodies.push_back({{"name", body.name}, {"radius", body.radius}, {"fixed", body.fixed}});
   }
   Json& planes = list("planes");
   for (const Plane& plane : scene.planes) {
-    planes.push_back({{"name", plane.name}, {"point", pair(plane.point)}, {"normal", pair(plane.normal)}});
+    planes.push_back({{"name", plane.name}, {"point", plane.point}, {"normal", plane.normal}});
   }
   if (!scene.pockets.empty()) {
     Json& pockets = list("pockets");
     for (const Pocket& pocket : scene.pockets) {
-      pockets.push_back(
-          {{"name", pocket.name}, {"position", pair(pocket.position)}, {"radius", NumberToJson(pocket.radius)}});
+      pockets.push_back({{"name", pocket.name}, {"position", pocket.position}, {"radius", pocket.radius}});
     }
   }
   if (!scene.HasEdges()) return;
   Json& segments = list("segments");
   for (const EdgeSegment& segment : scene.segments) {
-    segments.push_back({{"name", segment.name}, {"from", pair(segment.from)}, {"to", pair(segment.to)}});
+    segments.push_back({{"name", segment.name}, {"from", segment.from}, {"to", segment.to}});
   }
   Json& polygons = list("polygons");
   for (const EdgePolygon& polygon : scene.polygons) {
-    Json points = Json::array();
-    for (const Vec2d& point : polygon.points) points.push_back(pair(point));
     const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-    polygons.push_back({{"name", polygon.name}, {"points", points}, {"solid", inside ? "inside" : "outside"}});
+    polygons.push_back({{"name", polygon.name}, {"points", polygon.points}, {"solid", inside ? "inside" : "outside"}});
   }
   Json& arcs = list("arcs");
   for (const EdgeArc& arc : scene.arcs) {
-    arcs.push_back({{"name", arc.name},
-                    {"center", pair(arc.center)},
-                    {"radius", NumberToJson(arc.radius)},
-                    {"from", NumberToJson(arc.from)},
-                    {"to", NumberToJson(arc.to)}});
+    arcs.push_back(
+        {{"name", arc.name}, {"center", arc.center}, {"radius", arc.radius}, {"from", arc.from}, {"to", arc.to}});
   }
 }
 
@@ -425,10 +417,6 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
   return tiles;
 }
 
-bool IsExact(const SolveReport& report) { return FindContactModel(report.contact)->event_driven; }
-
-MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
-
 // The covariances of the positions along a plan, at 400 nodes at most.
 std::vector<ReplaySpread> SpreadsOf(const Scene& scene, const FeedbackStudy& study) {
   std::vector<ReplaySpread> spreads;
@@ -464,7 +452,7 @@ RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>
   for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
   if (shown == 0) return motions;
   const SolveReport& best = runs[0]->report;
-  motions.exact = IsExact(best) ? motions.own[0] : MotionOf(request, best, true, options);
+  motions.exact = IsExact(best.contact) ? motions.own[0] : MotionOf(request, best, true, options);
   return motions;
 }
 
@@ -481,12 +469,13 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
-    if (runs[i]->feedback && (exact || IsExact(run))) drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
+    if (runs[i]->feedback && (exact || IsExact(run.contact)))
+      drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
     replay.motions.push_back(std::move(drawn));
   };
   for (size_t i = 0; i < motions.own.size(); ++i) {
     add(i, motions.own[i], false);
-    if (i == 0 && !IsExact(runs[0]->report)) add(0, motions.exact, true);
+    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, motions.exact, true);
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Replay");
@@ -518,16 +507,10 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                  "`final loss` is the loss under the contact model, `exact loss` that of the same solution under exact "
                  "dynamics: only "
                  "exact losses may be compared between models.");
-  const Table design = DesignTable(request.scene, solved);
-  if (!design.rows().empty()) {
-    page->AddTable(design, "Parameters of the scene that were optimized, in SI units.");
-  }
-  const Table certificates = CertificateTable(solved);
-  if (!certificates.rows().empty()) {
-    page->AddTable(
-        certificates,
-        "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of the effort alone.");
-  }
+  page->AddTableIfAny(DesignTable(request.scene, solved), "Parameters of the scene that were optimized, in SI units.");
+  page->AddTableIfAny(
+      CertificateTable(solved),
+      "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of the effort alone.");
   AddImpacts(request.scene, runs, page);
   const NamedStudies studies = StudiesOf(solved);
   if (!studies.empty()) {
@@ -603,20 +586,20 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     Json item = {{"contact", report.contact}, {"solver", report.solver}};
     AddBias(report.contact, report.surrogate, &item);
     if (run.simulated) {
-      item["loss"] = NumberToJson(report.final_loss);
-      if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
+      item["loss"] = report.final_loss;
+      if (run.exact.ok) item["exact_loss"] = run.exact.loss;
     }
     if (!report.losses.empty()) {
-      item["initial_loss"] = NumberToJson(report.initial_loss);
-      item["final_loss"] = NumberToJson(report.final_loss);
-      if (run.exact.ok) item["exact_loss"] = NumberToJson(run.exact.loss);
-      item["losses"] = NumbersToJson(report.losses);
+      item["initial_loss"] = report.initial_loss;
+      item["final_loss"] = report.final_loss;
+      if (run.exact.ok) item["exact_loss"] = run.exact.loss;
+      item["losses"] = report.losses;
       item["iterations"] = report.iterations;
       item["evaluations"] = report.evaluations;
       item["seconds"] = report.seconds;
-      if (!report.defects.empty()) item["defect"] = NumberToJson(LargestDefect(report));
+      if (!report.defects.empty()) item["defect"] = LargestDefect(report);
       if (report.best) {
-        item["best_loss"] = NumberToJson(report.best->loss);
+        item["best_loss"] = report.best->loss;
         item["best_iteration"] = report.best->iteration;
       }
     }
@@ -626,24 +609,22 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     if (run.HasSolution()) {
       item["events"] = EventsToJson(run.exact.events);
       AddTies(run.exact.ambiguous, run.exact.spread, &item);
-      item["velocity"] = VectorsToJson(request.scene, report.initial_state, 2);
-      if (request.scene.Spins()) {
-        item["angular_velocity"] = RotationsToJson(request.scene, report.initial_state, 1);
-      }
-      item["control"] = ControlToJson(request.scene, report.control);
-      if (!report.parameters.empty()) item["parameters"] = DesignToJson(request.scene, report.parameters);
-      if (!report.standard_error.empty()) item["standard_error"] = NumbersToJson(report.standard_error);
-      if (!report.durations.empty()) item["durations"] = NumbersToJson(report.durations);
-      if (report.best && !report.best->initial_state.empty()) {
-        item["best_velocity"] = VectorsToJson(request.scene, report.best->initial_state, 2);
+      const auto add_solution = [&](const std::string& prefix, const auto& solution) {
+        item[prefix + "velocity"] = VectorsToJson(request.scene, solution.initial_state, 2);
         if (request.scene.Spins()) {
-          item["best_angular_velocity"] = RotationsToJson(request.scene, report.best->initial_state, 1);
+          item[prefix + "angular_velocity"] = RotationsToJson(request.scene, solution.initial_state, 1);
         }
-        item["best_control"] = ControlToJson(request.scene, report.best->control);
-        if (!report.best->parameters.empty()) {
-          item["best_parameters"] = DesignToJson(request.scene, report.best->parameters);
+        item[prefix + "control"] = ControlToJson(request.scene, solution.control);
+        if (!solution.parameters.empty()) {
+          item[prefix + "parameters"] = DesignToJson(request.scene, solution.parameters);
         }
-        if (!report.best->durations.empty()) item["best_durations"] = NumbersToJson(report.best->durations);
+      };
+      add_solution("", report);
+      if (!report.standard_error.empty()) item["standard_error"] = report.standard_error;
+      if (!report.durations.empty()) item["durations"] = report.durations;
+      if (report.best && !report.best->initial_state.empty()) {
+        add_solution("best_", *report.best);
+        if (!report.best->durations.empty()) item["best_durations"] = report.best->durations;
         if (request.scene.optimize == Optimize::kPosition) {
           item["best_position"] = VectorsToJson(request.scene, report.best->initial_state, 0);
         }
@@ -678,15 +659,8 @@ struct RolloutOutcome {
 // By equal steps that last as long as the control.
 RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Precision precision,
                                  const SolveReport& report) {
-  Scene scene = given;
-  scene.free.clear();
-  scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
   double price_of_time = 0;
-  if (scene.objective.duration) {
-    scene.duration = DurationOf({report.control, report.durations}, scene);
-    price_of_time = scene.objective.duration->weight * scene.duration;
-    scene.objective.duration.reset();
-  }
+  const Scene scene = WithFixedTime(given, InputOf(report), &price_of_time);
   RolloutOutcome outcome;
   outcome.reason = WhyNotApplicable(contact, scene);
   if (!outcome.reason.empty()) return outcome;
@@ -735,8 +709,6 @@ std::vector<double> LastState(const Motion& motion) {
   return last;
 }
 
-bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
-
 void CheckExactly(const Scene& scene, SolvedRun* run) {
   const SolveReport& report = run->report;
   run->exact =
@@ -756,8 +728,7 @@ void FindFinalState(const Scene& scene, const Contact& contact, Precision precis
   ends.precision = precision;
   ends.most_nodes = 2;
   ends.stop = InterruptGuard::GraceIsOver;
-  const MotionInput input{report.initial_state, report.control, report.durations};
-  run->final_state = LastState(SimulateMotion(scene, contact, input, ends));
+  run->final_state = LastState(SimulateMotion(scene, contact, InputOf(report), ends));
 }
 
 }  // namespace
@@ -808,7 +779,7 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
 }
 
 Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options) {
-  const MotionInput input{report.initial_state, report.control, report.durations};
+  const MotionInput input = InputOf(report);
   MotionOptions own = options;
   own.precision = request.precision;
   own.stop = InterruptGuard::GraceIsOver;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <map>
 #include <optional>
@@ -87,12 +86,14 @@ class Results {
   // Numbers with more than one value.
   const std::vector<std::string>& varied() const { return varied_; }
 
-  bool Has(const std::string& column) const { return Find(column).has_value(); }
+  bool Has(const std::string& column) const { return study_.FindColumn(column).has_value(); }
 
   // NaN where there is none. Precondition: the column exists.
-  double Number(size_t row, const std::string& column) const { return ToNumber((*rows_[row])[*Find(column)]); }
+  double Number(size_t row, const std::string& column) const {
+    return ToNumber((*rows_[row])[*study_.FindColumn(column)]);
+  }
   std::string Text(size_t row, const std::string& column) const {
-    return Has(column) ? CellOf((*rows_[row])[*Find(column)]).Exact() : "";
+    return Has(column) ? CellOf((*rows_[row])[*study_.FindColumn(column)]).Exact() : "";
   }
 
   std::vector<double> Distinct(const std::string& column) const {
@@ -112,12 +113,6 @@ class Results {
   }
 
  private:
-  std::optional<size_t> Find(const std::string& column) const {
-    const auto& columns = study_.columns();
-    const auto found = std::find(columns.begin(), columns.end(), column);
-    return found == columns.end() ? std::nullopt : std::optional<size_t>(found - columns.begin());
-  }
-
   const SweepStudy& study_;
   std::vector<const SweepRow*> rows_;
   std::vector<std::string> varied_;

@@ -2,7 +2,6 @@
 #include <mpi.h>
 
 #include <algorithm>
-#include <array>
 #include <deque>
 #include <functional>
 #include <iostream>

@@ -143,13 +143,6 @@ bool IsForce(const std::string& field) { return field == "force_x" || field == "
 
 bool IsWord(const std::string& name) { return name == "contact" || name == "solver" || name == "precision"; }
 
-template <typename Entries>
-std::vector<std::string> Names(const Entries& entries) {
-  std::vector<std::string> names;
-  for (const auto& entry : entries) names.emplace_back(entry.name);
-  return names;
-}
-
 void SetWord(const std::string& name, const std::string& word, Request* request) {
   if (name == "contact") request->contacts = {word};
   if (name == "solver") request->solvers = {word};
@@ -231,14 +224,14 @@ std::vector<std::string> SweepOptionNames() {
     if (kept_program->feedback) names.insert(names.end(), {"feedback_scale", "feedback_samples", "feedback_seed"});
     return names;
   }
-  std::vector<std::string> names = {"contact", "solver", "precision"};
-  for (const NumberOption& option : kNumbers) names.emplace_back(option.name);
+  std::vector<std::string> names = NameList(kNumbers);
+  names.insert(names.begin(), {"contact", "solver", "precision"});
   return names;
 }
 
 std::vector<std::string> SweepWords(const std::string& name) {
   CHECK(name == "solver" || name == "precision") << name;
-  if (name == "solver") return kept_program ? Names(HybridSolvers()) : Names(AllSolvers());
+  if (name == "solver") return kept_program ? NameList(HybridSolvers()) : NameList(AllSolvers());
   return {"double", "float"};
 }
 

@@ -1,7 +1,6 @@
 #include "sweep/output.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -164,16 +163,9 @@ class Solved {
   }
 
   Table ToTable() const {
-    Table table({{"kind"},
-                 {"contact"},
-                 {"solver"},
-                 {"problems"},
-                 {"solved", 3},
-                 {"worse_than_start"},
-                 {"no_answer"},
-                 {"median_seconds", 3},
-                 {"most_seconds", 3},
-                 {"most_memory_mib", 4}});
+    Table table(
+        ColumnsOf("kind; contact; solver; problems; solved:3; worse_than_start; no_answer; median_seconds:3; "
+                  "most_seconds:3; most_memory_mib:4"));
     for (const auto& [key, tally] : tallies_) {
       const auto& [kind, contact, solver] = key;
       std::vector<double> seconds = tally.seconds;
@@ -193,14 +185,11 @@ class Solved {
   }
 
  private:
-  size_t Column(const std::string& name) const {
-    return std::find(study_.columns().begin(), study_.columns().end(), name) - study_.columns().begin();
-  }
   double Number(const StoredPoint& point, const std::string& name) const {
-    return ToNumber(point.result.row[Column(name)]);
+    return ToNumber(point.result.row[*study_.FindColumn(name)]);
   }
   std::string Text(const StoredPoint& point, const std::string& name) const {
-    return CellOf(point.result.row[Column(name)]).Exact();
+    return CellOf(point.result.row[*study_.FindColumn(name)]).Exact();
   }
 
   // All options but those of solvers.

@@ -35,8 +35,12 @@ double PeakMemory() {
   return -1;
 }
 
+// Null in place of numbers that are not finite.
 void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
-  row->insert(row->end(), values.begin(), values.end());
+  for (const SweepValue& value : values) {
+    const bool finite = !value.is_number_float() || std::isfinite(value.get<double>());
+    row->push_back(finite ? value : SweepValue());
+  }
 }
 
 PointResult StartRow(const SweepStudy& study, int64_t point) {
@@ -79,7 +83,7 @@ void AppendFeedback(const Json& feedback, SweepRow* row) {
   for (const char* loop : {"open", "closed"}) {
     const Json& of_loop = part(feedback, loop);
     for (const FeedbackColumn& column : kFeedbackColumns) {
-      row->push_back(ValueOf(column.of_runs ? part(of_loop, "runs") : of_loop, column.key));
+      Append({ValueOf(column.of_runs ? part(of_loop, "runs") : of_loop, column.key)}, row);
     }
   }
 }
@@ -124,17 +128,17 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
   } else {
     const Scene scene = WithDesign(request.scene, report.parameters);
     run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-    Append({NumberToJson(report.initial_loss),
-            NumberToJson(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
-            NumberToJson(report.final_loss),
-            run.exact.ok ? NumberToJson(run.exact.loss) : SweepValue(),
+    Append({report.initial_loss,
+            losses.size() > 1 ? losses[losses.size() - 2] : losses[0],
+            report.final_loss,
+            run.exact.ok ? SweepValue(run.exact.loss) : SweepValue(),
             int64_t{report.iterations},
             int64_t{report.evaluations},
             report.seconds},
            &result.row);
     std::vector<double> parameters = report.parameters;
     parameters.resize(request.scene.design.size(), std::nan(""));
-    for (const double value : parameters) Append({NumberToJson(value)}, &result.row);
+    for (const double value : parameters) Append({value}, &result.row);
     AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
   if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
@@ -145,13 +149,15 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
   return result;
 }
 
-// x and y of every body, from numbers in the shape of an initial state; offset 0 for positions, 2 for velocities.
-std::vector<double> Pairs(const Scene& scene, const std::vector<double>& initial, size_t offset) {
-  std::vector<double> pairs;
-  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
-    pairs.insert(pairs.end(), {initial[i + offset], initial[i + offset + 1]});
+// The numbers of nested lists.
+std::vector<double> NumbersIn(const Json& json) {
+  std::vector<double> numbers;
+  if (json.is_number()) return {json.get<double>()};
+  for (const Json& item : json) {
+    const std::vector<double> more = NumbersIn(item);
+    numbers.insert(numbers.end(), more.begin(), more.end());
   }
-  return pairs;
+  return numbers;
 }
 
 PointResult GradientPoint(const Request& request, PointResult result) {
@@ -174,13 +180,13 @@ PointResult GradientPoint(const Request& request, PointResult result) {
     if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
       remark = "ambiguous: " + ties;
     } else {
-      error = NumberToJson(CompareGradients(gradient, *exact).relative);
+      error = CompareGradients(gradient, *exact).relative;
     }
   }
-  Append({NumberToJson(gradient.loss),
-          NumberToJson(Norm(Pairs(request.scene, gradient.gradient.initial, 0))),
-          NumberToJson(Norm(Pairs(request.scene, gradient.gradient.initial, 2))),
-          NumberToJson(Norm(gradient.gradient.control)),
+  Append({gradient.loss,
+          Norm(NumbersIn(VectorsToJson(request.scene, gradient.gradient.initial, 0))),
+          Norm(NumbersIn(VectorsToJson(request.scene, gradient.gradient.initial, 2))),
+          Norm(gradient.gradient.control),
           error},
          &result.row);
   AppendFeedback(request,
@@ -192,21 +198,10 @@ PointResult GradientPoint(const Request& request, PointResult result) {
                  &remark);
   if (HasStandardError(surrogate)) {
     const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
-    Append({NumberToJson(norm)}, &result.row);
+    Append({norm}, &result.row);
   }
   Append({remark}, &result.row);
   return result;
-}
-
-// The numbers of nested lists.
-std::vector<double> NumbersIn(const Json& json) {
-  std::vector<double> numbers;
-  if (json.is_number()) return {json.get<double>()};
-  for (const Json& item : json) {
-    const std::vector<double> more = NumbersIn(item);
-    numbers.insert(numbers.end(), more.begin(), more.end());
-  }
-  return numbers;
 }
 
 // |gradient - exact| / |exact| of an audit, over all that it has.
@@ -215,7 +210,7 @@ SweepValue ErrorOfAudit(const Json& audit) {
   const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
   std::vector<double> difference = found;
   for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
-  return NumberToJson(Norm(difference) / Norm(exact));
+  return Norm(difference) / Norm(exact);
 }
 
 PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds, PointResult result) {
@@ -240,7 +235,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
     const Json& motion = document.at("motion");
     const Json gradient = document.value("gradient", Json::object());
     const auto norm = [&](const char* key) {
-      return gradient.contains(key) ? NumberToJson(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
+      return gradient.contains(key) ? SweepValue(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
     };
     if (!document.contains("loss")) result.status = PointStatus::kFailed;
     const SweepValue reason = document.contains("failed") ? ValueOf(document, "failed") : ValueOf(motion, "remark");
@@ -261,7 +256,7 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   if (termination == TerminationToString(Termination::kNotApplicable)) result.status = PointStatus::kNotApplicable;
   if (termination == TerminationToString(Termination::kFailed)) result.status = PointStatus::kFailed;
   Append({ValueOf(run, "initial_loss"),
-          losses.empty() ? SweepValue() : NumberToJson(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
+          losses.empty() ? SweepValue() : SweepValue(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
           ValueOf(run, "final_loss"),
           ValueOf(run, "final_loss"),
           ValueOf(run, "iterations"),

@@ -106,6 +106,11 @@ bool SweepStudy::IsBiased(int64_t point) const {
   return request_.options.surrogate || IsBiasedContact(Values(point)[contact].get<std::string>());
 }
 
+std::optional<size_t> SweepStudy::FindColumn(const std::string& name) const {
+  const auto found = std::find(columns_.begin(), columns_.end(), name);
+  return found == columns_.end() ? std::nullopt : std::optional<size_t>(found - columns_.begin());
+}
+
 SweepRow SweepStudy::Values(int64_t point) const {
   CHECK(0 <= point && point < size_);
   std::vector<size_t> rows(blocks_.size());

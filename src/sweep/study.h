@@ -50,6 +50,8 @@ class SweepStudy {
   const std::vector<std::string>& options() const { return options_; }
   // All headers: options, then results.
   const std::vector<std::string>& columns() const { return columns_; }
+  // Where a header stands among them.
+  std::optional<size_t> FindColumn(const std::string& name) const;
 
   // Whether the gradient at a point, or at any, is biased: by a surrogate or by options of the contact model.
   bool IsBiased(int64_t point) const;

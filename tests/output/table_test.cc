@@ -23,6 +23,16 @@ Table Sample() {
   return table;
 }
 
+TEST(ColumnsOfTest, ReadsHeadersAndDigits) {
+  const std::vector<Column> columns = ColumnsOf("contact; exact loss:8; e, finer:3");
+  ASSERT_EQ(columns.size(), 3u);
+  EXPECT_EQ(columns[0].header, "contact");
+  EXPECT_EQ(columns[0].significant_digits, Column().significant_digits);
+  EXPECT_EQ(columns[1].header, "exact loss");
+  EXPECT_EQ(columns[1].significant_digits, 8);
+  EXPECT_EQ(columns[2].header, "e, finer");
+}
+
 TEST(TableTest, TextIsAligned) {
   EXPECT_EQ(Sample().ToText(),
             "contact      loss  steps  verdict\n"

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <limits>
+
 namespace saltus {
 namespace {
 
@@ -27,6 +29,18 @@ TEST(TableOf, ReachesIntoObjectsAndCountsLists) {
             "contact,step,exact,x,y\n"
             "lcp,3,yes,0.25,\n");
   EXPECT_EQ(TableOf(kAudits, "", "contact; contacts").ToCsv(), "contact,contacts\nlcp,2\nevent,\n");
+}
+
+TEST(CellOf, OfANumberThatIsNotFiniteIsEmpty) {
+  EXPECT_EQ(CellOf(Json(std::numeric_limits<double>::quiet_NaN())).Exact(), "");
+  EXPECT_EQ(CellOf(Json(0.5)).Exact(), "0.5");
+}
+
+TEST(JsonOutput, VectorsAreListsAndMatricesListsOfRows) {
+  Eigen::MatrixXd matrix(2, 1);
+  matrix << 1.5, 2.5;
+  EXPECT_EQ(Json(matrix), Json::parse("[[1.5], [2.5]]"));
+  EXPECT_EQ(Json(Eigen::Vector2d(1.5, 2.5)), Json::parse("[1.5, 2.5]"));
 }
 
 TEST(TableOf, MakesARowOfEachElement) {

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 
 #include "audit/gradient/judgement.h"
 #include "control/hybrid_shooting.h"
@@ -25,17 +24,6 @@ constexpr double kSweptPart = 0.1;     // and at most this part of the budget of
 constexpr int kMostVariables = 8;      // of each part, in a width sweep
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
-HybridProblem WithAllFree(HybridProblem problem) {
-  HybridInput& guess = problem.guess;
-  guess.control.resize(static_cast<std::size_t>(guess.num_intervals) * problem.system.num_controls());
-  problem.free = {.control = problem.system.num_controls() > 0};
-  problem.free.initial.resize(guess.initial.size());
-  problem.free.parameters.resize(guess.parameters.size());
-  std::iota(problem.free.initial.begin(), problem.free.initial.end(), 0);
-  std::iota(problem.free.parameters.begin(), problem.free.parameters.end(), 0);
-  return problem;
-}
 
 // The motion that a scheme's steps make from an input, the loss of a problem along it, and the gradient.
 class SchemeRun {
@@ -512,14 +500,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   if (!shooting.Evaluate(shooting.initial_guess(), &audit.exact_loss, derivative.data())) {
     return fail("there is no exact motion: " + shooting.WhyFailed());
   }
-  auto next = derivative.begin();
-  const auto take = [&](std::size_t count) {
-    next += static_cast<std::ptrdiff_t>(count);
-    return std::vector<double>(next - static_cast<std::ptrdiff_t>(count), next);
-  };
-  audit.exact.control = take(problem.guess.control.size());
-  audit.exact.initial = take(problem.guess.initial.size());
-  audit.exact.parameters = take(problem.guess.parameters.size());
+  const HybridInput by = shooting.InputAt(derivative);
+  audit.exact = {.initial = by.initial, .control = by.control, .parameters = by.parameters};
   const std::string remark = shooting.simulator().WhyNotDifferentiable();
   if (!run.Evaluate(problem.guess, base, &audit.loss, &audit.gradient)) return fail(run.reason());
   if (!remark.empty()) {

@@ -113,13 +113,8 @@ class Replay {
       const box = element('input', {type: 'checkbox', onchange: () => { motion.visible = box.checked; this.redraw(); }});
       box.checked = motion.visible;
       motion.box = box;
-      const dash = DASHES[motion.dash].join(' ');
-      const key = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-      for (const [name, value] of [['width', 30], ['height', 10], ['aria-hidden', 'true']]) key.setAttribute(name, value);
-      const line = document.createElementNS('http://www.w3.org/2000/svg', 'line');
-      for (const [name, value] of [['x1', 1], ['x2', 29], ['y1', 5], ['y2', 5], ['stroke', motion.colour],
-                                   ['stroke-width', 3], ['stroke-dasharray', dash]]) line.setAttribute(name, value);
-      key.append(line);
+      const key = svg('svg', {width: 30, height: 10, 'aria-hidden': true}, svg('line', {
+        x1: 1, x2: 29, y1: 5, y2: 5, stroke: motion.colour, 'stroke-width': 3, 'stroke-dasharray': DASHES[motion.dash].join(' ')}));
       const remark = motion.remark ? element('span', {class: 'remark'}, ` (${motion.remark})`) : '';
       legend.append(element('label', {}, box, key, ` ${motion.label}`, remark));
     }

@@ -44,6 +44,12 @@ class Motion {
     return low;
   }
 
+  // The row before `time`, how long it is until the next, and which part of that has passed; 0 beyond the end.
+  betweenRows(time) {
+    const row = this.rowAt(time), step = row + 1 < this.times.length ? this.times[row + 1] - this.times[row] : 0;
+    return {row, step, part: step > 0 ? Math.min(Math.max((time - this.times[row]) / step, 0), 1) : 0};
+  }
+
   // The ellipse around a disc's position that has it with a probability of 0.95, m: its half axes, the larger first, and
   // the angle of that. Covariances are linear between two rows.
   ellipseAt({times, covariances}, time, disc) {
@@ -59,9 +65,7 @@ class Motion {
 
   // p_x p_y v_x v_y of every disc, into `out`. Beyond the end, the last state.
   stateAt(time, out) {
-    const row = this.rowAt(time), width = 4 * this.discs.length, from = row * width;
-    const step = row + 1 < this.times.length ? this.times[row + 1] - this.times[row] : 0;
-    const part = step > 0 ? Math.min(Math.max((time - this.times[row]) / step, 0), 1) : 0;
+    const {row, step, part} = this.betweenRows(time), width = 4 * this.discs.length, from = row * width;
     if (part === 0) {
       out.set(this.states.subarray(from, from + width));
       return out;
@@ -76,9 +80,7 @@ class Motion {
 
   // The angle of a disc, rad: turning at a constant speed between two rows.
   angleAt(time, disc) {
-    const row = this.rowAt(time), width = this.discs.length, angle = this.angles[row * width + disc];
-    const step = row + 1 < this.times.length ? this.times[row + 1] - this.times[row] : 0;
-    const part = step > 0 ? Math.min(Math.max((time - this.times[row]) / step, 0), 1) : 0;
+    const {row, part} = this.betweenRows(time), width = this.discs.length, angle = this.angles[row * width + disc];
     return part === 0 ? angle : angle + part * (this.angles[(row + 1) * width + disc] - angle);
   }
 
@@ -97,13 +99,7 @@ class Motion {
   // The interval of the control at `time`; -1 if there is none.
   intervalAt(time) {
     if (this.ends.length === 0 || time > this.end) return -1;
-    let low = 0, high = this.ends.length - 1;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.ends[middle] > time) high = middle;
-      else low = middle + 1;
-    }
-    return low;
+    return this.ends[0] > time ? 0 : Math.min(this.rowAt(time, this.ends) + 1, this.ends.length - 1);
   }
 
   // [disc, force x, force y] of every disc that is pushed.

@@ -351,7 +351,6 @@ class View {
     return [x[4 * at], x[4 * at + 1], unit * impulse[0], unit * impulse[1]];
   }
 
-  // Arrows from (x, y), as long as (dx, dy): all shafts, then all heads.
   // Arcs around discs, from the right and as long as the torque is large, with a head where they point.
   drawTorques(context, torques, x) {
     context.strokeStyle = context.fillStyle = FORCE;
@@ -372,6 +371,7 @@ class View {
     }
   }
 
+  // Arrows from (x, y), as long as (dx, dy): all shafts, then all heads.
   drawArrows(context, arrows, colour) {
     const tips = [];
     context.beginPath();
