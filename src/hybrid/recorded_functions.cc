@@ -436,8 +436,7 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
 // Evaluates a function, or it and its derivatives, at inputs of which any may be changed from one time to the next.
 class RecordedFunction::Evaluation {
  public:
-  template <typename Parts>
-  Evaluation(const RecordedFunction& function, bool with_derivatives, const Parts& inputs)
+  Evaluation(const RecordedFunction& function, bool with_derivatives, std::span<const Part> inputs)
       : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Of(tape_.size)) {
     double* next = slots_;
     for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
@@ -534,12 +533,11 @@ void RunTogether(const std::vector<Instruction>& instructions, const double* slo
   }
 }
 
-void RecordedFunction::Evaluate(std::initializer_list<Part> inputs, double* outputs) const {
+void RecordedFunction::Evaluate(std::span<const Part> inputs, double* outputs) const {
   Evaluation(*this, false, inputs).Run(outputs);
 }
 
-void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns, double* outputs,
-                                 double* jacobian) const {
+void RecordedFunction::Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const {
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   std::fill_n(jacobian, num_outputs_ * columns, 0.0);
@@ -583,29 +581,31 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
   }
 }
 
-void RecordedSystem::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
-  modes_[mode].flow.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}}, xdot);
+void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
+  modes_[at.mode].flow.Evaluate(InputsOfFlow(at), xdot);
 }
 
-void RecordedSystem::FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                                  double* jacobian) const {
-  modes_[mode].flow.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}},
-                              modes_[mode].flow.num_inputs(),
-                              xdot,
-                              jacobian);
+void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const {
+  const RecordedFunction& flow = modes_[at.mode].flow;
+  flow.Linearize(InputsOfFlow(at), flow.num_inputs(), xdot, jacobian);
+}
+
+std::array<RecordedFunction::Part, 4> RecordedSystem::InputsOfFlow(const ModePoint& at) const {
+  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}, {at.u, layout().num_controls}}};
+}
+std::array<RecordedFunction::Part, 3> RecordedSystem::InputsOfGuard(const ModePoint& at) const {
+  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}}};
 }
 
 // Of the flow, at the beginning of a step; state and time, which come first, are to change.
 RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, bool with_derivatives) const {
-  const std::initializer_list<RecordedFunction::Part> inputs = {
-      {step.x, size(step.mode)}, {&step.t, 1}, {step.p, num_parameters()}, {step.u, layout().num_controls}};
-  return {modes_[step.mode].flow, with_derivatives, inputs};
+  return {modes_[step.mode].flow, with_derivatives, InputsOfFlow(step)};
 }
 
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
-  if (Fly(step, after, nullptr)) return Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
+  if (Fly(step, after, nullptr)) return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
   RecordedFunction::Evaluation at = EvaluationOf(step, false);
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
@@ -652,11 +652,8 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
 bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
   const std::optional<RecordedFunction>& fly = modes_[step.mode].fly;
   if (!fly) return false;
-  const std::initializer_list<RecordedFunction::Part> inputs = {{step.x, size(step.mode)},
-                                                                {&step.t, 1},
-                                                                {step.p, num_parameters()},
-                                                                {step.u, layout().num_controls},
-                                                                {&step.h, 1}};
+  const auto [x, t, p, u] = InputsOfFlow(step);
+  const std::array<RecordedFunction::Part, 5> inputs = {{x, t, p, u, {&step.h, 1}}};
   if (jacobian == nullptr) {
     fly->Evaluate(inputs, after);
   } else {
@@ -665,47 +662,41 @@ bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) 
   return true;
 }
 
-double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* /*u*/,
-                             const double* p) const {
+double RecordedSystem::Guard(const ModePoint& at, int guard) const {
   double value = 0;
-  transition(mode, guard).guard.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, &value);
+  transition(at.mode, guard).guard.Evaluate(InputsOfGuard(at), &value);
   return value;
 }
 
-double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot,
-                                 const double* /*u*/, const double* p, double* rate) const {
-  const int n = size(mode);
-  const std::initializer_list<RecordedFunction::Part> inputs = {{x, n}, {&t, 1}, {p, num_parameters()}};
-  RecordedFunction::Evaluation at(transition(mode, guard).guard, true, inputs);
+double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const {
+  const int n = size(at.mode);
+  RecordedFunction::Evaluation found(transition(at.mode, guard).guard, true, InputsOfGuard(at));
   double value = 0;
-  at.Run(&value);
+  found.Run(&value);
   *rate = 0;
-  for (const auto& entry : at.entries()) {
-    if (entry.column <= n) *rate += entry.column < n ? at[entry] * xdot[entry.column] : at[entry];
+  for (const auto& entry : found.entries()) {
+    if (entry.column <= n) *rate += entry.column < n ? found[entry] * xdot[entry.column] : found[entry];
   }
   return value;
 }
 
-double RecordedSystem::GuardGradient(int mode, int guard, double t, const double* x, const double* /*u*/,
-                                     const double* p, double* gradient) const {
+double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gradient) const {
   double value = 0;
-  const RecordedFunction& function = transition(mode, guard).guard;
-  function.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, function.num_inputs(), &value, gradient);
+  const RecordedFunction& function = transition(at.mode, guard).guard;
+  function.Linearize(InputsOfGuard(at), function.num_inputs(), &value, gradient);
   std::fill_n(gradient + function.num_inputs(), layout().num_controls, 0.0);
   return value;
 }
 
-int RecordedSystem::Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                          double* x_plus) const {
-  const Transition& of = transition(mode, guard);
-  of.reset.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, x_plus);
+int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {
+  const Transition& of = transition(at.mode, guard);
+  of.reset.Evaluate(InputsOfGuard(at), x_plus);
   return of.next_mode;
 }
 
-int RecordedSystem::ResetJacobian(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                                  double* x_plus, double* jacobian) const {
-  const Transition& of = transition(mode, guard);
-  of.reset.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, of.reset.num_inputs(), x_plus, jacobian);
+int RecordedSystem::ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const {
+  const Transition& of = transition(at.mode, guard);
+  of.reset.Linearize(InputsOfGuard(at), of.reset.num_inputs(), x_plus, jacobian);
   return of.next_mode;
 }
 

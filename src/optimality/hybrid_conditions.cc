@@ -210,8 +210,8 @@ class HybridConditions {
     const bool to_event = i + 1 < simulator().num_steps() && simulator().IsReset(i + 1);
     Step step{mode, interval, phase, functions_.Projects(mode) && !to_event, begin, end, VectorXd(n), {}};
     std::copy_n(simulator().StepState(i).data(), n, step.state.data());
-    step.by = integrator_.Jacobian(
-        {mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data(), step.projects});
+    const ModePoint at{mode, begin, step.state.data(), ControlOf(interval), input_.parameters.data()};
+    step.by = integrator_.Jacobian({at, end - begin, step.projects});
     return step;
   }
 
@@ -409,14 +409,8 @@ class HybridConditions {
     const int most = *std::max_element(sizes.begin(), sizes.end());
     VectorXd after(most);
     Matrix reset(most, columns);
-    functions_.ResetJacobian(event.mode,
-                             event.guard,
-                             event.time,
-                             event.before.data(),
-                             control,
-                             input_.parameters.data(),
-                             after.data(),
-                             reset.data());
+    const ModePoint at{event.mode, event.time, event.before.data(), control, input_.parameters.data()};
+    functions_.ResetJacobian(at, event.guard, after.data(), reset.data());
     const VectorXd costate_after = *costate;
     if (costates != nullptr) costates->of_events[k] = costate_after;
     const Eigen::RowVectorXd by = costate->transpose() * reset.topRows(costate->size());
@@ -426,8 +420,7 @@ class HybridConditions {
     sweep->parameters_size += by.tail(P).transpose().cwiseAbs();
     if (multiplier != 0) {
       Eigen::RowVectorXd guard(columns + system_.num_controls());
-      functions_.GuardGradient(
-          event.mode, event.guard, event.time, event.before.data(), control, input_.parameters.data(), guard.data());
+      functions_.GuardGradient(at, event.guard, guard.data());
       guard *= multiplier;
       by_flow->segment(interval_before_[k] * width(), width()) += guard.tail(width()).transpose();
       before += guard.head(n).transpose();
@@ -443,8 +436,8 @@ class HybridConditions {
     // Of the event alone, with one control on both sides: H before less H after.
     const auto one_sided = [&](const double* u) {
       VectorXd in(n), out(costate_after.size());
-      functions_.Flow(event.mode, event.time, event.before.data(), u, input_.parameters.data(), in.data());
-      functions_.Flow(event.next_mode, event.time, event.after.data(), u, input_.parameters.data(), out.data());
+      functions_.Flow({event.mode, event.time, event.before.data(), u, at.p}, in.data());
+      functions_.Flow({event.next_mode, event.time, event.after.data(), u, at.p}, out.data());
       return by_time + costate->dot(in) - costate_after.dot(out);
     };
     sweep->event_early[k] = one_sided(ControlOf(interval_before_[k]));
@@ -700,22 +693,19 @@ class HybridConditions {
       sizes << state_sizes[step.mode], input_.duration, parameter_sizes, control_sizes,
           input_.duration / static_cast<double>(steps_.size());
       RungeKutta integrator(functions_);
-      second->Add(
-          SecondDerivative(at,
-                           sizes,
-                           [&](const VectorXd& y) {
-                             VectorXd gradient = VectorXd::Zero(size);
-                             double* g = gradient.data();
-                             StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                             integrator.PullBack(
-                                 {step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1, step.projects},
-                                 costate.data(),
-                                 &by);
-                             gradient[n] = by.t;
-                             gradient[size - 1] = by.h;
-                             return gradient;
-                           }),
-          along);
+      second->Add(SecondDerivative(at,
+                                   sizes,
+                                   [&](const VectorXd& y) {
+                                     VectorXd gradient = VectorXd::Zero(size);
+                                     double* g = gradient.data();
+                                     StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                                     const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
+                                     integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
+                                     gradient[n] = by.t;
+                                     gradient[size - 1] = by.h;
+                                     return gradient;
+                                   }),
+                  along);
       states = Multiply(step.by, along);
     }
     for (; event < num_events(); ++event) jump(event);
@@ -733,8 +723,8 @@ class HybridConditions {
     VectorXd after(functions_.most_states()), guard(columns + width());
     Matrix reset(functions_.most_states(), columns);
     const auto linearize = [&](const VectorXd& y) {
-      functions_.ResetJacobian(
-          event.mode, event.guard, y[n], y.data(), ControlOf(before), y.data() + n + 1, after.data(), reset.data());
+      const ModePoint there{event.mode, y[n], y.data(), ControlOf(before), y.data() + n + 1};
+      functions_.ResetJacobian(there, event.guard, after.data(), reset.data());
     };
     const Eigen::Map<const VectorXd> control(ControlOf(before), m);
     VectorXd at(columns + m), sizes(columns + m);
@@ -744,22 +734,19 @@ class HybridConditions {
     Eigen::MatrixXd along(columns + m, states.cols());
     along << states, to.boundaries.row(k + 1), to.parameters,
         to.control.middleRows(static_cast<Eigen::Index>(before) * width(), m);
-    second->Add(SecondDerivative(at,
-                                 sizes,
-                                 [&](const VectorXd& y) {
-                                   linearize(y);
-                                   functions_.GuardGradient(event.mode,
-                                                            event.guard,
-                                                            y[n],
-                                                            y.data(),
-                                                            m > 0 ? y.data() + columns : ControlOf(before),
-                                                            y.data() + n + 1,
-                                                            guard.data());
-                                   VectorXd gradient = multiplier * guard.head(columns + m);
-                                   gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
-                                   return gradient;
-                                 }),
-                along);
+    second->Add(
+        SecondDerivative(
+            at,
+            sizes,
+            [&](const VectorXd& y) {
+              linearize(y);
+              const double* u = m > 0 ? y.data() + columns : ControlOf(before);
+              functions_.GuardGradient({event.mode, y[n], y.data(), u, y.data() + n + 1}, event.guard, guard.data());
+              VectorXd gradient = multiplier * guard.head(columns + m);
+              gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
+              return gradient;
+            }),
+        along);
     linearize(at);
     const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along.topRows(columns));
     VectorXd weights(1 + num_multipliers());

@@ -40,7 +40,7 @@ class Samples {
     Json values = Json::array();
     for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
       values.push_back(NumberToJson(
-          system_.functions().Guard(mode, guard, time, state.data(), ControlAt(time), input_.parameters.data())));
+          system_.functions().Guard({mode, time, state.data(), ControlAt(time), input_.parameters.data()}, guard)));
     }
     guards_.push_back(std::move(values));
   }

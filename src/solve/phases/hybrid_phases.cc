@@ -168,9 +168,9 @@ void HybridPhaseRun::FindScales() {
     const std::span<const double> x = simulator.StepState(step);
     const double t = simulator.StepTime(step);
     slope.resize(x.size());
-    system.functions().Flow(mode, t, x.data(), zeros.data(), p, slope.data());
+    system.functions().Flow({mode, t, x.data(), zeros.data(), p}, slope.data());
     for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
-    scales_.Add(system.functions(), mode, t, x.data(), slope.data(), u.data(), p, kOfRate * problem_.guess.duration);
+    scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), kOfRate * problem_.guess.duration);
   }
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;

@@ -163,8 +163,8 @@ class HybridSearch {
       if (mode == problem_.guess.mode) x = problem_.guess.initial;
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
-        const int next =
-            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
+        const ModePoint at{mode, 0, x.data(), nullptr, problem_.guess.parameters.data()};
+        const int next = system.functions().Reset(at, guard, after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }
@@ -208,8 +208,8 @@ class HybridSearch {
               P = static_cast<int>(guess.parameters.size()), columns = n + 1 + P + m;
     std::vector<double> xdot(n), jacobian(n * columns), sizes(m, 1.0);
     const std::vector<double> zeros(m);
-    problem.system.functions().FlowJacobian(
-        guess.mode, 0, guess.initial.data(), zeros.data(), guess.parameters.data(), xdot.data(), jacobian.data());
+    const ModePoint start{guess.mode, 0, guess.initial.data(), zeros.data(), guess.parameters.data()};
+    problem.system.functions().FlowJacobian(start, xdot.data(), jacobian.data());
     for (int c = 0; c < m; ++c) {
       double size = 0;
       for (int i = 0; i < n; ++i) {
