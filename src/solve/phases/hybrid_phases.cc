@@ -235,19 +235,11 @@ double HybridPhaseRun::MeritOf(const HybridMotion& motion) const {
 
 void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
   const HybridFree& free = problem_.free;
-  const auto clamp = [](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
-    if (!min.empty()) *value = std::max(*value, min[i]);
-    if (!max.empty()) *value = std::min(*value, max[i]);
-  };
-  const auto width = static_cast<size_t>(control_width());
-  for (size_t i = 0; free.control && i < motion->control.size(); ++i) {
-    clamp(&motion->control[i], free.control_min, free.control_max, i % width);
-  }
-  for (size_t i = 0; i < free.initial.size(); ++i) {
-    clamp(&motion->initial[free.initial[i]], free.initial_min, free.initial_max, i);
-  }
-  for (size_t i = 0; i < free.parameters.size(); ++i) {
-    clamp(&motion->parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+  for (const FreeVariable& variable :
+       FreeVariables(free, control_width(), static_cast<int>(motion->durations.size()))) {
+    if (variable.kind == FreeVariable::Kind::kDuration) continue;
+    double& value = variable.In(*motion);
+    value = std::min(std::max(value, variable.min), variable.max);
   }
   if (!free.duration) return;
   const double duration = DurationOf(*motion), within = std::clamp(duration, free.duration_min, free.duration_max);

@@ -46,17 +46,12 @@ class HybridSearch {
         }
       }
     }
-    const auto draw = [&](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
-      const double part = random.Uniform(0, 1);
-      const bool bounded = !min.empty() && !max.empty() && std::isfinite(max[i] - min[i]);
-      const double size = std::max(1.0, std::abs(*value));
-      *value = bounded ? min[i] + part * (max[i] - min[i]) : *value + (2 * part - 1) * size;
-    };
-    for (size_t i = 0; i < free.initial.size(); ++i) {
-      draw(&motion.initial[free.initial[i]], free.initial_min, free.initial_max, i);
-    }
-    for (size_t i = 0; i < free.parameters.size(); ++i) {
-      draw(&motion.parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+    for (const FreeVariable& variable : FreeVariables(free, width, /*num_intervals=*/0)) {
+      if (variable.kind == FreeVariable::Kind::kDuration) continue;
+      const double part = random.Uniform(0, 1), range = variable.max - variable.min;
+      double& value = variable.In(motion);
+      const double size = std::max(1.0, std::abs(value));
+      value = std::isfinite(range) ? variable.min + part * range : value + (2 * part - 1) * size;
     }
     return motion;
   }
