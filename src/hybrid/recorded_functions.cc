@@ -16,109 +16,55 @@
 namespace saltus {
 namespace {
 
-struct OperationName {
+// In the order of Operation. `value` is that of the operation on numbers; constants and inputs have none.
+struct KnownOperation {
   Operation operation;
   std::string_view name;
   int operands;
+  double (*value)(double a, double b, double c);
 };
 
-constexpr OperationName kOperations[] = {
-    {Operation::kConstant, "constant", 0}, {Operation::kInput, "input", 0},
-    {Operation::kAdd, "add", 2},           {Operation::kSubtract, "subtract", 2},
-    {Operation::kMultiply, "multiply", 2}, {Operation::kDivide, "divide", 2},
-    {Operation::kPower, "power", 2},       {Operation::kAtan2, "atan2", 2},
-    {Operation::kLess, "less", 2},         {Operation::kLessEqual, "less_equal", 2},
-    {Operation::kAnd, "and", 2},           {Operation::kOr, "or", 2},
-    {Operation::kNot, "not", 1},           {Operation::kWhere, "where", 3},
-    {Operation::kNegate, "negate", 1},     {Operation::kAbs, "abs", 1},
-    {Operation::kSign, "sign", 1},         {Operation::kFloor, "floor", 1},
-    {Operation::kSqrt, "sqrt", 1},         {Operation::kExp, "exp", 1},
-    {Operation::kExpm1, "expm1", 1},       {Operation::kLog, "log", 1},
-    {Operation::kLog1p, "log1p", 1},       {Operation::kSin, "sin", 1},
-    {Operation::kCos, "cos", 1},           {Operation::kTan, "tan", 1},
-    {Operation::kAsin, "asin", 1},         {Operation::kAcos, "acos", 1},
-    {Operation::kAtan, "atan", 1},         {Operation::kSinh, "sinh", 1},
-    {Operation::kCosh, "cosh", 1},         {Operation::kTanh, "tanh", 1},
-    {Operation::kAsinh, "asinh", 1},       {Operation::kAcosh, "acosh", 1},
-    {Operation::kAtanh, "atanh", 1},       {Operation::kErf, "erf", 1},
+constexpr KnownOperation kOperations[] = {
+    {Operation::kConstant, "constant", 0, nullptr},
+    {Operation::kInput, "input", 0, nullptr},
+    {Operation::kAdd, "add", 2, [](double a, double b, double) { return a + b; }},
+    {Operation::kSubtract, "subtract", 2, [](double a, double b, double) { return a - b; }},
+    {Operation::kMultiply, "multiply", 2, [](double a, double b, double) { return a * b; }},
+    {Operation::kDivide, "divide", 2, [](double a, double b, double) { return a / b; }},
+    {Operation::kPower, "power", 2, [](double a, double b, double) { return std::pow(a, b); }},
+    {Operation::kAtan2, "atan2", 2, [](double a, double b, double) { return std::atan2(a, b); }},
+    {Operation::kLess, "less", 2, [](double a, double b, double) { return double(a < b); }},
+    {Operation::kLessEqual, "less_equal", 2, [](double a, double b, double) { return double(a <= b); }},
+    {Operation::kAnd, "and", 2, [](double a, double b, double) { return double(a != 0 && b != 0); }},
+    {Operation::kOr, "or", 2, [](double a, double b, double) { return double(a != 0 || b != 0); }},
+    {Operation::kNot, "not", 1, [](double a, double, double) { return double(a == 0); }},
+    {Operation::kWhere, "where", 3, [](double a, double b, double c) { return a != 0 ? b : c; }},
+    {Operation::kNegate, "negate", 1, [](double a, double, double) { return -a; }},
+    {Operation::kAbs, "abs", 1, [](double a, double, double) { return std::abs(a); }},
+    {Operation::kSign, "sign", 1, [](double a, double, double) { return double((a > 0) - (a < 0)); }},
+    {Operation::kFloor, "floor", 1, [](double a, double, double) { return std::floor(a); }},
+    {Operation::kSqrt, "sqrt", 1, [](double a, double, double) { return std::sqrt(a); }},
+    {Operation::kExp, "exp", 1, [](double a, double, double) { return std::exp(a); }},
+    {Operation::kExpm1, "expm1", 1, [](double a, double, double) { return std::expm1(a); }},
+    {Operation::kLog, "log", 1, [](double a, double, double) { return std::log(a); }},
+    {Operation::kLog1p, "log1p", 1, [](double a, double, double) { return std::log1p(a); }},
+    {Operation::kSin, "sin", 1, [](double a, double, double) { return std::sin(a); }},
+    {Operation::kCos, "cos", 1, [](double a, double, double) { return std::cos(a); }},
+    {Operation::kTan, "tan", 1, [](double a, double, double) { return std::tan(a); }},
+    {Operation::kAsin, "asin", 1, [](double a, double, double) { return std::asin(a); }},
+    {Operation::kAcos, "acos", 1, [](double a, double, double) { return std::acos(a); }},
+    {Operation::kAtan, "atan", 1, [](double a, double, double) { return std::atan(a); }},
+    {Operation::kSinh, "sinh", 1, [](double a, double, double) { return std::sinh(a); }},
+    {Operation::kCosh, "cosh", 1, [](double a, double, double) { return std::cosh(a); }},
+    {Operation::kTanh, "tanh", 1, [](double a, double, double) { return std::tanh(a); }},
+    {Operation::kAsinh, "asinh", 1, [](double a, double, double) { return std::asinh(a); }},
+    {Operation::kAcosh, "acosh", 1, [](double a, double, double) { return std::acosh(a); }},
+    {Operation::kAtanh, "atanh", 1, [](double a, double, double) { return std::atanh(a); }},
+    {Operation::kErf, "erf", 1, [](double a, double, double) { return std::erf(a); }},
 };
 
-// The value of an operation on numbers. kConstant and kInput have none.
 double Apply(Operation operation, double a, double b, double c) {
-  switch (operation) {
-    case Operation::kConstant:
-    case Operation::kInput:
-      break;
-    case Operation::kAdd:
-      return a + b;
-    case Operation::kSubtract:
-      return a - b;
-    case Operation::kMultiply:
-      return a * b;
-    case Operation::kDivide:
-      return a / b;
-    case Operation::kPower:
-      return std::pow(a, b);
-    case Operation::kAtan2:
-      return std::atan2(a, b);
-    case Operation::kLess:
-      return a < b;
-    case Operation::kLessEqual:
-      return a <= b;
-    case Operation::kAnd:
-      return a != 0 && b != 0;
-    case Operation::kOr:
-      return a != 0 || b != 0;
-    case Operation::kNot:
-      return a == 0;
-    case Operation::kWhere:
-      return a != 0 ? b : c;
-    case Operation::kNegate:
-      return -a;
-    case Operation::kAbs:
-      return std::abs(a);
-    case Operation::kSign:
-      return static_cast<double>((a > 0) - (a < 0));
-    case Operation::kFloor:
-      return std::floor(a);
-    case Operation::kSqrt:
-      return std::sqrt(a);
-    case Operation::kExp:
-      return std::exp(a);
-    case Operation::kExpm1:
-      return std::expm1(a);
-    case Operation::kLog:
-      return std::log(a);
-    case Operation::kLog1p:
-      return std::log1p(a);
-    case Operation::kSin:
-      return std::sin(a);
-    case Operation::kCos:
-      return std::cos(a);
-    case Operation::kTan:
-      return std::tan(a);
-    case Operation::kAsin:
-      return std::asin(a);
-    case Operation::kAcos:
-      return std::acos(a);
-    case Operation::kAtan:
-      return std::atan(a);
-    case Operation::kSinh:
-      return std::sinh(a);
-    case Operation::kCosh:
-      return std::cosh(a);
-    case Operation::kTanh:
-      return std::tanh(a);
-    case Operation::kAsinh:
-      return std::asinh(a);
-    case Operation::kAcosh:
-      return std::acosh(a);
-    case Operation::kAtanh:
-      return std::atanh(a);
-    case Operation::kErf:
-      return std::erf(a);
-  }
-  LOG(FATAL) << "no value of its own";
+  return kOperations[static_cast<int>(operation)].value(a, b, c);
 }
 
 constexpr int kMostMultiplications = 4;  // powers up to this are products
@@ -141,7 +87,7 @@ class Memory {
 }  // namespace
 
 bool FindOperation(std::string_view name, Operation* operation) {
-  for (const OperationName& known : kOperations) {
+  for (const KnownOperation& known : kOperations) {
     if (known.name != name) continue;
     *operation = known.operation;
     return true;
