@@ -3,9 +3,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
 
 #include "base/normal_stream.h"
 #include "base/parallel_for.h"

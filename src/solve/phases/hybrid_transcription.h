@@ -19,7 +19,6 @@
 
 #include <deque>
 #include <functional>
-#include <memory>
 #include <vector>
 
 #include "hybrid/runge_kutta.h"
