@@ -3,17 +3,8 @@
 namespace saltus {
 
 const char* ContactModeToString(ContactMode mode) {
-  switch (mode) {
-    case ContactMode::kSlip:
-      return "slip";
-    case ContactMode::kStick:
-      return "stick";
-    case ContactMode::kPocketed:
-      return "pocketed";
-    case ContactMode::kFrictionless:
-      break;
-  }
-  return "frictionless";
+  constexpr const char* kNames[] = {"frictionless", "slip", "stick", "pocketed"};
+  return kNames[static_cast<int>(mode)];
 }
 
 }  // namespace saltus

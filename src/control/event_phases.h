@@ -19,7 +19,6 @@
 
 #include <array>
 #include <cmath>
-#include <optional>
 #include <span>
 #include <vector>
 

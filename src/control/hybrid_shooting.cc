@@ -6,7 +6,6 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 
 namespace saltus {
@@ -30,45 +29,23 @@ HybridProblem WithAllFree(HybridProblem problem) {
 HybridShooting::HybridShooting(const HybridProblem& problem)
     : problem_(problem), simulator_(problem.system, problem.integration) {
   CHECK_EQ(WhatIsWrongWith(problem), "");
-  const HybridFree& free = problem_.free;
-  const HybridInput& guess = problem_.guess;
-  const auto add = [&](double value, const std::vector<double>& min, const std::vector<double>& max, std::size_t i) {
-    guess_.push_back(value);
-    lower_.push_back(min.empty() ? -std::numeric_limits<double>::infinity() : min[i]);
-    upper_.push_back(max.empty() ? std::numeric_limits<double>::infinity() : max[i]);
-  };
   const int width = problem_.system.num_controls();
-  for (int i = 0; free.control && i < guess.num_intervals * width; ++i) {
-    add(guess.control.empty() ? 0.0 : guess.control[i], free.control_min, free.control_max, i % width);
+  start_ = problem_.guess;
+  if (start_.control.empty()) start_.control.assign(static_cast<std::size_t>(start_.num_intervals) * width, 0.0);
+  variables_ = FreeVariables(problem_.free, width, start_.num_intervals);
+  for (const FreeVariable& variable : variables_) {
+    guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
   }
-  for (std::size_t i = 0; i < free.initial.size(); ++i) {
-    add(guess.initial[free.initial[i]], free.initial_min, free.initial_max, i);
-  }
-  for (std::size_t i = 0; i < free.parameters.size(); ++i) {
-    add(guess.parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
-  }
-  if (free.duration) add(guess.duration, {free.duration_min}, {free.duration_max}, 0);
-  for (std::size_t i = 0; i < guess_.size(); ++i) guess_[i] = std::clamp(guess_[i], lower_[i], upper_[i]);
   for (const HybridTerm& term : problem_.terms) {
     if (term.role != HybridTerm::Role::kCost || term.at == HybridTerm::At::kEvent) continue;
-    const int times = term.at == HybridTerm::At::kEachInterval ? guess.num_intervals : 1;
+    const int times = term.at == HybridTerm::At::kEachInterval ? start_.num_intervals : 1;
     num_residuals_ += times * term.function->num_residuals();
   }
 }
 
 HybridInput HybridShooting::InputAt(std::span<const double> z) const {
-  const HybridFree& free = problem_.free;
-  HybridInput input = problem_.guess;
-  auto next = z.begin();
-  if (input.control.empty()) {
-    input.control.assign(static_cast<std::size_t>(input.num_intervals) * problem_.system.num_controls(), 0.0);
-  }
-  if (free.control) {
-    for (double& number : input.control) number = *next++;
-  }
-  for (const int i : free.initial) input.initial[i] = *next++;
-  for (const int i : free.parameters) input.parameters[i] = *next++;
-  if (free.duration) input.duration = *next++;
+  HybridInput input = start_;
+  for (std::size_t i = 0; i < z.size(); ++i) variables_[i].In(input) = z[i];
   return input;
 }
 
@@ -222,8 +199,9 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   *loss = 0;
   HybridCotangent cotangent;
   // What terms read of z themselves.
-  std::vector<double> by_control(input_.control.size()), by_parameters(num_parameters);
-  double by_duration = 0;
+  HybridGradient by;
+  by.control.resize(input_.control.size());
+  by.parameters.resize(num_parameters);
   bool reads_motion = false;
   const auto add_to = [&](std::vector<double>* sum, const double* addend, std::size_t size) {
     reads_motion = true;
@@ -260,45 +238,40 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
       add_to(sum, by_state.data(), by_state.size());
     }
     if (term.with_control) {
-      const Eigen::RowVectorXd by = pull_back();
-      for (int i = 0; i < num_controls; ++i) by_control[place.interval * num_controls + i] += by[i];
+      const Eigen::RowVectorXd by_row = pull_back();
+      for (int i = 0; i < num_controls; ++i) by.control[place.interval * num_controls + i] += by_row[i];
     }
     if (term.with_parameters) {
-      const Eigen::RowVectorXd by = pull_back();
-      for (int i = 0; i < num_parameters; ++i) by_parameters[i] += by[i];
+      const Eigen::RowVectorXd by_all = pull_back();
+      for (int i = 0; i < num_parameters; ++i) by.parameters[i] += by_all[i];
     }
     if (term.with_time) {
-      const double by = pull_back()[0];
+      const double by_time = pull_back()[0];
       if (place.event >= 0) {
         reads_motion = true;
         cotangent.event_times.resize(simulator_.events().size());
-        cotangent.event_times[place.event] += by;
+        cotangent.event_times[place.event] += by_time;
       } else {
-        by_duration += by * place.time / input_.duration;
+        by.duration += by_time * place.time / input_.duration;
       }
     }
-    if (term.with_length) by_duration += pull_back()[0] * PartOf(place.interval);
+    if (term.with_length) by.duration += pull_back()[0] * PartOf(place.interval);
   }
   if (!std::isfinite(*loss)) {
     why_ = "the loss is not finite";
     return false;
   }
   if (gradient == nullptr) return true;
-  HybridGradient of_motion;
+  by.initial.resize(input_.initial.size());
   if (reads_motion) {
     ++num_adjoints_;
-    of_motion = simulator_.Adjoint(cotangent);
-    for (std::size_t i = 0; i < by_control.size(); ++i) by_control[i] += of_motion.control[i];
-    for (int i = 0; i < num_parameters; ++i) by_parameters[i] += of_motion.parameters[i];
-    by_duration += of_motion.duration;
-  } else {
-    of_motion.initial.resize(input_.initial.size());
+    const HybridGradient of_motion = simulator_.Adjoint(cotangent);
+    for (std::size_t i = 0; i < by.control.size(); ++i) by.control[i] += of_motion.control[i];
+    for (int i = 0; i < num_parameters; ++i) by.parameters[i] += of_motion.parameters[i];
+    by.initial = of_motion.initial;
+    by.duration += of_motion.duration;
   }
-  const HybridFree& free = problem_.free;
-  if (free.control) gradient = std::copy(by_control.begin(), by_control.end(), gradient);
-  for (const int i : free.initial) *gradient++ = of_motion.initial[i];
-  for (const int i : free.parameters) *gradient++ = by_parameters[i];
-  if (free.duration) *gradient++ = by_duration;
+  for (const FreeVariable& variable : variables_) *gradient++ = variable.In(by);
   return true;
 }
 
@@ -323,18 +296,13 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
 }
 
 void HybridShooting::ResidualJacobian(double* jacobian) {
-  const HybridFree& free = problem_.free;
   const HybridSystem& system = problem_.system;
   ++num_adjoints_;
   const HybridSensitivity motion = simulator_.Sensitivity();
   // By all of the input, of which the variables are some columns.
   const int n0 = static_cast<int>(input_.initial.size()), controls = static_cast<int>(input_.control.size());
   const int first_parameter = n0 + controls, duration = motion.columns - 1;
-  std::vector<int> columns;
-  for (int i = 0; free.control && i < controls; ++i) columns.push_back(n0 + i);
-  for (const int i : free.initial) columns.push_back(i);
-  for (const int i : free.parameters) columns.push_back(first_parameter + i);
-  if (free.duration) columns.push_back(duration);
+  const int first_of_kind[] = {n0, 0, first_parameter, duration};
   Eigen::Map<Matrix> out(jacobian, num_residuals_, num_variables());
   out.setZero();
   Values values;
@@ -361,8 +329,9 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       all.col(duration) += next() * (place.time / input_.duration);
     }
     if (term.with_length) all.col(duration) += next() * PartOf(place.interval);
-    for (std::size_t j = 0; j < columns.size(); ++j) {
-      out.block(place.first_row, j, rows, 1) = all.col(columns[j]);
+    for (std::size_t j = 0; j < variables_.size(); ++j) {
+      const int column = first_of_kind[static_cast<int>(variables_[j].kind)] + variables_[j].index;
+      out.block(place.first_row, j, rows, 1) = all.col(column);
     }
   }
 }

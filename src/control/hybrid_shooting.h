@@ -3,11 +3,11 @@
 #pragma once
 
 #include <functional>
-#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "hybrid/free_variables.h"
 #include "saltus/control/shooting_function.h"
 #include "saltus/hybrid/hybrid_problem.h"
 
@@ -65,9 +65,7 @@ class HybridShooting final : public ShootingFunction {
   };
   // False if a function has no value there.
   bool EvaluateTerms(std::vector<TermAt>* terms) const;
-  // The bounds of each variable, infinite where there are none.
-  const std::vector<double>& lower() const { return lower_; }
-  const std::vector<double>& upper() const { return upper_; }
+  const std::vector<FreeVariable>& variables() const { return variables_; }
 
  private:
   // Where a term is evaluated in the motion, and what of it the function reads.
@@ -97,7 +95,9 @@ class HybridShooting final : public ShootingFunction {
   HybridSimulator simulator_;
   std::function<bool()> stop_;
   bool stopped_ = false;
-  std::vector<double> guess_, lower_, upper_;
+  HybridInput start_;  // the guess of the problem; without a control that of zeros
+  std::vector<FreeVariable> variables_;
+  std::vector<double> guess_;
   HybridInput input_;          // of the last rollout
   std::vector<double> times_;  // of its control intervals
   std::vector<Place> places_, constraint_places_;

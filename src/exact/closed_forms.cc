@@ -1,7 +1,6 @@
 #include "exact/closed_forms.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include "exact/flow.h"
 #include "scene/units.h"

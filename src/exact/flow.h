@@ -3,7 +3,6 @@
 // ceres::Jet of any width).
 #pragma once
 
-#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 
 #include "exact/two_disc_core.h"
 #include "scene/units.h"

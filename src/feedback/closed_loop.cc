@@ -3,9 +3,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
 
 #include "base/normal_stream.h"
 #include "base/parallel_for.h"
@@ -201,17 +199,12 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
   const auto extend = [&](int mode, std::span<const double> x0, double t, int interval, int from, int to) {
     std::vector<Eigen::VectorXd> states;
     Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(x0.data(), x0.size()), next(x.size());
+    const double* u = plan.control.data() + static_cast<std::ptrdiff_t>(interval) * plan.num_controls;
     for (int node = from, by = from <= to ? 1 : -1; node != to + by; node += by) {
       const int steps = std::max(motion.steps_per_interval(), 1);
       const double h = (times[node] - t) / steps;
       for (int i = 0; i < steps; ++i, t += h) {
-        const FlowStep step{mode,
-                            t,
-                            h,
-                            x.data(),
-                            plan.control.data() + static_cast<std::ptrdiff_t>(interval) * plan.num_controls,
-                            input.parameters.data()};
-        integrator.Step(step, next.data());
+        integrator.Step({{mode, t, x.data(), u, input.parameters.data()}, h}, next.data());
         std::swap(x, next);
       }
       t = times[node];

@@ -1,6 +1,5 @@
 #include "saltus/feedback/expected_loss.h"
 
-#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <optional>

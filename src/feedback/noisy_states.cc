@@ -20,15 +20,15 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
   constexpr int kMostEvents = 100;
   const HybridFunctions& f = system.functions();
   std::vector<double> slope(f.most_states()), after(f.most_states());
-  *mode = f.ModeUnder(*mode, t, x->data(), control.data(), parameters.data());
+  const auto here = [&] { return ModePoint{*mode, t, x->data(), control.data(), parameters.data()}; };
+  *mode = f.ModeUnder(here());
   for (int count = 0; *mode >= 0 && count < kMostEvents; ++count) {
-    f.Flow(*mode, t, x->data(), control.data(), parameters.data(), slope.data());
+    f.Flow(here(), slope.data());
     int guard = 0;
     const int num_guards = system.num_guards(*mode);
     double rate = 0;
     for (; guard < num_guards; ++guard) {
-      const double value =
-          f.GuardRate(*mode, guard, t, x->data(), slope.data(), control.data(), parameters.data(), &rate);
+      const double value = f.GuardRate(here(), guard, slope.data(), &rate);
       if (value < 0 && rate < 0) break;
     }
     if (guard == num_guards) return true;
@@ -37,7 +37,7 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
           system, *mode, guard, t, {x->data(), static_cast<std::size_t>(x->size())}, control, parameters);
       *saltation = Eigen::Map<const RowMajor>(xi.data(), xi.size() / x->size(), x->size()) * *saltation;
     }
-    const int next = f.Reset(*mode, guard, t, x->data(), control.data(), parameters.data(), after.data());
+    const int next = f.Reset(here(), guard, after.data());
     if (next < 0 || next >= system.num_modes()) return false;
     if (events) events->push_back({t, *mode, guard, next, rate, {}, {}, /*at_once=*/true});
     *x = Eigen::Map<const Eigen::VectorXd>(after.data(), system.state_size(next));

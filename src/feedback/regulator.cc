@@ -79,7 +79,7 @@ class Hamiltonian {
     const Eigen::Index n = x.size(), m = system_.num_controls();
     RowMajor jacobian(n, n + 1 + system_.num_parameters() + m);
     slope->resize(n);
-    system_.functions().FlowJacobian(step.mode, t, x.data(), step.u, step.p, slope->data(), jacobian.data());
+    system_.functions().FlowJacobian({step.mode, t, x.data(), step.u, step.p}, slope->data(), jacobian.data());
     B_ = jacobian.rightCols(m);
     matrix_.resize(2 * n, 2 * n);
     matrix_ << jacobian.leftCols(n), -B_ * inverse_.solve(B_.transpose()), -WeightOf(cost_, step.mode, n),
@@ -188,8 +188,8 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
     std::vector<double> gradient(n + 1 + system.num_parameters() + num_controls);
     for (int guard = 0; guard < system.num_guards(interval.mode); ++guard) {
       if (planned(first, guard) || (first > 0 && planned(first - 1, guard))) continue;
-      const double value = system.functions().GuardGradient(
-          interval.mode, guard, interval.begin, x.data(), u, input.parameters.data(), gradient.data());
+      const ModePoint at{interval.mode, interval.begin, x.data(), u, input.parameters.data()};
+      const double value = system.functions().GuardGradient(at, guard, gradient.data());
       if (!(value > 0)) continue;
       interval.guards.push_back({.name = "guard '" + system.GuardName(interval.mode, guard) + "' in mode '" +
                                          system.ModeName(interval.mode) + "'",
@@ -313,13 +313,11 @@ Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& in
   for (int i = 0, k = -1; i < num_steps; ++i) {
     while (k + 1 < K && motion.StateAt(k + 1).data() == motion.StepState(i).data()) begins[++k] = i;
     const double end = i + 1 < num_steps ? motion.StepTime(i + 1) : input.begin + input.duration;
-    steps[i] = {.mode = motion.StepMode(i),
-                .t = motion.StepTime(i),
-                .h = motion.IsReset(i) ? 0 : end - motion.StepTime(i),
-                .x = motion.StepState(i).data(),
-                .u = input.control.empty() ? zeros.data()
-                                           : &input.control[static_cast<std::size_t>(std::max(k, 0)) * zeros.size()],
-                .p = input.parameters.data()};
+    const double* u =
+        input.control.empty() ? zeros.data() : &input.control[static_cast<std::size_t>(std::max(k, 0)) * zeros.size()];
+    const double t = motion.StepTime(i);
+    steps[i] = {{motion.StepMode(i), t, motion.StepState(i).data(), u, input.parameters.data()},
+                motion.IsReset(i) ? 0 : end - t};
     if (system.functions().Projects(steps[i].mode)) return {};
   }
   begins[0] = 0;

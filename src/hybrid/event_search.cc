@@ -45,7 +45,7 @@ EventSearch::EventSearch(const HybridFunctions& functions) : functions_(function
 
 GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard) const {
   GuardValue at;
-  at.value = functions_.GuardRate(step.mode, guard, step.t, step.x, slope, step.u, step.p, &at.rate);
+  at.value = functions_.GuardRate(step, guard, slope, &at.rate);
   return at;
 }
 
@@ -81,7 +81,7 @@ GuardValue EventSearch::After(const FlowStep& step, const double* slope, int gua
 }
 
 double EventSearch::Scale(const FlowStep& step, int guard) {
-  functions_.GuardGradient(step.mode, guard, step.t, step.x, step.u, step.p, gradient_.data());
+  functions_.GuardGradient(step, guard, gradient_.data());
   return ScaleBy(step, gradient_.data());
 }
 
@@ -100,7 +100,7 @@ void EventSearch::Enter(const FlowStep& step) {
   const auto guards = static_cast<std::size_t>(functions_.num_guards(step.mode));
   values_.resize(guards);
   gradients_.resize(guards * gradient_.size());
-  functions_.GuardGradients(step.mode, step.t, step.x, step.u, step.p, values_.data(), gradients_.data());
+  functions_.GuardGradients(step, values_.data(), gradients_.data());
 }
 
 EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard,

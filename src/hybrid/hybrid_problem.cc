@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "hybrid/free_variables.h"
+
 namespace saltus {
 namespace {
 
@@ -138,6 +140,29 @@ HybridTerm MakeDurationCost(double weight) {
   return {.name = "final time",
           .with_time = true,
           .function = std::make_shared<ceres::AutoDiffCostFunction<Price, 1, 1>>(new Price{weight})};
+}
+
+std::vector<FreeVariable> FreeVariables(const HybridFree& free, int num_controls, int num_intervals) {
+  std::vector<FreeVariable> variables;
+  const auto add = [&](FreeVariable::Kind kind,
+                       int index,
+                       const std::vector<double>& min,
+                       const std::vector<double>& max,
+                       std::size_t bound) {
+    variables.push_back({kind, index, min.empty() ? -INFINITY : min[bound], max.empty() ? INFINITY : max[bound]});
+  };
+  using enum FreeVariable::Kind;
+  for (int i = 0; free.control && i < num_intervals * num_controls; ++i) {
+    add(kControl, i, free.control_min, free.control_max, i % num_controls);
+  }
+  for (std::size_t i = 0; i < free.initial.size(); ++i) {
+    add(kInitial, free.initial[i], free.initial_min, free.initial_max, i);
+  }
+  for (std::size_t i = 0; i < free.parameters.size(); ++i) {
+    add(kParameter, free.parameters[i], free.parameters_min, free.parameters_max, i);
+  }
+  if (free.duration) variables.push_back({kDuration, 0, free.duration_min, free.duration_max});
+  return variables;
 }
 
 std::string WhatIsWrongWith(const HybridProblem& problem) {

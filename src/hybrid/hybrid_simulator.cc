@@ -108,10 +108,10 @@ class HybridSimulator::Impl {
       const double* u =
           input.control.empty() ? zeros.data() : input.control.data() + entry.interval * system.num_controls();
       const double* x = &run.tape().numbers[entry.x];
-      const FlowStep step{entry.mode, entry.t, entry.h / 64, x, u, input.parameters.data()};
+      const FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
       if (!f.Fly(step, after.data(), nullptr)) continue;
       const int n = system.state_size(entry.mode);
-      f.Flow(step.mode, step.t, step.x, step.u, step.p, slope.data());
+      f.Flow(step, slope.data());
       f.HybridFunctions::Step(step, slope.data(), scratch.data(), integrated.data(), slope.data());
       double largest = 0;
       for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(x[i]));
@@ -295,12 +295,13 @@ std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int gu
   const HybridFunctions& f = system.functions();
   const int most = f.most_states();
   std::vector<double> after(most), reset(most * columns), gradient(columns + system.num_controls()), out(most), in(n);
-  const int next = f.ResetJacobian(mode, guard, t, x.data(), u.data(), p.data(), after.data(), reset.data());
+  const ModePoint at{mode, t, x.data(), u.data(), p.data()};
+  const int next = f.ResetJacobian(at, guard, after.data(), reset.data());
   CHECK(next >= 0 && next < system.num_modes());
   const int rows = system.state_size(next);
-  f.GuardGradient(mode, guard, t, x.data(), u.data(), p.data(), gradient.data());
-  f.Flow(mode, t, x.data(), u.data(), p.data(), in.data());
-  f.Flow(next, t, after.data(), u.data(), p.data(), out.data());
+  f.GuardGradient(at, guard, gradient.data());
+  f.Flow(at, in.data());
+  f.Flow({next, t, after.data(), at.u, at.p}, out.data());
   const Eigen::Map<const Matrix> R(reset.data(), rows, columns);
   const Eigen::Map<const Eigen::RowVectorXd> G(gradient.data(), columns);
   const Eigen::Map<const Eigen::VectorXd> f_before(in.data(), n), f_after(out.data(), rows);

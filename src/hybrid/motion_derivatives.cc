@@ -2,8 +2,6 @@
 
 #include <glog/logging.h>
 
-#include <algorithm>
-
 namespace saltus {
 namespace {
 
@@ -27,7 +25,7 @@ FlowStep MotionDerivatives::StepOf(const HybridInput& input, const MotionTape& t
   const double* u =
       input.control.empty() ? zeros_.data() : input.control.data() + entry.interval * system_.num_controls();
   const bool projects = entry.kind == TapeEntry::Kind::kToNode && system_.functions().Projects(entry.mode);
-  return {entry.mode, entry.t, entry.h, &tape.numbers[entry.x], u, input.parameters.data(), projects};
+  return {{entry.mode, entry.t, &tape.numbers[entry.x], u, input.parameters.data()}, entry.h, projects};
 }
 
 HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const MotionTape& tape,
@@ -52,7 +50,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
       }
       if (!cotangent.event_times.empty()) t += cotangent.event_times[entry.event];
       const int columns = n + 1 + num_parameters;
-      f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
+      f.ResetJacobian(step, entry.guard, state_.data(), reset_.data());
       std::vector<double> before(n);
       for (std::size_t row = 0; row < x.size(); ++row) {
         const double* jacobian = &reset_[row * columns];
@@ -73,7 +71,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
       if (entry.kind == TapeEntry::Kind::kToEvent) {
         // The next entry is its reset, at the state and time where the guard is zero.
         const TapeEntry& at = tape.entries[i + 1];
-        f.GuardGradient(entry.mode, entry.guard, at.t, &tape.numbers[at.x], step.u, step.p, guard_.data());
+        f.GuardGradient({entry.mode, at.t, &tape.numbers[at.x], step.u, step.p}, entry.guard, guard_.data());
         integrator_.Linearize(step);
         integrator_.ByLength(by_length_.data());
         double along = t, rate = guard_[n];
@@ -115,8 +113,7 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   const int n = system_.state_size(entry.mode);
   const Eigen::Index columns = at->x.cols();
   if (entry.kind == TapeEntry::Kind::kReset) {
-    const int next =
-        f.ResetJacobian(entry.mode, entry.guard, entry.t, step.x, step.u, step.p, state_.data(), reset_.data());
+    const int next = f.ResetJacobian(step, entry.guard, state_.data(), reset_.data());
     const int rows = system_.state_size(next);
     const Eigen::Map<const Matrix> jacobian(reset_.data(), rows, n + 1 + num_parameters);
     Matrix after = jacobian.leftCols(n) * at->x + jacobian.col(n) * at->t + jacobian.rightCols(num_parameters) * at->p;
@@ -134,7 +131,7 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
     return;
   }
   const TapeEntry& reset = (&entry)[1];
-  f.GuardGradient(entry.mode, entry.guard, reset.t, &tape.numbers[reset.x], step.u, step.p, guard_.data());
+  f.GuardGradient({entry.mode, reset.t, &tape.numbers[reset.x], step.u, step.p}, entry.guard, guard_.data());
   const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters + num_controls);
   integrator_.ByLength(by_length_.data());
   const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);

@@ -16,109 +16,55 @@
 namespace saltus {
 namespace {
 
-struct OperationName {
+// In the order of Operation. `value` is that of the operation on numbers; constants and inputs have none.
+struct KnownOperation {
   Operation operation;
   std::string_view name;
   int operands;
+  double (*value)(double a, double b, double c);
 };
 
-constexpr OperationName kOperations[] = {
-    {Operation::kConstant, "constant", 0}, {Operation::kInput, "input", 0},
-    {Operation::kAdd, "add", 2},           {Operation::kSubtract, "subtract", 2},
-    {Operation::kMultiply, "multiply", 2}, {Operation::kDivide, "divide", 2},
-    {Operation::kPower, "power", 2},       {Operation::kAtan2, "atan2", 2},
-    {Operation::kLess, "less", 2},         {Operation::kLessEqual, "less_equal", 2},
-    {Operation::kAnd, "and", 2},           {Operation::kOr, "or", 2},
-    {Operation::kNot, "not", 1},           {Operation::kWhere, "where", 3},
-    {Operation::kNegate, "negate", 1},     {Operation::kAbs, "abs", 1},
-    {Operation::kSign, "sign", 1},         {Operation::kFloor, "floor", 1},
-    {Operation::kSqrt, "sqrt", 1},         {Operation::kExp, "exp", 1},
-    {Operation::kExpm1, "expm1", 1},       {Operation::kLog, "log", 1},
-    {Operation::kLog1p, "log1p", 1},       {Operation::kSin, "sin", 1},
-    {Operation::kCos, "cos", 1},           {Operation::kTan, "tan", 1},
-    {Operation::kAsin, "asin", 1},         {Operation::kAcos, "acos", 1},
-    {Operation::kAtan, "atan", 1},         {Operation::kSinh, "sinh", 1},
-    {Operation::kCosh, "cosh", 1},         {Operation::kTanh, "tanh", 1},
-    {Operation::kAsinh, "asinh", 1},       {Operation::kAcosh, "acosh", 1},
-    {Operation::kAtanh, "atanh", 1},       {Operation::kErf, "erf", 1},
+constexpr KnownOperation kOperations[] = {
+    {Operation::kConstant, "constant", 0, nullptr},
+    {Operation::kInput, "input", 0, nullptr},
+    {Operation::kAdd, "add", 2, [](double a, double b, double) { return a + b; }},
+    {Operation::kSubtract, "subtract", 2, [](double a, double b, double) { return a - b; }},
+    {Operation::kMultiply, "multiply", 2, [](double a, double b, double) { return a * b; }},
+    {Operation::kDivide, "divide", 2, [](double a, double b, double) { return a / b; }},
+    {Operation::kPower, "power", 2, [](double a, double b, double) { return std::pow(a, b); }},
+    {Operation::kAtan2, "atan2", 2, [](double a, double b, double) { return std::atan2(a, b); }},
+    {Operation::kLess, "less", 2, [](double a, double b, double) { return double(a < b); }},
+    {Operation::kLessEqual, "less_equal", 2, [](double a, double b, double) { return double(a <= b); }},
+    {Operation::kAnd, "and", 2, [](double a, double b, double) { return double(a != 0 && b != 0); }},
+    {Operation::kOr, "or", 2, [](double a, double b, double) { return double(a != 0 || b != 0); }},
+    {Operation::kNot, "not", 1, [](double a, double, double) { return double(a == 0); }},
+    {Operation::kWhere, "where", 3, [](double a, double b, double c) { return a != 0 ? b : c; }},
+    {Operation::kNegate, "negate", 1, [](double a, double, double) { return -a; }},
+    {Operation::kAbs, "abs", 1, [](double a, double, double) { return std::abs(a); }},
+    {Operation::kSign, "sign", 1, [](double a, double, double) { return double((a > 0) - (a < 0)); }},
+    {Operation::kFloor, "floor", 1, [](double a, double, double) { return std::floor(a); }},
+    {Operation::kSqrt, "sqrt", 1, [](double a, double, double) { return std::sqrt(a); }},
+    {Operation::kExp, "exp", 1, [](double a, double, double) { return std::exp(a); }},
+    {Operation::kExpm1, "expm1", 1, [](double a, double, double) { return std::expm1(a); }},
+    {Operation::kLog, "log", 1, [](double a, double, double) { return std::log(a); }},
+    {Operation::kLog1p, "log1p", 1, [](double a, double, double) { return std::log1p(a); }},
+    {Operation::kSin, "sin", 1, [](double a, double, double) { return std::sin(a); }},
+    {Operation::kCos, "cos", 1, [](double a, double, double) { return std::cos(a); }},
+    {Operation::kTan, "tan", 1, [](double a, double, double) { return std::tan(a); }},
+    {Operation::kAsin, "asin", 1, [](double a, double, double) { return std::asin(a); }},
+    {Operation::kAcos, "acos", 1, [](double a, double, double) { return std::acos(a); }},
+    {Operation::kAtan, "atan", 1, [](double a, double, double) { return std::atan(a); }},
+    {Operation::kSinh, "sinh", 1, [](double a, double, double) { return std::sinh(a); }},
+    {Operation::kCosh, "cosh", 1, [](double a, double, double) { return std::cosh(a); }},
+    {Operation::kTanh, "tanh", 1, [](double a, double, double) { return std::tanh(a); }},
+    {Operation::kAsinh, "asinh", 1, [](double a, double, double) { return std::asinh(a); }},
+    {Operation::kAcosh, "acosh", 1, [](double a, double, double) { return std::acosh(a); }},
+    {Operation::kAtanh, "atanh", 1, [](double a, double, double) { return std::atanh(a); }},
+    {Operation::kErf, "erf", 1, [](double a, double, double) { return std::erf(a); }},
 };
 
-// The value of an operation on numbers. kConstant and kInput have none.
 double Apply(Operation operation, double a, double b, double c) {
-  switch (operation) {
-    case Operation::kConstant:
-    case Operation::kInput:
-      break;
-    case Operation::kAdd:
-      return a + b;
-    case Operation::kSubtract:
-      return a - b;
-    case Operation::kMultiply:
-      return a * b;
-    case Operation::kDivide:
-      return a / b;
-    case Operation::kPower:
-      return std::pow(a, b);
-    case Operation::kAtan2:
-      return std::atan2(a, b);
-    case Operation::kLess:
-      return a < b;
-    case Operation::kLessEqual:
-      return a <= b;
-    case Operation::kAnd:
-      return a != 0 && b != 0;
-    case Operation::kOr:
-      return a != 0 || b != 0;
-    case Operation::kNot:
-      return a == 0;
-    case Operation::kWhere:
-      return a != 0 ? b : c;
-    case Operation::kNegate:
-      return -a;
-    case Operation::kAbs:
-      return std::abs(a);
-    case Operation::kSign:
-      return static_cast<double>((a > 0) - (a < 0));
-    case Operation::kFloor:
-      return std::floor(a);
-    case Operation::kSqrt:
-      return std::sqrt(a);
-    case Operation::kExp:
-      return std::exp(a);
-    case Operation::kExpm1:
-      return std::expm1(a);
-    case Operation::kLog:
-      return std::log(a);
-    case Operation::kLog1p:
-      return std::log1p(a);
-    case Operation::kSin:
-      return std::sin(a);
-    case Operation::kCos:
-      return std::cos(a);
-    case Operation::kTan:
-      return std::tan(a);
-    case Operation::kAsin:
-      return std::asin(a);
-    case Operation::kAcos:
-      return std::acos(a);
-    case Operation::kAtan:
-      return std::atan(a);
-    case Operation::kSinh:
-      return std::sinh(a);
-    case Operation::kCosh:
-      return std::cosh(a);
-    case Operation::kTanh:
-      return std::tanh(a);
-    case Operation::kAsinh:
-      return std::asinh(a);
-    case Operation::kAcosh:
-      return std::acosh(a);
-    case Operation::kAtanh:
-      return std::atanh(a);
-    case Operation::kErf:
-      return std::erf(a);
-  }
-  LOG(FATAL) << "no value of its own";
+  return kOperations[static_cast<int>(operation)].value(a, b, c);
 }
 
 constexpr int kMostMultiplications = 4;  // powers up to this are products
@@ -141,7 +87,7 @@ class Memory {
 }  // namespace
 
 bool FindOperation(std::string_view name, Operation* operation) {
-  for (const OperationName& known : kOperations) {
+  for (const KnownOperation& known : kOperations) {
     if (known.name != name) continue;
     *operation = known.operation;
     return true;
@@ -436,8 +382,7 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
 // Evaluates a function, or it and its derivatives, at inputs of which any may be changed from one time to the next.
 class RecordedFunction::Evaluation {
  public:
-  template <typename Parts>
-  Evaluation(const RecordedFunction& function, bool with_derivatives, const Parts& inputs)
+  Evaluation(const RecordedFunction& function, bool with_derivatives, std::span<const Part> inputs)
       : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Of(tape_.size)) {
     double* next = slots_;
     for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
@@ -534,12 +479,11 @@ void RunTogether(const std::vector<Instruction>& instructions, const double* slo
   }
 }
 
-void RecordedFunction::Evaluate(std::initializer_list<Part> inputs, double* outputs) const {
+void RecordedFunction::Evaluate(std::span<const Part> inputs, double* outputs) const {
   Evaluation(*this, false, inputs).Run(outputs);
 }
 
-void RecordedFunction::Linearize(std::initializer_list<Part> inputs, int columns, double* outputs,
-                                 double* jacobian) const {
+void RecordedFunction::Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const {
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   std::fill_n(jacobian, num_outputs_ * columns, 0.0);
@@ -583,29 +527,31 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
   }
 }
 
-void RecordedSystem::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
-  modes_[mode].flow.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}}, xdot);
+void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
+  modes_[at.mode].flow.Evaluate(InputsOfFlow(at), xdot);
 }
 
-void RecordedSystem::FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                                  double* jacobian) const {
-  modes_[mode].flow.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}, {u, layout().num_controls}},
-                              modes_[mode].flow.num_inputs(),
-                              xdot,
-                              jacobian);
+void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const {
+  const RecordedFunction& flow = modes_[at.mode].flow;
+  flow.Linearize(InputsOfFlow(at), flow.num_inputs(), xdot, jacobian);
+}
+
+std::array<RecordedFunction::Part, 4> RecordedSystem::InputsOfFlow(const ModePoint& at) const {
+  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}, {at.u, layout().num_controls}}};
+}
+std::array<RecordedFunction::Part, 3> RecordedSystem::InputsOfGuard(const ModePoint& at) const {
+  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}}};
 }
 
 // Of the flow, at the beginning of a step; state and time, which come first, are to change.
 RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, bool with_derivatives) const {
-  const std::initializer_list<RecordedFunction::Part> inputs = {
-      {step.x, size(step.mode)}, {&step.t, 1}, {step.p, num_parameters()}, {step.u, layout().num_controls}};
-  return {modes_[step.mode].flow, with_derivatives, inputs};
+  return {modes_[step.mode].flow, with_derivatives, InputsOfFlow(step)};
 }
 
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
-  if (Fly(step, after, nullptr)) return Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
+  if (Fly(step, after, nullptr)) return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
   RecordedFunction::Evaluation at = EvaluationOf(step, false);
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
@@ -652,11 +598,8 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
 bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
   const std::optional<RecordedFunction>& fly = modes_[step.mode].fly;
   if (!fly) return false;
-  const std::initializer_list<RecordedFunction::Part> inputs = {{step.x, size(step.mode)},
-                                                                {&step.t, 1},
-                                                                {step.p, num_parameters()},
-                                                                {step.u, layout().num_controls},
-                                                                {&step.h, 1}};
+  const auto [x, t, p, u] = InputsOfFlow(step);
+  const std::array<RecordedFunction::Part, 5> inputs = {{x, t, p, u, {&step.h, 1}}};
   if (jacobian == nullptr) {
     fly->Evaluate(inputs, after);
   } else {
@@ -665,47 +608,41 @@ bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) 
   return true;
 }
 
-double RecordedSystem::Guard(int mode, int guard, double t, const double* x, const double* /*u*/,
-                             const double* p) const {
+double RecordedSystem::Guard(const ModePoint& at, int guard) const {
   double value = 0;
-  transition(mode, guard).guard.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, &value);
+  transition(at.mode, guard).guard.Evaluate(InputsOfGuard(at), &value);
   return value;
 }
 
-double RecordedSystem::GuardRate(int mode, int guard, double t, const double* x, const double* xdot,
-                                 const double* /*u*/, const double* p, double* rate) const {
-  const int n = size(mode);
-  const std::initializer_list<RecordedFunction::Part> inputs = {{x, n}, {&t, 1}, {p, num_parameters()}};
-  RecordedFunction::Evaluation at(transition(mode, guard).guard, true, inputs);
+double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const {
+  const int n = size(at.mode);
+  RecordedFunction::Evaluation found(transition(at.mode, guard).guard, true, InputsOfGuard(at));
   double value = 0;
-  at.Run(&value);
+  found.Run(&value);
   *rate = 0;
-  for (const auto& entry : at.entries()) {
-    if (entry.column <= n) *rate += entry.column < n ? at[entry] * xdot[entry.column] : at[entry];
+  for (const auto& entry : found.entries()) {
+    if (entry.column <= n) *rate += entry.column < n ? found[entry] * xdot[entry.column] : found[entry];
   }
   return value;
 }
 
-double RecordedSystem::GuardGradient(int mode, int guard, double t, const double* x, const double* /*u*/,
-                                     const double* p, double* gradient) const {
+double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gradient) const {
   double value = 0;
-  const RecordedFunction& function = transition(mode, guard).guard;
-  function.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, function.num_inputs(), &value, gradient);
+  const RecordedFunction& function = transition(at.mode, guard).guard;
+  function.Linearize(InputsOfGuard(at), function.num_inputs(), &value, gradient);
   std::fill_n(gradient + function.num_inputs(), layout().num_controls, 0.0);
   return value;
 }
 
-int RecordedSystem::Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                          double* x_plus) const {
-  const Transition& of = transition(mode, guard);
-  of.reset.Evaluate({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, x_plus);
+int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {
+  const Transition& of = transition(at.mode, guard);
+  of.reset.Evaluate(InputsOfGuard(at), x_plus);
   return of.next_mode;
 }
 
-int RecordedSystem::ResetJacobian(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                                  double* x_plus, double* jacobian) const {
-  const Transition& of = transition(mode, guard);
-  of.reset.Linearize({{x, size(mode)}, {&t, 1}, {p, num_parameters()}}, of.reset.num_inputs(), x_plus, jacobian);
+int RecordedSystem::ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const {
+  const Transition& of = transition(at.mode, guard);
+  of.reset.Linearize(InputsOfGuard(at), of.reset.num_inputs(), x_plus, jacobian);
   return of.next_mode;
 }
 

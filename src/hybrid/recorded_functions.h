@@ -7,10 +7,11 @@
 
 #include <ceres/cost_function.h>
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
-#include <initializer_list>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -90,9 +91,9 @@ class RecordedFunction {
     const double* data;
     int size;
   };
-  void Evaluate(std::initializer_list<Part> inputs, double* outputs) const;
+  void Evaluate(std::span<const Part> inputs, double* outputs) const;
   // And the derivatives of the outputs by the inputs: row-major, of the first `columns` inputs.
-  void Linearize(std::initializer_list<Part> inputs, int columns, double* outputs, double* jacobian) const;
+  void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // The same with the parts of a cost function: any of `jacobians` may be null.
   void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
 
@@ -138,28 +139,25 @@ class RecordedSystem final : public HybridFunctions {
   // Preconditions: sizes are those of the layout.
   RecordedSystem(HybridLayout layout, std::vector<Mode> modes);
 
-  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
-  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                    double* jacobian) const override;
+  void Flow(const ModePoint& at, double* xdot) const override;
+  void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override;
   void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
             double* slope_after) const override;
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override;
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override;
-  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
-                   double* rate) const override;
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                       double* gradient) const override;
+  double Guard(const ModePoint& at, int guard) const override;
+  double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
+  double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
   int OnAccumulation(int mode, int guard) const override { return transition(mode, guard).accumulation_mode; }
-  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
-            double* x_plus) const override;
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
-                    double* jacobian) const override;
+  int Reset(const ModePoint& at, int guard, double* x_plus) const override;
+  int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override;
 
  private:
   int size(int mode) const { return layout().state_sizes[mode]; }
   int num_parameters() const { return layout().num_parameters; }
   const Transition& transition(int mode, int guard) const { return modes_[mode].transitions[guard]; }
+  std::array<RecordedFunction::Part, 4> InputsOfFlow(const ModePoint& at) const;
+  std::array<RecordedFunction::Part, 3> InputsOfGuard(const ModePoint& at) const;  // and of a reset
   RecordedFunction::Evaluation EvaluationOf(const FlowStep& step, bool with_derivatives) const;
 
   const std::vector<Mode> modes_;

@@ -69,7 +69,7 @@ FlowStep RolloutRun::StepFrom(double h) const {
   const double* control = input_->control.empty() ? zeros_.data()
                                                   : input_->control.data() +
                                                         static_cast<std::ptrdiff_t>(interval_) * system_.num_controls();
-  return {at_.mode, at_.t, h, at_.x.data(), control, input_->parameters.data()};
+  return {{at_.mode, at_.t, at_.x.data(), control, input_->parameters.data()}, h};
 }
 
 void RolloutRun::Record(TapeEntry::Kind kind, double h) {
@@ -87,10 +87,9 @@ void RolloutRun::Record(TapeEntry::Kind kind, double h) {
 
 // The slope at at_, and whether it is finite.
 bool RolloutRun::UpdateSlope() {
-  const FlowStep here = StepFrom(0);
   const int n = system_.state_size(at_.mode);
   std::fill_n(at_.slope.begin(), n, std::numeric_limits<double>::quiet_NaN());
-  functions_.Flow(at_.mode, at_.t, here.x, here.u, here.p, at_.slope.data());
+  functions_.Flow(StepFrom(0), at_.slope.data());
   for (int i = 0; i < n; ++i) {
     if (std::isfinite(at_.slope[i])) continue;
     return Refuse("the flow of " + Where() + " gives no finite derivative of " + system_.StateName(at_.mode, i));
@@ -98,18 +97,15 @@ bool RolloutRun::UpdateSlope() {
   return true;
 }
 
-void RolloutRun::UpdateGuards() {
-  const FlowStep here = StepFrom(0);
-  functions_.GuardRates(here.mode, here.t, here.x, at_.slope.data(), here.u, here.p, at_.guards.data());
-}
+void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
 // The control has jumped: the motion goes on in the mode that the system's functions say.
 bool RolloutRun::SwitchControl() {
   const FlowStep here = StepFrom(0);
-  const int next = functions_.ModeUnder(at_.mode, here.t, here.x, here.u, here.p);
+  const int next = functions_.ModeUnder(here);
   if (next < 0) {
     return Refuse("there is no mode under the control that begins in " + Where() + ": " +
-                  functions_.WhyNoMode(at_.mode, -1, here.t, here.x, here.u, here.p));
+                  functions_.WhyNoMode(here, -1));
   }
   if (next != at_.mode) {
     HybridEvent& event = switches_.emplace_back();
@@ -235,7 +231,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   const FlowStep here = StepFrom(0);
   const double rate = search_.At(here, at_.slope.data(), guard).rate;
   if (record) {
-    Remark(functions_.WhyNoDerivative(mode, guard, here.t, here.x, here.u, here.p));
+    Remark(functions_.WhyNoDerivative(here, guard));
     if (with_step) {
       Record(TapeEntry::Kind::kToEvent, 0);
       tape_.entries.back().guard = guard;
@@ -246,10 +242,10 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
     befores_.push_back(tape_.entries.back().x);
   }
   std::fill(next_state_.begin(), next_state_.end(), std::numeric_limits<double>::quiet_NaN());
-  const int next = functions_.Reset(mode, guard, here.t, here.x, here.u, here.p, next_state_.data());
+  const int next = functions_.Reset(here, guard, next_state_.data());
   if (next < 0 || next >= system_.num_modes()) {
     if (record) befores_.pop_back();
-    if (const std::string why = functions_.WhyNoMode(mode, guard, here.t, here.x, here.u, here.p); !why.empty()) {
+    if (const std::string why = functions_.WhyNoMode(here, guard); !why.empty()) {
       return Refuse(what() + "leads to no mode: " + why);
     }
     return Refuse(what() + "leads to mode " + std::to_string(next) + ", expected 0 to " +
@@ -284,7 +280,7 @@ bool RolloutRun::StepTo(int node) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
-    const FlowStep end{step.mode, target, step.h, next_state_.data(), step.u, step.p};
+    const ModePoint end{step.mode, target, next_state_.data(), step.u, step.p};
     double zero = 0;  // unless a number is not finite
     for (int i = 0; i < n; ++i) zero += 0 * next_state_[i] + 0 * next_slope_[i];
     for (int i = 0; i < n && zero != 0; ++i) {
@@ -293,7 +289,7 @@ bool RolloutRun::StepTo(int node) {
       end_ = RolloutEnd::kNotFinite;
       return false;
     }
-    functions_.GuardRates(end.mode, end.t, end.x, next_slope_.data(), end.u, end.p, next_guards_.data());
+    functions_.GuardRates(end, next_slope_.data(), next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
       if (std::isfinite(next_guards_[guard].value)) continue;
       return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());

@@ -9,7 +9,7 @@ using namespace cooper_verner;
 
 void HybridFunctions::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                            double* slope_after) const {
-  const auto flow = [&](double t, const double* x, double* xdot) { Flow(step.mode, t, x, step.u, step.p, xdot); };
+  const auto flow = [&](double t, const double* x, double* xdot) { Flow({step.mode, t, x, step.u, step.p}, xdot); };
   EvaluateStep(state_size(step.mode), step, flow, slope, scratch, after, slope_after);
 }
 
@@ -17,7 +17,7 @@ void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, doubl
   const int n = state_size(step.mode);
   const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + layout().num_parameters + layout().num_controls);
   const auto flow = [&](double t, const double* x, double* xdot, double* jacobian) {
-    FlowJacobian(step.mode, t, x, step.u, step.p, xdot, jacobian);
+    FlowJacobian({step.mode, t, x, step.u, step.p}, xdot, jacobian);
   };
   saltus::LinearizeStep(n, step, stride, flow, scratch, slopes, jacobians);
 }
@@ -42,7 +42,7 @@ RungeKutta::ConstMatrixMap RungeKutta::JacobianOfStage(int stage) const {
 }
 
 void RungeKutta::Step(const FlowStep& step, double* after) {
-  functions_.Flow(step.mode, step.t, step.x, step.u, step.p, slopes_.data());
+  functions_.Flow(step, slopes_.data());
   Step(step, slopes_.data(), after, slopes_.data());
   if (!step.projects) return;
   functions_.Project(step.mode, after, step.p, slopes_.data());
@@ -56,7 +56,7 @@ void RungeKutta::Linearize(const FlowStep& step) {
   double *after = scratch_.data(), *on = after + size_;
   flies_ = functions_.Fly(step, after, jacobians_.data());
   if (flies_) {
-    functions_.Flow(step.mode, step.t + step.h, after, step.u, step.p, slopes_.data());
+    functions_.Flow({step.mode, step.t + step.h, after, step.u, step.p}, slopes_.data());
   } else {
     functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
   }

@@ -30,18 +30,6 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   return "";
 }
 
-double FactorOf(TerminalTerm::Quantity quantity, const UnitFactors& by) {
-  const double factors[] = {by.length, by.speed, 1, by.rate};  // by quantity
-  return factors[static_cast<int>(quantity)];
-}
-
-std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
-                                    const std::vector<double>& durations) {
-  if (!durations.empty()) return durations;
-  const size_t intervals = control.size() / scene.control_width();
-  return std::vector<double>(intervals, scene.duration / intervals);
-}
-
 Certificate CertifyControl(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                            const std::vector<double>& durations, const StopRequest& stop) {
   Certificate certificate;
@@ -131,7 +119,7 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
     impact.multiplier *= by.loss / by.length;
   }
   for (ConstraintCertificate& constraint : certificate.constraints) {
-    constraint.multiplier *= by.loss / FactorOf(constraint.quantity, by);
+    constraint.multiplier *= by.loss / by.of(constraint.quantity);
   }
   for (ParameterCertificate& entry : certificate.parameters) {
     entry.value = ConvertParameter(entry.parameter, entry.value, from, to);
@@ -158,6 +146,13 @@ std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<doubl
   const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   const Flight flight(scene, initial, control, lengths, exact);
   return FindCurvature(CondensedLoss(scene, flight, control, lengths));
+}
+
+std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
+                                    const std::vector<double>& durations) {
+  if (!durations.empty()) return durations;
+  const size_t intervals = control.size() / scene.control_width();
+  return std::vector<double>(intervals, scene.duration / intervals);
 }
 
 Certificate WithImpactsOf(const ControlledMotion& motion) {

@@ -36,13 +36,12 @@ constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not
 // The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
 double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
   constexpr int kSamples = 4;  // of a piece
-  const double contact_distance = MakeImpactConstants(scene, {pair.a, pair.b, pair.plane}).contact_distance;
+  const Candidate c{pair.a, pair.b, pair.plane};
+  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
   double least = std::numeric_limits<double>::infinity();
   for (const Flight::Piece& piece : flight.pieces()) {
     for (int i = 0; i <= kSamples; ++i) {
-      const auto at = [&](int body) { return piece.After(body, piece.duration * i / kSamples).p; };
-      const double distance = pair.plane ? Separate<double>(at(pair.a), MakeHalfPlane(scene.planes[pair.b])).distance
-                                         : (at(pair.a) - at(pair.b)).norm();
+      const double distance = SeparationOf(scene, c, piece.After(piece.duration * i / kSamples).p).distance;
       least = std::min(least, distance / contact_distance - 1);
     }
   }

@@ -16,9 +16,6 @@
 // running terms and not both. Derivatives need not move these times, as forces are continuous.
 #pragma once
 
-#include <array>
-#include <cmath>
-#include <optional>
 #include <vector>
 
 #include "saltus/contact/contact_model.h"

@@ -1,10 +1,8 @@
 #include "optimality/design_gradient.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <memory>
-#include <optional>
 #include <utility>
 
 #include "control/design_difference.h"

@@ -5,7 +5,6 @@
 // the motion for the objective, and one for each multiplier. Those theta are found that leave least of all conditions
 // (cone_conditions.h).
 #include <ceres/cost_function.h>
-#include <glog/logging.h>
 
 #include <Eigen/Dense>
 #include <algorithm>
@@ -17,6 +16,7 @@
 #include <vector>
 
 #include "control/hybrid_shooting.h"
+#include "hybrid/free_variables.h"
 #include "hybrid/runge_kutta.h"
 #include "optimality/cone_conditions.h"
 #include "optimality/optimality_conditions.h"
@@ -26,6 +26,7 @@ namespace saltus {
 namespace {
 
 using Matrix = RungeKutta::Matrix;
+using Kind = FreeVariable::Kind;
 using Eigen::VectorXd;
 
 constexpr double kAtBound = 1e-6;      // of a bound's range, or an inequality's violation that counts as active
@@ -94,6 +95,7 @@ class HybridConditions {
       return result;
     }
     ReadMotion();
+    FindVariables();
     FindMultipliers();
     if (num_multipliers() > kMostMultipliers) {
       result.reason = "more than " + std::to_string(kMostMultipliers) + " multipliers";
@@ -210,8 +212,8 @@ class HybridConditions {
     const bool to_event = i + 1 < simulator().num_steps() && simulator().IsReset(i + 1);
     Step step{mode, interval, phase, functions_.Projects(mode) && !to_event, begin, end, VectorXd(n), {}};
     std::copy_n(simulator().StepState(i).data(), n, step.state.data());
-    step.by = integrator_.Jacobian(
-        {mode, begin, end - begin, step.state.data(), ControlOf(interval), input_.parameters.data(), step.projects});
+    const ModePoint at{mode, begin, step.state.data(), ControlOf(interval), input_.parameters.data()};
+    step.by = integrator_.Jacobian({at, end - begin, step.projects});
     return step;
   }
 
@@ -409,14 +411,8 @@ class HybridConditions {
     const int most = *std::max_element(sizes.begin(), sizes.end());
     VectorXd after(most);
     Matrix reset(most, columns);
-    functions_.ResetJacobian(event.mode,
-                             event.guard,
-                             event.time,
-                             event.before.data(),
-                             control,
-                             input_.parameters.data(),
-                             after.data(),
-                             reset.data());
+    const ModePoint at{event.mode, event.time, event.before.data(), control, input_.parameters.data()};
+    functions_.ResetJacobian(at, event.guard, after.data(), reset.data());
     const VectorXd costate_after = *costate;
     if (costates != nullptr) costates->of_events[k] = costate_after;
     const Eigen::RowVectorXd by = costate->transpose() * reset.topRows(costate->size());
@@ -426,8 +422,7 @@ class HybridConditions {
     sweep->parameters_size += by.tail(P).transpose().cwiseAbs();
     if (multiplier != 0) {
       Eigen::RowVectorXd guard(columns + system_.num_controls());
-      functions_.GuardGradient(
-          event.mode, event.guard, event.time, event.before.data(), control, input_.parameters.data(), guard.data());
+      functions_.GuardGradient(at, event.guard, guard.data());
       guard *= multiplier;
       by_flow->segment(interval_before_[k] * width(), width()) += guard.tail(width()).transpose();
       before += guard.head(n).transpose();
@@ -443,8 +438,8 @@ class HybridConditions {
     // Of the event alone, with one control on both sides: H before less H after.
     const auto one_sided = [&](const double* u) {
       VectorXd in(n), out(costate_after.size());
-      functions_.Flow(event.mode, event.time, event.before.data(), u, input_.parameters.data(), in.data());
-      functions_.Flow(event.next_mode, event.time, event.after.data(), u, input_.parameters.data(), out.data());
+      functions_.Flow({event.mode, event.time, event.before.data(), u, at.p}, in.data());
+      functions_.Flow({event.next_mode, event.time, event.after.data(), u, at.p}, out.data());
       return by_time + costate->dot(in) - costate_after.dot(out);
     };
     sweep->event_early[k] = one_sided(ControlOf(interval_before_[k]));
@@ -458,43 +453,12 @@ class HybridConditions {
   // the derivative V of what it reads by the variables. W is by central differences of exact first derivatives. Times
   // of events follow from their guards, and what holds constraints restricts the directions.
 
-  struct Variable {
-    enum Kind { kControl, kInitial, kParameter, kDuration } kind;
-    int index;
-  };
-  std::vector<Variable> FreeVariables() const {
-    const HybridFree& free = problem_.free;
-    std::vector<Variable> variables;
-    const auto add = [&](Variable::Kind kind, int index, double value, double min, double max) {
-      if (SignAt(value, min, max) == 0) variables.push_back({kind, index});
-    };
-    for (int i = 0; free.control && i < static_cast<int>(input_.control.size()); ++i) {
-      if (LengthOf(i / width()) <= kNoInterval * input_.duration) continue;
-      const int c = i % width();
-      add(Variable::kControl,
-          i,
-          input_.control[i],
-          BoundAt(free.control_min, c, -INFINITY),
-          BoundAt(free.control_max, c, INFINITY));
+  std::vector<FreeVariable> UnboundVariables() const {
+    std::vector<FreeVariable> unbound;
+    for (const auto& [variable, sign] : variables_) {
+      if (sign == 0) unbound.push_back(variable);
     }
-    for (size_t i = 0; i < free.initial.size(); ++i) {
-      const int c = free.initial[i];
-      add(Variable::kInitial,
-          c,
-          input_.initial[c],
-          BoundAt(free.initial_min, i, -INFINITY),
-          BoundAt(free.initial_max, i, INFINITY));
-    }
-    for (size_t i = 0; i < free.parameters.size(); ++i) {
-      const int c = free.parameters[i];
-      add(Variable::kParameter,
-          c,
-          input_.parameters[c],
-          BoundAt(free.parameters_min, i, -INFINITY),
-          BoundAt(free.parameters_max, i, INFINITY));
-    }
-    if (free.duration) add(Variable::kDuration, 0, input_.duration, free.duration_min, free.duration_max);
-    return variables;
+    return unbound;
   }
   double LengthOf(int interval) const { return times_[interval + 1] - times_[interval]; }
 
@@ -506,7 +470,7 @@ class HybridConditions {
     Eigen::MatrixXd initial, control, parameters;
   };
   // Nothing if times of events have no derivative.
-  std::optional<Directions> DirectionsOf(const std::vector<Variable>& variables, bool moving) const {
+  std::optional<Directions> DirectionsOf(const std::vector<FreeVariable>& variables, bool moving) const {
     const auto count = static_cast<Eigen::Index>(variables.size());
     const int E = num_events();
     Directions to;
@@ -519,14 +483,7 @@ class HybridConditions {
     Eigen::MatrixXd rows(num_multipliers(), count), by_times(num_multipliers(), E);
     for (int j = 0; j < num_multipliers(); ++j) {
       const Sweep& sweep = sweeps_[j + 1];
-      for (Eigen::Index i = 0; i < count; ++i) {
-        const Variable& v = variables[i];
-        rows(j, i) = v.kind == Variable::kControl     ? sweep.control[v.index]
-                     : v.kind == Variable::kInitial   ? sweep.initial[v.index]
-                     : v.kind == Variable::kParameter ? sweep.parameters[v.index]
-                     : moving                         ? sweep.times[E + 1]
-                                                      : sweep.scale;
-      }
+      for (Eigen::Index i = 0; i < count; ++i) rows(j, i) = ByVariable(sweep, variables[i], moving);
       for (int k = 0; k < E; ++k) by_times(j, k) = moving ? sweep.times[k + 1] : sweep.event_late[k];
     }
     const auto held = [&](int k) { return !moving && on_node_[k]; };
@@ -546,11 +503,11 @@ class HybridConditions {
     for (size_t i = 0; i < kept.size(); ++i) to.held.row(i) = rows.row(kept[i]) + by_times.row(kept[i]) * shifts;
     to.boundaries.middleRows(1, E) = shifts;
     for (Eigen::Index i = 0; i < count; ++i) {
-      const Variable& v = variables[i];
-      if (v.kind == Variable::kControl) to.control(v.index, i) = 1;
-      if (v.kind == Variable::kInitial) to.initial(v.index, i) = 1;
-      if (v.kind == Variable::kParameter) to.parameters(v.index, i) = 1;
-      if (v.kind != Variable::kDuration) continue;
+      const FreeVariable& v = variables[i];
+      if (v.kind == Kind::kControl) to.control(v.index, i) = 1;
+      if (v.kind == Kind::kInitial) to.initial(v.index, i) = 1;
+      if (v.kind == Kind::kParameter) to.parameters(v.index, i) = 1;
+      if (v.kind != Kind::kDuration) continue;
       to.boundaries(E + 1, i) = 1;
       for (int k = 1; k <= E && !moving; ++k) to.boundaries(k, i) += boundaries_[k] / input_.duration;
     }
@@ -598,7 +555,7 @@ class HybridConditions {
   std::optional<Curvature> FindCurvature(bool moving) const {
     constexpr Eigen::Index kMostVariables = 400;
     constexpr double kRounding = 1e-8;  // of central differences
-    const std::vector<Variable> variables = FreeVariables();
+    const std::vector<FreeVariable> variables = UnboundVariables();
     const auto count = static_cast<Eigen::Index>(variables.size());
     if (count == 0 || count > kMostVariables) return std::nullopt;
     const std::optional<Directions> to = DirectionsOf(variables, moving);
@@ -630,22 +587,18 @@ class HybridConditions {
     found.direction = VectorXd::Zero(input_.control.size());
     double square = 0;
     for (Eigen::Index i = 0; i < count; ++i) {
-      const Variable& v = variables[i];
-      const bool of_control = v.kind == Variable::kControl;
+      const FreeVariable& v = variables[i];
+      const bool of_control = v.kind == Kind::kControl;
       square += (of_control ? LengthOf(v.index / width()) : 1.0) * direction[i] * direction[i];
       if (of_control) found.direction[v.index] = direction[i];
     }
-    const HybridFree& free = problem_.free;
-    const auto append = [&](Variable::Kind kind, int index) {
+    for (const FreeVariable& free : FreeVariables(problem_.free, width(), /*num_intervals=*/0)) {
       found.direction.conservativeResize(found.direction.size() + 1);
       double& last = found.direction[found.direction.size() - 1] = 0;
       for (Eigen::Index i = 0; i < count; ++i) {
-        if (variables[i].kind == kind && variables[i].index == index) last = direction[i];
+        if (variables[i].kind == free.kind && variables[i].index == free.index) last = direction[i];
       }
-    };
-    for (const int c : free.initial) append(Variable::kInitial, c);
-    for (const int c : free.parameters) append(Variable::kParameter, c);
-    if (free.duration) append(Variable::kDuration, 0);
+    }
     found.direction /= std::sqrt(square);
     Eigen::Index most = 0;
     found.direction.cwiseAbs().maxCoeff(&most);
@@ -700,22 +653,19 @@ class HybridConditions {
       sizes << state_sizes[step.mode], input_.duration, parameter_sizes, control_sizes,
           input_.duration / static_cast<double>(steps_.size());
       RungeKutta integrator(functions_);
-      second->Add(
-          SecondDerivative(at,
-                           sizes,
-                           [&](const VectorXd& y) {
-                             VectorXd gradient = VectorXd::Zero(size);
-                             double* g = gradient.data();
-                             StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                             integrator.PullBack(
-                                 {step.mode, y[n], y[size - 1], y.data(), &y[n] + 1 + P, &y[n] + 1, step.projects},
-                                 costate.data(),
-                                 &by);
-                             gradient[n] = by.t;
-                             gradient[size - 1] = by.h;
-                             return gradient;
-                           }),
-          along);
+      second->Add(SecondDerivative(at,
+                                   sizes,
+                                   [&](const VectorXd& y) {
+                                     VectorXd gradient = VectorXd::Zero(size);
+                                     double* g = gradient.data();
+                                     StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                                     const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
+                                     integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
+                                     gradient[n] = by.t;
+                                     gradient[size - 1] = by.h;
+                                     return gradient;
+                                   }),
+                  along);
       states = Multiply(step.by, along);
     }
     for (; event < num_events(); ++event) jump(event);
@@ -733,8 +683,8 @@ class HybridConditions {
     VectorXd after(functions_.most_states()), guard(columns + width());
     Matrix reset(functions_.most_states(), columns);
     const auto linearize = [&](const VectorXd& y) {
-      functions_.ResetJacobian(
-          event.mode, event.guard, y[n], y.data(), ControlOf(before), y.data() + n + 1, after.data(), reset.data());
+      const ModePoint there{event.mode, y[n], y.data(), ControlOf(before), y.data() + n + 1};
+      functions_.ResetJacobian(there, event.guard, after.data(), reset.data());
     };
     const Eigen::Map<const VectorXd> control(ControlOf(before), m);
     VectorXd at(columns + m), sizes(columns + m);
@@ -744,22 +694,19 @@ class HybridConditions {
     Eigen::MatrixXd along(columns + m, states.cols());
     along << states, to.boundaries.row(k + 1), to.parameters,
         to.control.middleRows(static_cast<Eigen::Index>(before) * width(), m);
-    second->Add(SecondDerivative(at,
-                                 sizes,
-                                 [&](const VectorXd& y) {
-                                   linearize(y);
-                                   functions_.GuardGradient(event.mode,
-                                                            event.guard,
-                                                            y[n],
-                                                            y.data(),
-                                                            m > 0 ? y.data() + columns : ControlOf(before),
-                                                            y.data() + n + 1,
-                                                            guard.data());
-                                   VectorXd gradient = multiplier * guard.head(columns + m);
-                                   gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
-                                   return gradient;
-                                 }),
-                along);
+    second->Add(
+        SecondDerivative(
+            at,
+            sizes,
+            [&](const VectorXd& y) {
+              linearize(y);
+              const double* u = m > 0 ? y.data() + columns : ControlOf(before);
+              functions_.GuardGradient({event.mode, y[n], y.data(), u, y.data() + n + 1}, event.guard, guard.data());
+              VectorXd gradient = multiplier * guard.head(columns + m);
+              gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
+              return gradient;
+            }),
+        along);
     linearize(at);
     const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along.topRows(columns));
     VectorXd weights(1 + num_multipliers());
@@ -837,8 +784,28 @@ class HybridConditions {
     if (low && high) return std::nullopt;
     return low ? 1 : high ? -1 : 0;
   }
-  static double BoundAt(const std::vector<double>& bounds, size_t i, double none) {
-    return bounds.empty() ? none : bounds[i];
+  // The variables that can move, with that sign.
+  void FindVariables() {
+    for (const FreeVariable& variable : FreeVariables(problem_.free, width(), input_.num_intervals)) {
+      const bool of_control = variable.kind == Kind::kControl;
+      if (of_control && LengthOf(variable.index / width()) <= kNoInterval * input_.duration) continue;
+      const auto sign = SignAt(variable.In(input_), variable.min, variable.max);
+      if (sign) variables_.emplace_back(variable, *sign);
+    }
+  }
+  // The derivative by a variable. That by the duration moves the last phase alone, or scales all intervals.
+  double ByVariable(const Sweep& sweep, const FreeVariable& variable, bool moving) const {
+    switch (variable.kind) {
+      case Kind::kControl:
+        return sweep.control[variable.index];
+      case Kind::kInitial:
+        return sweep.initial[variable.index];
+      case Kind::kParameter:
+        return sweep.parameters[variable.index];
+      case Kind::kDuration:
+        break;
+    }
+    return moving ? sweep.times[num_events() + 1] : sweep.scale;
   }
 
   // Adds a derivative of the loss, as a part of its size.
@@ -857,40 +824,22 @@ class HybridConditions {
 
   void AddVariables(bool moving, ConeConditions* conditions, Kinds* kinds) {
     num_conditions_ = 0;
-    const HybridFree& free = problem_.free;
-    const int m = width();
-    for (int i = 0; free.control && i < input_.num_intervals * m; ++i) {
-      const double length = times_[i / m + 1] - times_[i / m];
-      if (length <= kNoInterval * input_.duration) continue;
-      const auto sign = SignAt(
-          input_.control[i], BoundAt(free.control_min, i % m, -INFINITY), BoundAt(free.control_max, i % m, INFINITY));
-      if (!sign) continue;
-      const double size = SizeOf([&](const Sweep& s) { return s.control_size[i % m]; });
-      Add([&](const Sweep& s) { return s.control[i] / length; }, size, *sign, conditions, &kinds->controls);
-    }
-    for (size_t i = 0; i < free.initial.size(); ++i) {
-      const int c = free.initial[i];
-      const auto sign =
-          SignAt(input_.initial[c], BoundAt(free.initial_min, i, -INFINITY), BoundAt(free.initial_max, i, INFINITY));
-      if (sign) {
-        const double size = SizeOf([&](const Sweep& s) { return s.initial_size[c]; });
-        Add([&](const Sweep& s) { return s.initial[c]; }, size, *sign, conditions, &kinds->variables);
-      }
-    }
-    for (size_t i = 0; i < free.parameters.size(); ++i) {
-      const int c = free.parameters[i];
-      const auto sign = SignAt(
-          input_.parameters[c], BoundAt(free.parameters_min, i, -INFINITY), BoundAt(free.parameters_max, i, INFINITY));
-      if (sign) {
-        const double size = SizeOf([&](const Sweep& s) { return s.parameters_size[c]; });
-        Add([&](const Sweep& s) { return s.parameters[c]; }, size, *sign, conditions, &kinds->variables);
-      }
-    }
-    if (free.duration) {
-      if (const auto sign = SignAt(input_.duration, free.duration_min, free.duration_max)) {
-        const auto by_duration = [&](const Sweep& s) { return moving ? s.times[num_events() + 1] : s.scale; };
-        Add(by_duration, HamiltonianSize(), *sign, conditions, &kinds->duration);
-      }
+    for (const auto& [variable, sign] : variables_) {
+      const bool of_control = variable.kind == Kind::kControl, of_duration = variable.kind == Kind::kDuration;
+      const double length = of_control ? LengthOf(variable.index / width()) : 1;
+      const double size = SizeOf([&, &variable = variable](const Sweep& s) {
+        return of_control                          ? s.control_size[variable.index % width()]
+               : variable.kind == Kind::kInitial   ? s.initial_size[variable.index]
+               : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
+                                                   : s.hamiltonian_size;
+      });
+      Add([&, &variable = variable](const Sweep& s) { return ByVariable(s, variable, moving) / length; },
+          size,
+          sign,
+          conditions,
+          of_control    ? &kinds->controls
+          : of_duration ? &kinds->duration
+                        : &kinds->variables);
     }
     // Multipliers of inequalities are not negative.
     for (size_t c = 0; c < constraints_.size(); ++c) {
@@ -989,6 +938,7 @@ class HybridConditions {
   std::vector<bool> on_node_;                          // of each event: it is at the end of a control interval
   std::vector<int> interval_before_, interval_after_;  // of each event: whose control acts
   std::vector<HybridShooting::TermAt> terms_;
+  std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)
   std::vector<Constraint> constraints_;
   std::vector<Sweep> sweeps_;    // of the objective, and of each multiplier
   std::vector<double> weights_;  // of these, in sizes: 1, and the multipliers' absolute values

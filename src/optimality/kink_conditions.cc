@@ -7,7 +7,7 @@
 #include <string>
 
 #include "base/linear_algebra.h"
-#include "optimality/condensed.h"
+#include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/exact_run.h"
@@ -80,15 +80,8 @@ class KinkCertifier {
 
  private:
   double Gap(const Candidate& pair, double time) const {
-    const DiscStates x = flight_.Before(time);
-    const double distance = pair.plane ? Separate<double>(x.p[pair.a], MakeHalfPlane(scene_.planes[pair.b])).distance
-                                       : (x.p[pair.a] - x.p[pair.b]).norm();
+    const double distance = SeparationOf(scene_, pair, flight_.Before(time).p).distance;
     return distance / MakeImpactConstants(scene_, pair).contact_distance - 1;
-  }
-
-  Vec2d NormalAt(const Candidate& pair, const DiscStates& x) const {
-    if (pair.plane) return MakeHalfPlane(scene_.planes[pair.b]).normal;
-    return (x.p[pair.a] - x.p[pair.b]).normalized();
   }
 
   std::pair<std::string, std::string> NamesOf(const Candidate& pair) const {
@@ -158,7 +151,7 @@ class KinkCertifier {
     Scene scene = scene_;
     scene.duration = kink.time;
     scene.objective = {};
-    const Vec2d normal = NormalAt(kink.pair, flight_.Before(kink.time));
+    const Vec2d normal = SeparationOf(scene_, kink.pair, flight_.Before(kink.time).p).normal;
     for (int side = 0; side < (kink.pair.plane ? 1 : 2); ++side) {
       for (int j = 0; j < 2; ++j) {
         const int body = side == 0 ? kink.pair.a : kink.pair.b;
@@ -240,7 +233,7 @@ class KinkCertifier {
     const std::vector<double> control(control_.begin() + static_cast<std::ptrdiff_t>(scene_.ForceIndex(skipped, 0)),
                                       control_.end());
     const DiscStates x = flight_.Before(kink.time);
-    const Vec2d normal = NormalAt(kink.pair, x);
+    const Vec2d normal = SeparationOf(scene_, kink.pair, x.p).normal;
     const ImpactConstants law = MakeImpactConstants(scene_, kink.pair);
     const auto loss = [&](double impulse) {
       std::vector<double> start;
@@ -275,11 +268,7 @@ Certificate CertifyKinks(const Scene& scene, const std::vector<double>& initial,
   }
   const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
   if (!exact.ok || !exact.only_impacts || !exact.ambiguous.empty()) return none;
-  std::vector<double> lengths = durations;
-  if (lengths.empty()) {
-    const std::size_t intervals = control.size() / scene.control_width();
-    lengths.assign(intervals, scene.duration / static_cast<double>(intervals));
-  }
+  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
   return KinkCertifier(scene, initial, control, lengths, exact, stop).Run();
 }
 

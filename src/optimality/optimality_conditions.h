@@ -3,7 +3,6 @@
 #pragma once
 
 #include <optional>
-#include <span>
 #include <vector>
 
 #include "optimality/condensed.h"
@@ -20,6 +19,10 @@ struct ControlledMotion {
   const Flight& flight;
   const ExactRun& exact;
 };
+
+// The durations of the control intervals; if they are empty, the scene's is shared equally.
+std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
+                                    const std::vector<double>& durations);
 
 // A certificate with times, names and speeds of the impacts; the residuals are left out.
 Certificate WithImpactsOf(const ControlledMotion& motion);

@@ -1,7 +1,5 @@
 #include "saltus/scene/scene.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>

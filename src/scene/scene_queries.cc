@@ -1,6 +1,4 @@
 // What scenes and objectives say of themselves (saltus/scene/scene.h).
-#include <glog/logging.h>
-
 #include <algorithm>
 
 #include "saltus/scene/scene.h"
@@ -21,17 +19,8 @@ bool Scene::Spins() const {
 }
 
 const char* OptimizeToString(Optimize optimize) {
-  switch (optimize) {
-    case Optimize::kControl:
-      return "control";
-    case Optimize::kVelocity:
-      return "velocity";
-    case Optimize::kPosition:
-      return "position";
-    case Optimize::kNone:
-      return "none";
-  }
-  LOG(FATAL) << "not an Optimize: " << static_cast<int>(optimize);
+  constexpr const char* kNames[] = {"control", "velocity", "position", "none"};
+  return kNames[static_cast<int>(optimize)];
 }
 
 }  // namespace saltus

@@ -72,6 +72,14 @@ std::vector<Value> SceneReader::ReadList(const Value& list, const std::string& e
   return items;
 }
 
+template <typename Item>
+void SceneReader::ReadEach(const Fields& fields, const std::string& key, const std::string& expected,
+                           Item (SceneReader::*read)(const Value&), std::vector<Item>* items) {
+  const Value* list = fields.Find(key);
+  if (list == nullptr) return;
+  for (const Value& value : ReadList(*list, expected)) items->push_back((this->*read)(value));
+}
+
 Vec2d SceneReader::ReadVector(const Value& value) {
   constexpr char kExpected[] = "a vector [x, y]";
   const std::vector<Value> entries = ReadList(value, kExpected);
@@ -219,6 +227,16 @@ TerminalTerm::Quantity SceneReader::ReadQuantity(const Fields& fields) {
   return static_cast<TerminalTerm::Quantity>(ReadChoice(quantity, {kQuantities.begin(), kQuantities.end()}));
 }
 
+// That of a term which may be a constraint instead.
+template <typename Term>
+void SceneReader::ReadWeight(const Fields& fields, Term* term) {
+  if (const Value* hard = fields.Find("hard")) term->hard = ReadBool(*hard);
+  if (const Value* weight = fields.Find("weight")) {
+    if (term->hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
+    term->weight = ReadNumber(*weight);
+  }
+}
+
 TerminalTerm SceneReader::ReadTerm(const Value& value) {
   const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight", "hard"});
   TerminalTerm term;
@@ -234,11 +252,7 @@ TerminalTerm SceneReader::ReadTerm(const Value& value) {
   } else {
     term.target = ReadVector(fields.Require("target", "the target [x, y], or component: x or y"));
   }
-  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
-  if (const Value* weight = fields.Find("weight")) {
-    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
-    term.weight = ReadNumber(*weight);
-  }
+  ReadWeight(fields, &term);
   return term;
 }
 
@@ -265,11 +279,7 @@ ViaTerm SceneReader::ReadVia(const Value& value) {
   term.time = ReadNumber(fields.Require("time", "the time in s"));
   term.quantity = ReadQuantity(fields);
   term.target = ReadVector(fields.Require("target", "the target [x, y]"));
-  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
-  if (const Value* weight = fields.Find("weight")) {
-    if (term.hard) Fail(*weight, "found a weight, expected none: the term is hard, a constraint");
-    term.weight = ReadNumber(*weight);
-  }
+  ReadWeight(fields, &term);
   return term;
 }
 
@@ -308,12 +318,8 @@ Objective SceneReader::ReadObjective(const Value& value) {
     objective.terminal.push_back(ReadTerm(term));
   }
   if (const Value* effort = fields.Find("effort")) objective.effort = ReadNumber(*effort);
-  if (const Value* running = fields.Find("running")) {
-    for (const Value& term : ReadList(*running, "a list of terms")) objective.running.push_back(ReadRunning(term));
-  }
-  if (const Value* via = fields.Find("via")) {
-    for (const Value& term : ReadList(*via, "a list of terms")) objective.via.push_back(ReadVia(term));
-  }
+  ReadEach(fields, "running", "a list of terms", &SceneReader::ReadRunning, &objective.running);
+  ReadEach(fields, "via", "a list of terms", &SceneReader::ReadVia, &objective.via);
   if (const Value* duration = fields.Find("duration")) objective.duration = ReadFreeDuration(*duration);
   return objective;
 }
@@ -408,28 +414,16 @@ Scene SceneReader::Read(const YAML::Node& root) {
   scene_.steps = ReadSteps(fields.Require("steps", "the number of steps"));
   if (const Value* gravity = fields.Find("gravity")) scene_.gravity = ReadVector(*gravity);
   ReadBodies(fields.Require("bodies", "a list of bodies"));
-  if (const Value* planes = fields.Find("planes")) {
-    for (const Value& plane : ReadList(*planes, "a list of planes")) scene_.planes.push_back(ReadPlane(plane));
-  }
-  if (const Value* segments = fields.Find("segments")) {
-    for (const Value& one : ReadList(*segments, "a list of segments")) scene_.segments.push_back(ReadSegment(one));
-  }
-  if (const Value* polygons = fields.Find("polygons")) {
-    for (const Value& one : ReadList(*polygons, "a list of polygons")) scene_.polygons.push_back(ReadPolygon(one));
-  }
-  if (const Value* arcs = fields.Find("arcs")) {
-    for (const Value& one : ReadList(*arcs, "a list of arcs")) scene_.arcs.push_back(ReadArc(one));
-  }
-  if (const Value* pockets = fields.Find("pockets")) {
-    for (const Value& one : ReadList(*pockets, "a list of pockets")) scene_.pockets.push_back(ReadPocket(one));
-  }
+  ReadEach(fields, "planes", "a list of planes", &SceneReader::ReadPlane, &scene_.planes);
+  ReadEach(fields, "segments", "a list of segments", &SceneReader::ReadSegment, &scene_.segments);
+  ReadEach(fields, "polygons", "a list of polygons", &SceneReader::ReadPolygon, &scene_.polygons);
+  ReadEach(fields, "arcs", "a list of arcs", &SceneReader::ReadArc, &scene_.arcs);
+  ReadEach(fields, "pockets", "a list of pockets", &SceneReader::ReadPocket, &scene_.pockets);
   if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
   if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
   if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
   scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
-  if (const Value* pairs = fields.Find("no_contact")) {
-    for (const Value& pair : ReadList(*pairs, "a list of pairs")) scene_.no_contact.push_back(ReadNoContact(pair));
-  }
+  ReadEach(fields, "no_contact", "a list of pairs", &SceneReader::ReadNoContact, &scene_.no_contact);
   ReadOptimize(fields.Require("optimize", "control, velocity, position or none"));
   const bool starts = scene_.optimize == Optimize::kVelocity || scene_.optimize == Optimize::kPosition;
   if (const Value* free = fields.Find("free")) {

@@ -35,6 +35,10 @@ class SceneReader {
 
   Fields ReadFields(const Value& map, const std::vector<std::string>& known);
   std::vector<Value> ReadList(const Value& list, const std::string& expected);
+  // Appends what is read of each entry of a list, if there is one under the key.
+  template <typename Item>
+  void ReadEach(const Fields& fields, const std::string& key, const std::string& expected,
+                Item (SceneReader::*read)(const Value&), std::vector<Item>* items);
   Vec2d ReadVector(const Value& value);
   int ReadBodyName(const Value& value) const;
   std::vector<int> ReadBodyNames(const Value& value);
@@ -50,6 +54,8 @@ class SceneReader {
   std::vector<double> ReadBounds(const Value& value, size_t count);
   Control ReadControl(const Value& value);
   TerminalTerm::Quantity ReadQuantity(const Fields& fields);
+  template <typename Term>
+  void ReadWeight(const Fields& fields, Term* term);
   TerminalTerm ReadTerm(const Value& value);
   RunningTerm ReadRunning(const Value& value);
   ViaTerm ReadVia(const Value& value);

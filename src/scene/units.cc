@@ -115,25 +115,11 @@ double SpeedOf(const Scene& scene, double length) {
   return NearestPowerOfRoot(std::max(square, acceleration * length));
 }
 
-double SizeOf(TerminalTerm::Quantity quantity, const Units& units) {
-  switch (quantity) {
-    case TerminalTerm::Quantity::kPosition:
-      return units.length;
-    case TerminalTerm::Quantity::kVelocity:
-      return units.speed();
-    case TerminalTerm::Quantity::kAngle:
-      return 1;
-    case TerminalTerm::Quantity::kAngularVelocity:
-      break;
-  }
-  return 1 / units.time;
-}
-
 // Of scenes in any units, whose size is 1 then.
 double LossOf(const Scene& scene, const Units& units) {
   double loss = 0;
   for (const TerminalTerm& term : scene.objective.terminal) {
-    const double size = SizeOf(term.quantity, units);
+    const double size = UnitFactors(units, {}).of(term.quantity);
     loss = std::max(loss, std::abs(term.weight) * (term.component ? size : size * size));
   }
   if (!scene.control.bodies.empty()) {
@@ -156,6 +142,11 @@ UnitFactors::UnitFactors(const Units& from, const Units& to)
       force(from.force() / to.force()),
       rate(to.time / from.time),
       moment_of_inertia(from.moment_of_inertia() / to.moment_of_inertia()) {}
+
+double UnitFactors::of(TerminalTerm::Quantity quantity) const {
+  const double factors[] = {length, speed, 1, rate};  // by quantity
+  return factors[static_cast<int>(quantity)];
+}
 
 double UnitFactors::of(const SceneParameter& parameter) const {
   using Kind = SceneParameter::Kind;
@@ -299,19 +290,7 @@ Scene InUnits(const Scene& scene, const Units& units) {
   out.control.initial_torque = Multiplied(std::move(out.control.initial_torque), by.force * by.length);
   out.control.max_torque = Multiplied(std::move(out.control.max_torque), by.force * by.length);
   using Quantity = TerminalTerm::Quantity;
-  const auto size_of = [&](const auto& term) {
-    switch (term.quantity) {
-      case Quantity::kPosition:
-        return by.length;
-      case Quantity::kVelocity:
-        return by.speed;
-      case Quantity::kAngle:
-        return 1.0;
-      case Quantity::kAngularVelocity:
-        break;
-    }
-    return by.rate;
-  };
+  const auto size_of = [&](const auto& term) { return by.of(term.quantity); };
   const auto convert_target = [&](const auto& term, Vec2d* target) {
     if (term.quantity == Quantity::kPosition) {
       convert_position(target);

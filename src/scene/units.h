@@ -31,8 +31,9 @@ struct UnitFactors {
   double length, time, mass, loss, speed, acceleration, force;
   double rate, moment_of_inertia;  // of angular velocities, 1/time; mass length^2
 
-  // That of a parameter's changes.
+  // That of a parameter's changes, and that of a quantity that a term has a target for, or of its changes.
   double of(const SceneParameter& parameter) const;
+  double of(TerminalTerm::Quantity quantity) const;
 };
 
 // The same scene in other units. Precondition: `scene` is valid in SI units.

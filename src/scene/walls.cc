@@ -1,6 +1,5 @@
 #include "saltus/scene/walls.h"
 
-#include <algorithm>
 #include <limits>
 #include <map>
 #include <numbers>

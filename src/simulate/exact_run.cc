@@ -1,7 +1,5 @@
 #include "saltus/simulate/exact_run.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdio>

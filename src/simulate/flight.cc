@@ -45,11 +45,6 @@ void Advance(double s, const OfDiscs<Vec2d>& acceleration, const OfDiscs<double>
   }
 }
 
-Vec2d NormalOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
-  if (c.plane) return MakeHalfPlane(scene.planes[c.b]).normal;
-  return Separate<double>(x.p[c.a], x.p[c.b]).normal;
-}
-
 // The integral of |q - target|^2 over a piece.
 double Integral(const Flight::Piece& piece, const RunningTerm& term) {
   double sum = 0;
@@ -119,7 +114,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
       const ImpactConstants law = MakeImpactConstants(scene, c);
       Hit hit{start + at, c, static_cast<int>(pieces_.size()), IsOnNode(at, h), x, {}};
       const Vec2d other = c.plane ? Vec2d(0, 0) : x.v[c.b];
-      hit.impact = MakeImpact<double>(law, NormalOf(scene, c, x), x.v[c.a] - other, x.SpinsOf(c));
+      hit.impact = MakeImpact<double>(law, SeparationOf(scene, c, x.p).normal, x.v[c.a] - other, x.SpinsOf(c));
       x.v[c.a] += law.inverse_mass_a * hit.impact.impulse;
       if (!c.plane) x.v[c.b] -= law.inverse_mass_b * hit.impact.impulse;
       if (law.Spins()) {

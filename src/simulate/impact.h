@@ -74,6 +74,13 @@ inline HalfPlane<double> MakeHalfPlane(const Plane& plane) {
   return {normal, Dot(normal, plane.point)};
 }
 
+// Of a pair when disc i of the scene is at positions[i].
+template <typename Positions>
+Separation<double> SeparationOf(const Scene& scene, const Candidate& c, const Positions& positions) {
+  if (c.plane) return Separate<double>(positions[c.a], MakeHalfPlane(scene.planes[c.b]));
+  return Separate<double>(positions[c.a], positions[c.b]);
+}
+
 // Precondition: |normal| = 1. With friction it slips or sticks by Coulomb's law, or as `mode` says.
 template <typename T>
 Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w,

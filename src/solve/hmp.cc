@@ -260,7 +260,7 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   }
   solution.trial = attempt.trial;
   attempt.termination = Termination::kNoProgress;
-  if (minimum.touches || !IsRealized(scene, attempt.trial.exact, sequence, times)) {
+  if (minimum.touches || !HasEvents(attempt.trial.exact, sequence, times, scene.duration)) {
     attempt.reason = WhyNotOptimal(scene, solution);
     return attempt;
   }

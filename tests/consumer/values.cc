@@ -106,8 +106,8 @@ bool StepsAgree() {
     double slopes[kStages * kSize], jacobians[kStages * kSize * kColumns];
     for (double& entry : x) entry = number();
     const double u[] = {number()}, p[] = {number(), number()};
-    const FlowStep step{0, 0, 0.1, x, u, p};
-    system.functions().Flow(0, 0, x, u, p, slope);
+    const FlowStep step{{0, 0, x, u, p}, 0.1};
+    system.functions().Flow(step, slope);
     system.functions().Step(step, slope, scratch, after, slope_after);
     system.functions().LinearizeStep(step, scratch, slopes, jacobians);
     Combine<kStages, kSize>(step.h, x, slopes, again);

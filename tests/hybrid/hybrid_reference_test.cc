@@ -340,7 +340,7 @@ struct WalkerCycle {
     }
     double slope[4];
     step.simulator.system().functions().Flow(
-        strike.next_mode, strike.time, strike.after.data(), nullptr, step.input.parameters.data(), slope);
+        {strike.next_mode, strike.time, strike.after.data(), nullptr, step.input.parameters.data()}, slope);
     for (int i = 0; i < 4; ++i) {
       for (int j = 0; j < 4; ++j) monodromy(i, j) = step.Forward(1, i, X(j)) - slope[i] * step.Forward(1, -1, X(j));
     }

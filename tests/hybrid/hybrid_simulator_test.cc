@@ -33,7 +33,7 @@ TEST(RungeKutta, HasOrderEight) {
   const auto after = [&](int steps) {
     std::vector<double> x = {-0.1, 0.5}, next(2);
     for (int i = 0; i < steps; ++i) {
-      integrator.Step({0, 0, 2.0 / steps, x.data(), nullptr, p.data()}, next.data());
+      integrator.Step({{0, 0, x.data(), nullptr, p.data()}, 2.0 / steps}, next.data());
       x = next;
     }
     return x[0];

@@ -59,7 +59,7 @@ struct VertexImpact {
       EXPECT_EQ(contact.status, mode == "stick" ? 's' : mode.back());
     }
     std::vector<double> after(6);
-    system.hybrid().functions().Reset(system.Mode("o"), 0, 0, x.data(), nullptr, p.data(), after.data());
+    system.hybrid().functions().Reset({system.Mode("o"), 0, x.data(), nullptr, p.data()}, 0, after.data());
     for (int i = 0; i < 3; ++i) near(after[3 + i], expected.at("v")[i], "v");
   }
 
@@ -76,7 +76,7 @@ TEST(VertexImpact, HasTheClosedFormAndItsDerivatives) {
     newton.Expect(expected);
     std::vector<double> after(6), jacobian(6 * 13);
     newton.system.hybrid().functions().ResetJacobian(
-        0, 0, 0, newton.x.data(), nullptr, newton.p.data(), after.data(), jacobian.data());
+        {0, 0, newton.x.data(), nullptr, newton.p.data()}, 0, after.data(), jacobian.data());
     const std::vector<std::pair<const char*, int>> columns = {
         {"vx", 3}, {"vy", 4}, {"w", 5}, {"m", 7}, {"I", 8}, {"rx", 9}, {"ry", 10}, {"e", 11}, {"mu", 12}};
     for (const auto& [by, column] : columns) {
@@ -116,13 +116,13 @@ TEST(VertexImpact, PoissonsLaw) {
     // Derivatives against differences of fourth order.
     const HybridFunctions& f = impact.system.hybrid().functions();
     std::vector<double> after(6), jacobian(6 * 13);
-    f.ResetJacobian(0, 0, 0, impact.x.data(), nullptr, impact.p.data(), after.data(), jacobian.data());
+    f.ResetJacobian({0, 0, impact.x.data(), nullptr, impact.p.data()}, 0, after.data(), jacobian.data());
     for (int column = 0; column < 13; ++column) {
       if (column == 6) continue;  // time
       const auto at = [&](double step) {
         std::vector<double> x = impact.x, p = impact.p, out(6);
         (column < 6 ? x[column] : p[column - 7]) += step;
-        f.Reset(0, 0, 0, x.data(), nullptr, p.data(), out.data());
+        f.Reset({0, 0, x.data(), nullptr, p.data()}, 0, out.data());
         return out;
       };
       const double h = 1e-3;
@@ -262,7 +262,7 @@ TEST(Painleve, AnglesAtWhichTheRodJams) {
     const std::vector<double> p = {1, 0.5, 9.81, 0, 1.5, 0, 0, 0};
     const std::vector<double> x = {0, 0.5 * std::sin(th), th, -2, 0, 0};
     // The guards of mode '-' are off, stop and jam.
-    EXPECT_NEAR(system.hybrid().functions().Guard(system.Mode("-"), 2, 0, x.data(), nullptr, p.data()), 0, 1e-14);
+    EXPECT_NEAR(system.hybrid().functions().Guard({system.Mode("-"), 0, x.data(), nullptr, p.data()}, 2), 0, 1e-14);
   }
 }
 
@@ -416,18 +416,18 @@ TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContact
     for (int guard = 0; guard < f.num_guards(mode); ++guard) {
       SCOPED_TRACE(f.GuardName(mode, guard));
       std::vector<double> gradient(kColumns + LegHopper::kNumControls);
-      const double value = f.GuardGradient(mode, guard, 0, at.data(), u.data(), &at[kStates], gradient.data());
+      const double value = f.GuardGradient({mode, 0, at.data(), u.data(), &at[kStates]}, guard, gradient.data());
       const auto evaluate = [&](const std::vector<double>& y) {
-        return std::vector{f.Guard(mode, guard, 0, y.data(), u.data(), &y[kStates])};
+        return std::vector{f.Guard({mode, 0, y.data(), u.data(), &y[kStates]}, guard)};
       };
       EXPECT_NEAR(evaluate(at)[0], value, 1e-12 * std::abs(value));
       expect(evaluate, gradient, static_cast<int>(gradient.size()));
       const auto reset = [&](const std::vector<double>& y) {
         std::vector<double> out(kStates);
-        f.Reset(mode, guard, 0, y.data(), u.data(), &y[kStates], out.data());
+        f.Reset({mode, 0, y.data(), u.data(), &y[kStates]}, guard, out.data());
         return out;
       };
-      if (f.ResetJacobian(mode, guard, 0, at.data(), u.data(), &at[kStates], after.data(), jacobian.data()) < 0) {
+      if (f.ResetJacobian({mode, 0, at.data(), u.data(), &at[kStates]}, guard, after.data(), jacobian.data()) < 0) {
         continue;
       }
       expect(reset, jacobian, kColumns);

@@ -37,14 +37,15 @@ TEST(RecordedFunction, HasValuesAndDerivatives) {
   for (const bool less : {true, false}) {
     const double x = 0.7, y = less ? 1.1 : 0.4;
     double values[2], jacobian[4], again[2];
-    function.Linearize({{&x, 1}, {&y, 1}}, 2, values, jacobian);
+    const RecordedFunction::Part inputs[] = {{&x, 1}, {&y, 1}};
+    function.Linearize(inputs, 2, values, jacobian);
     EXPECT_DOUBLE_EQ(values[0], x * x * std::sin(y) + (less ? y : x / y));
     EXPECT_DOUBLE_EQ(values[1], x * y);
     EXPECT_DOUBLE_EQ(jacobian[0], 2 * x * std::sin(y) + (less ? 0 : 1 / y));
     EXPECT_DOUBLE_EQ(jacobian[1], x * x * std::cos(y) + (less ? 1 : -x / (y * y)));
     EXPECT_DOUBLE_EQ(jacobian[2], y);
     EXPECT_DOUBLE_EQ(jacobian[3], x);
-    function.Evaluate({{&x, 1}, {&y, 1}}, again);
+    function.Evaluate(inputs, again);
     EXPECT_EQ(again[0], values[0]);
     EXPECT_EQ(again[1], values[1]);
   }

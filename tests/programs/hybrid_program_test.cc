@@ -430,7 +430,7 @@ TEST(HybridDocument, GuardsAreThoseUnderTheControlOfTheirInterval) {
     for (int k = 0; k < input.num_intervals; ++k) {
       if (!(time > times[k] + 1e-9 && time < times[k + 1] - 1e-9)) continue;
       const double off = problem.system.functions().Guard(
-          input.mode, 0, time, x.data(), &input.control[2 * k], input.parameters.data());
+          {input.mode, time, x.data(), &input.control[2 * k], input.parameters.data()}, 0);
       EXPECT_DOUBLE_EQ(motion["guards"][i][0].get<double>(), off) << time;
       ++compared;
     }

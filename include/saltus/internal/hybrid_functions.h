@@ -56,10 +56,9 @@ class HybridFunctions {
   int most_states() const { return *std::max_element(layout_.state_sizes.begin(), layout_.state_sizes.end()); }
   int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 
-  virtual void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const = 0;
+  virtual void Flow(const ModePoint& at, double* xdot) const = 0;
   // And by [x t p u]: n x (n + 1 + P + m).
-  virtual void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                            double* jacobian) const = 0;
+  virtual void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const = 0;
 
   // A step of the integration in one call, with the flow in its loop (runge_kutta_step.h): x' and the slope there,
   // given the slope at the beginning; the slopes of all stages and their Jacobians, each one after the other. `scratch`
@@ -76,53 +75,39 @@ class HybridFunctions {
   // (n + 1 + P + m). By h its derivative is the flow after it.
   virtual bool Fly(const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const { return false; }
 
-  virtual double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const = 0;
+  virtual double Guard(const ModePoint& at, int guard) const = 0;
   // And its derivative by time along xdot, under a control that is held.
-  virtual double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
-                           const double* p, double* rate) const = 0;
+  virtual double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const = 0;
   // Both of all guards of a mode.
-  virtual void GuardRates(int mode, double t, const double* x, const double* xdot, const double* u, const double* p,
-                          GuardValue* all) const {
-    for (int guard = 0; guard < num_guards(mode); ++guard) {
-      all[guard].value = GuardRate(mode, guard, t, x, xdot, u, p, &all[guard].rate);
+  virtual void GuardRates(const ModePoint& at, const double* xdot, GuardValue* all) const {
+    for (int guard = 0; guard < num_guards(at.mode); ++guard) {
+      all[guard].value = GuardRate(at, guard, xdot, &all[guard].rate);
     }
   }
   // And its derivative by [x t p u]: n + 1 + P + m numbers.
-  virtual double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                               double* gradient) const = 0;
+  virtual double GuardGradient(const ModePoint& at, int guard, double* gradient) const = 0;
   // The same of all guards of a mode, a row each.
-  virtual void GuardGradients(int mode, double t, const double* x, const double* u, const double* p, double* values,
-                              double* gradients) const {
-    const int columns = state_size(mode) + 1 + layout().num_parameters + layout().num_controls;
-    for (int guard = 0; guard < num_guards(mode); ++guard) {
-      values[guard] = GuardGradient(mode, guard, t, x, u, p, gradients + guard * columns);
+  virtual void GuardGradients(const ModePoint& at, double* values, double* gradients) const {
+    const int columns = state_size(at.mode) + 1 + layout().num_parameters + layout().num_controls;
+    for (int guard = 0; guard < num_guards(at.mode); ++guard) {
+      values[guard] = GuardGradient(at, guard, gradients + guard * columns);
     }
   }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. A negative number:
   // there is none, and WhyNoMode says why. x_plus has room for the largest state of any mode; what a reset into a mode
   // with a smaller state leaves is not read.
-  virtual int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                    double* x_plus) const = 0;
+  virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // And by [x t p]: (size of the next mode's state) x (n + 1 + P), with room for the largest.
-  virtual int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                            double* x_plus, double* jacobian) const = 0;
+  virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
   // Why a reset returns a negative number, or with guard -1 ModeUnder.
-  virtual std::string WhyNoMode(int /*mode*/, int /*guard*/, double /*t*/, const double* /*x*/, const double* /*u*/,
-                                const double* /*p*/) const {
-    return "";
-  }
+  virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
   // Why a reset has no derivative there, or only one-sided ones; empty if it has one.
-  virtual std::string WhyNoDerivative(int /*mode*/, int /*guard*/, double /*t*/, const double* /*x*/,
-                                      const double* /*u*/, const double* /*p*/) const {
-    return "";
-  }
+  virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
-  // The mode in which a motion goes on from the state x when its control jumps to u; a negative number if there is
-  // none.
-  virtual int ModeUnder(int mode, double /*t*/, const double* /*x*/, const double* /*u*/, const double* /*p*/) const {
-    return mode;
-  }
+  // The mode in which a motion goes on from the state x when its control jumps to u, which the point has; a negative
+  // number if there is none.
+  virtual int ModeUnder(const ModePoint& at) const { return at.mode; }
 
   // Whether the states of a mode satisfy equations (as those of closed contacts), from which errors of the integration
   // lead away. The engine then projects the state onto them after each step.
@@ -170,15 +155,12 @@ class HybridFunctionsOf final : public HybridFunctions {
 
   explicit HybridFunctionsOf(S system) : HybridFunctions(LayoutOf()), system_(std::move(system)) {}
 
-  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override {
-    system_.Flow(mode, t, x, u, p, xdot);
-  }
-  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                    double* jacobian) const override {
-    const int rows = S::kStateSizes[mode];
-    InPasses(mode, S::kNumControls, t, x, p, u, [&](const Variables& v, int first, int width, int columns) {
+  void Flow(const ModePoint& at, double* xdot) const override { system_.Flow(at.mode, at.t, at.x, at.u, at.p, xdot); }
+  void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override {
+    const int rows = S::kStateSizes[at.mode];
+    InPasses(at, S::kNumControls, [&](const Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
-      system_.Flow(mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+      system_.Flow(at.mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
       Unpack(out, rows, first, width, columns, xdot, jacobian);
     });
   }
@@ -204,7 +186,7 @@ class HybridFunctionsOf final : public HybridFunctions {
         for (const Jet& row : stages) jacobians = std::copy_n(row.v.data(), kColumns, jacobians);
       } else {
         const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
-          HybridFunctionsOf::FlowJacobian(mode, t, x, step.u, step.p, slope, jacobian);
+          HybridFunctionsOf::FlowJacobian({mode, t, x, step.u, step.p}, slope, jacobian);
         };
         saltus::LinearizeStep<kSize>(step, kSize * kColumns, flow, slopes, jacobians);
       }
@@ -232,46 +214,38 @@ class HybridFunctionsOf final : public HybridFunctions {
     bool flies = false;
     if constexpr (kFlies) {
       if (jacobian == nullptr) return system_.Fly(step.mode, step.t, step.h, step.x, step.u, step.p, after);
-      InPasses(step.mode,
-               S::kNumControls,
-               step.t,
-               step.x,
-               step.p,
-               step.u,
-               [&](const Variables& v, int first, int width, int columns) {
-                 std::array<Jet, kMostStates> out;
-                 flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
-                 if (flies) Unpack(out, S::kStateSizes[step.mode], first, width, columns, after, jacobian);
-               });
+      InPasses(step, S::kNumControls, [&](const Variables& v, int first, int width, int columns) {
+        std::array<Jet, kMostStates> out;
+        flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
+        if (flies) Unpack(out, S::kStateSizes[step.mode], first, width, columns, after, jacobian);
+      });
     }
     return flies;
   }
 
-  double Guard(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p) const override {
-    return system_.Guard(mode, guard, t, x, p);
+  double Guard(const ModePoint& at, int guard) const override {
+    return system_.Guard(at.mode, guard, at.t, at.x, at.p);
   }
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* /*u*/,
-                   const double* p, double* rate) const override {
+  double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override {
     using Rate = ceres::Jet<double, 1>;
-    std::array<Rate, kMostStates> at;
-    for (int i = 0; i < S::kStateSizes[mode]; ++i) {
-      at[i].a = x[i];
-      at[i].v[0] = xdot[i];
+    std::array<Rate, kMostStates> state;
+    for (int i = 0; i < S::kStateSizes[at.mode]; ++i) {
+      state[i].a = at.x[i];
+      state[i].v[0] = xdot[i];
     }
     std::array<Rate, S::kNumParameters> parameters;
-    for (int i = 0; i < S::kNumParameters; ++i) parameters[i] = Rate(p[i]);
-    Rate time(t);
+    for (int i = 0; i < S::kNumParameters; ++i) parameters[i] = Rate(at.p[i]);
+    Rate time(at.t);
     time.v[0] = 1;
-    const Rate value = system_.Guard(mode, guard, time, at.data(), parameters.data());
+    const Rate value = system_.Guard(at.mode, guard, time, state.data(), parameters.data());
     *rate = value.v[0];
     return value.a;
   }
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                       double* gradient) const override {
+  double GuardGradient(const ModePoint& at, int guard, double* gradient) const override {
     double value = 0;
-    std::fill_n(gradient + S::kStateSizes[mode] + 1 + S::kNumParameters, S::kNumControls, 0.0);
-    InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
-      const std::array<Jet, 1> out = {system_.Guard(mode, guard, v.t, v.x.data(), v.p.data())};
+    std::fill_n(gradient + S::kStateSizes[at.mode] + 1 + S::kNumParameters, S::kNumControls, 0.0);
+    InPasses(at, 0, [&](const Variables& v, int first, int width, int columns) {
+      const std::array<Jet, 1> out = {system_.Guard(at.mode, guard, v.t, v.x.data(), v.p.data())};
       Unpack(out, 1, first, width, columns, &value, gradient);
     });
     return value;
@@ -285,16 +259,14 @@ class HybridFunctionsOf final : public HybridFunctions {
     }
   }
 
-  int Reset(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-            double* x_plus) const override {
-    return system_.Reset(mode, guard, t, x, p, x_plus);
+  int Reset(const ModePoint& at, int guard, double* x_plus) const override {
+    return system_.Reset(at.mode, guard, at.t, at.x, at.p, x_plus);
   }
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* /*u*/, const double* p,
-                    double* x_plus, double* jacobian) const override {
+  int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override {
     int next = 0;
-    InPasses(mode, 0, t, x, p, nullptr, [&](const Variables& v, int first, int width, int columns) {
+    InPasses(at, 0, [&](const Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
-      next = system_.Reset(mode, guard, v.t, v.x.data(), v.p.data(), out.data());
+      next = system_.Reset(at.mode, guard, v.t, v.x.data(), v.p.data(), out.data());
       if (next >= 0 && next < kNumModes) Unpack(out, S::kStateSizes[next], first, width, columns, x_plus, jacobian);
     });
     return next;
@@ -328,28 +300,26 @@ class HybridFunctionsOf final : public HybridFunctions {
   };
 
   // Jets that carry the derivatives by columns first to first + kStride of [x t p u], with the first `controls` of u.
-  static void Seed(int states, int controls, double t, const double* x, const double* p, const double* u, int first,
-                   Variables* v) {
+  static void Seed(const ModePoint& at, int states, int controls, int first, Variables* v) {
     int column = 0;
     const auto seed = [&](double value, Jet* jet) {
       *jet = Jet(value);
       if (column >= first && column < first + kStride) jet->v[column - first] = 1;
       ++column;
     };
-    for (int i = 0; i < states; ++i) seed(x[i], &v->x[i]);
-    seed(t, &v->t);
-    for (int i = 0; i < S::kNumParameters; ++i) seed(p[i], &v->p[i]);
-    for (int i = 0; i < controls; ++i) seed(u[i], &v->u[i]);
+    for (int i = 0; i < states; ++i) seed(at.x[i], &v->x[i]);
+    seed(at.t, &v->t);
+    for (int i = 0; i < S::kNumParameters; ++i) seed(at.p[i], &v->p[i]);
+    for (int i = 0; i < controls; ++i) seed(at.u[i], &v->u[i]);
   }
 
   // Calls function(variables, first, width, columns) until all columns of [x t p u] have been seen.
   template <typename Function>
-  static void InPasses(int mode, int controls, double t, const double* x, const double* p, const double* u,
-                       const Function& function) {
-    const int states = S::kStateSizes[mode], columns = states + 1 + S::kNumParameters + controls;
+  static void InPasses(const ModePoint& at, int controls, const Function& function) {
+    const int states = S::kStateSizes[at.mode], columns = states + 1 + S::kNumParameters + controls;
     for (int first = 0; first < columns; first += kStride) {
       Variables v;
-      Seed(states, controls, t, x, p, u, first, &v);
+      Seed(at, states, controls, first, &v);
       function(v, first, std::min(kStride, columns - first), columns);
     }
   }
@@ -360,7 +330,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
     constexpr int kSize = S::kStateSizes[kMode];
     Variables v;
-    Seed(kSize, S::kNumControls, step.t, step.x, step.p, step.u, 0, &v);
+    Seed(step, kSize, S::kNumControls, 0, &v);
     // With the flow inlined, the compiler sees that what it reads and what it writes are apart.
     const auto flow = [&](double t, const double* x, double* slope, Jet* stage) __attribute__((flatten, noinline)) {
       for (int i = 0; i < kSize; ++i) v.x[i].a = x[i];

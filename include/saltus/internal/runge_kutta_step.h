@@ -133,13 +133,18 @@ inline void Combine(int row, int size, double h, const double* x, const double* 
 
 }  // namespace cooper_verner
 
-// Where a step begins and how long it is.
-struct FlowStep {
+// Where the functions of a hybrid system are evaluated.
+struct ModePoint {
   int mode = 0;
-  double t = 0, h = 0;
+  double t = 0;
   const double* x = nullptr;  // state of the mode
   const double* u = nullptr;  // control
   const double* p = nullptr;  // parameters
+};
+
+// Where a step begins and how long it is.
+struct FlowStep : ModePoint {
+  double h = 0;
   // What follows is put onto the equations of the mode (HybridFunctions::Project).
   bool projects = false;
 };

@@ -1,6 +1,5 @@
 #include "contact/models/lcp.h"
 
-#include <algorithm>
 #include <cmath>
 
 #include "base/linear_algebra.h"

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "base/linear_algebra.h"
 #include "base/sparse_factors.h"

@@ -166,26 +166,9 @@ std::string MechanicalHybrid::ContactName(int contact) const {
 }
 
 std::string MechanicalHybrid::GuardName(int mode, int guard) const {
+  constexpr const char* kNames[] = {"hit", "off", "stop", "break-", "break+", "end", "jam"};
   const Guarded& guarded = ModeAt(mode).guards[guard];
-  const auto name = [&]() -> std::string {
-    switch (guarded.what) {
-      case What::kHit:
-        return "hit";
-      case What::kOff:
-        return "off";
-      case What::kStop:
-        return "stop";
-      case What::kBreakBack:
-        return "break-";
-      case What::kBreakOn:
-        return "break+";
-      case What::kEnd:
-        return "end";
-      default:
-        return "jam";
-    }
-  };
-  return ContactName(guarded.contact) + " " + name();
+  return ContactName(guarded.contact) + " " + kNames[static_cast<int>(guarded.what)];
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -462,18 +445,17 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
 // ---------------------------------------------------------------------------------------------------------------------
 // The functions of a hybrid system.
 
-void MechanicalHybrid::Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const {
-  const Point at = PointAt(t, x, u, p);
-  const ClosedMotion motion = MotionOf(ModeAt(mode), at);
+void MechanicalHybrid::Flow(const ModePoint& from, double* xdot) const {
+  const Point at = PointAt(from);
+  const ClosedMotion motion = MotionOf(ModeAt(from.mode), at);
   const int n = equations_.n();
   std::copy_n(at.v, n, xdot);
   std::copy_n(motion.a.data(), n, xdot + n);
 }
 
-void MechanicalHybrid::FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                                    double* jacobian) const {
-  const Point at = PointAt(t, x, u, p);
-  const Mode& of = ModeAt(mode);
+void MechanicalHybrid::FlowJacobian(const ModePoint& from, double* xdot, double* jacobian) const {
+  const Point at = PointAt(from);
+  const Mode& of = ModeAt(from.mode);
   const int n = equations_.n(), columns = equations_.num_columns(true);
   const ClosedMotion motion = MotionOf(of, at, equations_.SeedColumns(at, columns));
   std::copy_n(at.v, n, xdot);
@@ -556,10 +538,10 @@ MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Poi
   return on;
 }
 
-double MechanicalHybrid::Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const {
-  const Mode& of = ModeAt(mode);
+double MechanicalHybrid::Guard(const ModePoint& from, int guard) const {
+  const Mode& of = ModeAt(from.mode);
   const Guarded& guarded = of.guards[guard];
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const OnMode on = Projected(of, PointAt(from));
   if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
   ClosedMotion motion;
   if (NeedsForces(guarded)) motion = MotionOf(of, on.at);
@@ -576,11 +558,10 @@ GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded
   return {value.a, value.v[0]};
 }
 
-double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u,
-                                   const double* p, double* rate) const {
-  const Mode& of = ModeAt(mode);
+double MechanicalHybrid::GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const {
+  const Mode& of = ModeAt(from.mode);
   const Guarded& guarded = of.guards[guard];
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const OnMode on = Projected(of, PointAt(from));
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
   if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
@@ -590,10 +571,9 @@ double MechanicalHybrid::GuardRate(int mode, int guard, double t, const double* 
   return found.value;
 }
 
-void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const double* xdot, const double* u,
-                                  const double* p, GuardValue* all) const {
-  const Mode& of = ModeAt(mode);
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+void MechanicalHybrid::GuardRates(const ModePoint& from, const double* xdot, GuardValue* all) const {
+  const Mode& of = ModeAt(from.mode);
+  const OnMode on = Projected(of, PointAt(from));
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
   if (!of.closed.empty()) {
@@ -604,18 +584,16 @@ void MechanicalHybrid::GuardRates(int mode, double t, const double* x, const dou
   for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
 }
 
-double MechanicalHybrid::GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                                       double* gradient) const {
-  const Mode& of = ModeAt(mode);
+double MechanicalHybrid::GuardGradient(const ModePoint& from, int guard, double* gradient) const {
+  const Mode& of = ModeAt(from.mode);
   double value = 0;
-  GuardGradients(of, {&of.guards[guard], 1}, PointAt(t, x, u, p), &value, gradient);
+  GuardGradients(of, {&of.guards[guard], 1}, PointAt(from), &value, gradient);
   return value;
 }
 
-void MechanicalHybrid::GuardGradients(int mode, double t, const double* x, const double* u, const double* p,
-                                      double* values, double* gradients) const {
-  const Mode& of = ModeAt(mode);
-  GuardGradients(of, of.guards, PointAt(t, x, u, p), values, gradients);
+void MechanicalHybrid::GuardGradients(const ModePoint& from, double* values, double* gradients) const {
+  const Mode& of = ModeAt(from.mode);
+  GuardGradients(of, of.guards, PointAt(from), values, gradients);
 }
 
 void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from,
@@ -695,31 +673,32 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
   }
 }
 
-int MechanicalHybrid::Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                            double* x_plus) const {
-  const Mode& of = ModeAt(mode);
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
-  const int n = equations_.n();
+int MechanicalHybrid::Reset(const ModePoint& from, int guard, double* x_plus) const {
+  const Mode& of = ModeAt(from.mode);
   Impact impact;
+  return ResetOn(of, of.guards[guard], Projected(of, PointAt(from)).at, &impact, x_plus);
+}
+
+// The reset of a state that is on the equations of its mode. What it has no state after the reset for is left as it is.
+int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+                              double* x_plus) const {
+  const int n = equations_.n();
   std::string why;
-  const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
-  if (!why.empty() && impact.v_plus.size() == 0) return -1;
-  std::copy_n(on.at.q, n, x_plus);
-  std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
+  const std::string next = NextStatus(mode, guarded, at, impact, &why);
+  const bool strikes = impact->v_plus.size() > 0;
+  if (!why.empty() && !strikes) return -1;
+  std::copy_n(at.q, n, x_plus);
+  std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
   return why.empty() ? ModeOf(next) : -1;
 }
 
-int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                                    double* x_plus, double* jacobian) const {
-  const Mode& of = ModeAt(mode);
-  const int n = equations_.n(), columns = equations_.num_columns(false);
-  const OnMode on = Projected(of, PointAt(t, x, u, p), columns);
+int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const {
+  const Mode& of = ModeAt(from.mode);
+  const int columns = equations_.num_columns(false);
+  const OnMode on = Projected(of, PointAt(from), columns);
   Impact impact;
-  std::string why;
-  const std::string next = NextStatus(of, of.guards[guard], on.at, &impact, &why);
-  if (!why.empty() && impact.v_plus.size() == 0) return -1;
-  std::copy_n(on.at.q, n, x_plus);
-  std::copy_n(impact.v_plus.size() > 0 ? impact.v_plus.data() : on.at.v, n, x_plus + n);
+  const int next = ResetOn(of, of.guards[guard], on.at, &impact, x_plus);
+  if (next < 0 && impact.v_plus.size() == 0) return -1;
   int first = 0;
   for (const MechanicalEquations::Seeds& seeds : on.passes) {
     const Block q = equations_.Directions(seeds.q);
@@ -728,7 +707,7 @@ int MechanicalHybrid::ResetJacobian(int mode, int guard, double t, const double*
     CopyColumns(q, v, first, columns, jacobian);
     first += MechanicalEquations::kWidth;
   }
-  return why.empty() ? ModeOf(next) : -1;
+  return next;
 }
 
 // Columns of the Jacobian of a state, of which `first` is the first.
@@ -814,10 +793,9 @@ MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
       .motion;
 }
 
-std::string MechanicalHybrid::WhyNoMode(int mode, int guard, double t, const double* x, const double* u,
-                                        const double* p) const {
-  const Mode& of = ModeAt(mode);
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const {
+  const Mode& of = ModeAt(from.mode);
+  const OnMode on = Projected(of, PointAt(from));
   std::string why;
   if (guard < 0) {
     Close(of.status, ClosedOf(of), on.at, &why);
@@ -828,11 +806,10 @@ std::string MechanicalHybrid::WhyNoMode(int mode, int guard, double t, const dou
   return why;
 }
 
-std::string MechanicalHybrid::WhyNoDerivative(int mode, int guard, double t, const double* x, const double* u,
-                                              const double* p) const {
-  const Mode& of = ModeAt(mode);
+std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) const {
+  const Mode& of = ModeAt(from.mode);
   if (of.guards[guard].what != Guarded::What::kHit) return "";
-  const OnMode on = Projected(of, PointAt(t, x, u, p));
+  const OnMode on = Projected(of, PointAt(from));
   const Impact impact = Hit(of, of.guards[guard].contact, on.at);
   if (!impact.why.empty()) return "";
   std::string names, boundary;
@@ -846,7 +823,7 @@ std::string MechanicalHybrid::WhyNoDerivative(int mode, int guard, double t, con
     }
     // How far the end of the impact is from another branch.
     const double speeds = impact.W.row(row + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
-    const double bound = functions_->Friction(impact.contacts[i], p) * impact.impulse[row];
+    const double bound = functions_->Friction(impact.contacts[i], from.p) * impact.impulse[row];
     const bool at_bound =
         impact.status[i] == 's' && bound - std::abs(impact.impulse[row + 1]) <= kNearly * std::abs(impact.impulse[row]);
     const bool at_rest = SlidingSign(impact.status[i]) != 0 && std::abs(after[row + 1]) <= kNearly * speeds;
@@ -902,11 +879,11 @@ std::vector<int> MechanicalHybrid::NextModes(int mode, int guard, const double* 
   return next;
 }
 
-int MechanicalHybrid::ModeUnder(int mode, double t, const double* x, const double* u, const double* p) const {
-  const Mode& of = ModeAt(mode);
-  if (of.closed.empty()) return mode;
+int MechanicalHybrid::ModeUnder(const ModePoint& from) const {
+  const Mode& of = ModeAt(from.mode);
+  if (of.closed.empty()) return from.mode;
   std::string why;
-  const std::string next = Close(of.status, ClosedOf(of), PointAt(t, x, u, p), &why);
+  const std::string next = Close(of.status, ClosedOf(of), PointAt(from), &why);
   return why.empty() ? ModeOf(next) : -1;
 }
 

@@ -27,14 +27,14 @@ class MechanicalHybrid final : public HybridFunctions {
   const MechanicalOptions& options() const { return options_; }
 
   struct Guarded {
-    enum class What {
-      kHit,        // the gap
-      kOff,        // f_n
-      kStop,       // sigma v_t
-      kBreakBack,  // mu f_n - f_t, behind which the contact slides with v_t < 0
-      kBreakOn,    // mu f_n + f_t, behind which it slides with v_t > 0
-      kEnd,        // the end of what the gap is measured from
-      kJam,        // N M^-1 (N^T - mu sigma T^T)
+    enum class What {  // in the order of their names in GuardName
+      kHit,            // the gap
+      kOff,            // f_n
+      kStop,           // sigma v_t
+      kBreakBack,      // mu f_n - f_t, behind which the contact slides with v_t < 0
+      kBreakOn,        // mu f_n + f_t, behind which it slides with v_t > 0
+      kEnd,            // the end of what the gap is measured from
+      kJam,            // N M^-1 (N^T - mu sigma T^T)
     } what = What::kHit;
     int contact = 0;
   };
@@ -98,6 +98,7 @@ class MechanicalHybrid final : public HybridFunctions {
   Point PointAt(double t, const double* x, const double* u, const double* p) const {
     return {t, x, x + equations_.n(), u != nullptr ? u : no_control_.data(), p};
   }
+  Point PointAt(const ModePoint& at) const { return PointAt(at.t, at.x, at.u, at.p); }
   std::string ContactName(int contact) const;
 
   int num_modes() const override;
@@ -107,27 +108,18 @@ class MechanicalHybrid final : public HybridFunctions {
   std::string GuardName(int mode, int guard) const override;
   std::string StateName(int /*mode*/, int component) const override { return HybridFunctions::StateName(0, component); }
 
-  void Flow(int mode, double t, const double* x, const double* u, const double* p, double* xdot) const override;
-  void FlowJacobian(int mode, double t, const double* x, const double* u, const double* p, double* xdot,
-                    double* jacobian) const override;
-  double Guard(int mode, int guard, double t, const double* x, const double* u, const double* p) const override;
-  double GuardRate(int mode, int guard, double t, const double* x, const double* xdot, const double* u, const double* p,
-                   double* rate) const override;
-  void GuardRates(int mode, double t, const double* x, const double* xdot, const double* u, const double* p,
-                  GuardValue* all) const override;
-  double GuardGradient(int mode, int guard, double t, const double* x, const double* u, const double* p,
-                       double* gradient) const override;
-  void GuardGradients(int mode, double t, const double* x, const double* u, const double* p, double* values,
-                      double* gradients) const override;
-  int Reset(int mode, int guard, double t, const double* x, const double* u, const double* p,
-            double* x_plus) const override;
-  int ResetJacobian(int mode, int guard, double t, const double* x, const double* u, const double* p, double* x_plus,
-                    double* jacobian) const override;
-  std::string WhyNoMode(int mode, int guard, double t, const double* x, const double* u,
-                        const double* p) const override;
-  std::string WhyNoDerivative(int mode, int guard, double t, const double* x, const double* u,
-                              const double* p) const override;
-  int ModeUnder(int mode, double t, const double* x, const double* u, const double* p) const override;
+  void Flow(const ModePoint& from, double* xdot) const override;
+  void FlowJacobian(const ModePoint& from, double* xdot, double* jacobian) const override;
+  double Guard(const ModePoint& from, int guard) const override;
+  double GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const override;
+  void GuardRates(const ModePoint& from, const double* xdot, GuardValue* all) const override;
+  double GuardGradient(const ModePoint& from, int guard, double* gradient) const override;
+  void GuardGradients(const ModePoint& from, double* values, double* gradients) const override;
+  int Reset(const ModePoint& from, int guard, double* x_plus) const override;
+  int ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const override;
+  std::string WhyNoMode(const ModePoint& from, int guard) const override;
+  std::string WhyNoDerivative(const ModePoint& from, int guard) const override;
+  int ModeUnder(const ModePoint& from) const override;
   bool Projects(int mode) const override { return !ModeAt(mode).closed.empty(); }
   void Project(int mode, const double* x, const double* p, double* x_plus) const override;
   void ProjectJacobian(int mode, const double* x, const double* p, double* x_plus, double* jacobian) const override;
@@ -171,6 +163,7 @@ class MechanicalHybrid final : public HybridFunctions {
   GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
                         const MechanicalEquations::TimePath<double>& path, const MechanicalEquations::Seeds& seeds,
                         const ClosedMotion& motion) const;
+  int ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact, double* x_plus) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
   // Whether what a mode says of closed contacts holds at a jump of the control.

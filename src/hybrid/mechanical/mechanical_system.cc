@@ -1,7 +1,5 @@
 #include "saltus/hybrid/mechanical_system.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>

@@ -1,7 +1,5 @@
 #include "solve/phases/hybrid_phases.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -13,7 +11,6 @@ namespace saltus {
 namespace {
 
 constexpr double kMissWeight = 1e3;    // of constraints beside the loss, relative to its scale
-constexpr double kSameTime = 1e-6;     // of the duration
 constexpr double kNodeMargin = 2e-13;  // of the duration: nodes are by half of it behind the events that belong there
 constexpr double kDelay = 1e-7;        // of the duration
 constexpr int kFewestIntervals = 64;   // where no control or cost of intervals gives their number
@@ -88,11 +85,7 @@ class HybridPhaseRun::Transcriber {
   }
   bool IsRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence,
                   const std::vector<double>& times) const {
-    if (!motion.exact.ok || !motion.exact.only_impacts || motion.exact.contacts != sequence) return false;
-    for (size_t k = 0; k < times.size(); ++k) {
-      if (std::abs(motion.exact.events[k].time - times[k]) > kSameTime * DurationOf(motion)) return false;
-    }
-    return true;
+    return HasEvents(motion.exact, sequence, times, DurationOf(motion));
   }
 
  private:
@@ -168,9 +161,9 @@ void HybridPhaseRun::FindScales() {
     const std::span<const double> x = simulator.StepState(step);
     const double t = simulator.StepTime(step);
     slope.resize(x.size());
-    system.functions().Flow(mode, t, x.data(), zeros.data(), p, slope.data());
+    system.functions().Flow({mode, t, x.data(), zeros.data(), p}, slope.data());
     for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
-    scales_.Add(system.functions(), mode, t, x.data(), slope.data(), u.data(), p, kOfRate * problem_.guess.duration);
+    scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), kOfRate * problem_.guess.duration);
   }
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;
@@ -235,19 +228,11 @@ double HybridPhaseRun::MeritOf(const HybridMotion& motion) const {
 
 void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
   const HybridFree& free = problem_.free;
-  const auto clamp = [](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
-    if (!min.empty()) *value = std::max(*value, min[i]);
-    if (!max.empty()) *value = std::min(*value, max[i]);
-  };
-  const auto width = static_cast<size_t>(control_width());
-  for (size_t i = 0; free.control && i < motion->control.size(); ++i) {
-    clamp(&motion->control[i], free.control_min, free.control_max, i % width);
-  }
-  for (size_t i = 0; i < free.initial.size(); ++i) {
-    clamp(&motion->initial[free.initial[i]], free.initial_min, free.initial_max, i);
-  }
-  for (size_t i = 0; i < free.parameters.size(); ++i) {
-    clamp(&motion->parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+  for (const FreeVariable& variable :
+       FreeVariables(free, control_width(), static_cast<int>(motion->durations.size()))) {
+    if (variable.kind == FreeVariable::Kind::kDuration) continue;
+    double& value = variable.In(*motion);
+    value = std::min(std::max(value, variable.min), variable.max);
   }
   if (!free.duration) return;
   const double duration = DurationOf(*motion), within = std::clamp(duration, free.duration_min, free.duration_max);
@@ -360,39 +345,21 @@ Certificate HybridPhaseRun::Certify(const HybridMotion& motion) const {
   return saltus::Certify(problem_, InputOf(motion));
 }
 
-// Steps of many lengths, to both sides along the direction.
 std::vector<HybridMotion> HybridPhaseRun::LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const {
-  constexpr int kLargest = 4, kLengths = 24;  // powers of two
   double size = 1;
   for (const double u : motion.control) size = std::max(size, std::abs(u));
-  std::vector<HybridMotion> better;
-  const double least = motion.exact.loss - 1e-12 * std::abs(motion.exact.loss);
-  for (int power = kLargest; power > kLargest - kLengths; --power) {
-    for (const double sign : {1.0, -1.0}) {
-      const double length = sign * std::ldexp(size, power);
-      HybridMotion moved = motion;
-      auto next = curvature.direction.begin();
-      for (double& u : moved.control) u += length * *next++;
-      for (const int i : problem_.free.initial) moved.initial[i] += length * *next++;
-      for (const int i : problem_.free.parameters) moved.parameters[i] += length * *next++;
-      if (problem_.free.duration) {
-        const double whole = DurationOf(motion), stretch = std::max(0.1, 1 + length * *next / whole);
-        for (double& duration : moved.durations) duration *= stretch;
-      }
-      MoveWithin(&moved);
-      Simulate(&moved);
-      if (moved.exact.ok && moved.exact.loss < least) better.push_back(std::move(moved));
+  return StepsFromSaddle(motion, size, [&](double length, HybridMotion* moved) {
+    auto next = curvature.direction.begin();
+    for (double& u : moved->control) u += length * *next++;
+    for (const int i : problem_.free.initial) moved->initial[i] += length * *next++;
+    for (const int i : problem_.free.parameters) moved->parameters[i] += length * *next++;
+    if (problem_.free.duration) {
+      const double whole = DurationOf(motion), stretch = std::max(0.1, 1 + length * *next / whole);
+      for (double& duration : moved->durations) duration *= stretch;
     }
-  }
-  std::stable_sort(better.begin(), better.end(), [](const HybridMotion& a, const HybridMotion& b) {
-    return a.exact.loss < b.exact.loss;
+    MoveWithin(moved);
+    Simulate(moved);
   });
-  std::vector<HybridMotion> best;  // of each sequence
-  for (HybridMotion& candidate : better) {
-    const auto same = [&](const HybridMotion& known) { return known.exact.contacts == candidate.exact.contacts; };
-    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
-  }
-  return best;
 }
 
 SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Termination termination,

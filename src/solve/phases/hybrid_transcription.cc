@@ -7,7 +7,6 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <span>
 
 namespace saltus {
 namespace {
@@ -86,13 +85,8 @@ class StepRows final : public Rows {
     const int n = num_residuals(), m = functions_.layout().num_controls, P = functions_.layout().num_parameters;
     const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
     const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
-    const FlowStep step{mode_,
-                        begin + part * (end - begin),
-                        (end - begin) / count_,
-                        blocks[0],
-                        m > 0 ? blocks[of_control] : nullptr,
-                        P > 0 ? blocks[of_parameters] : nullptr,
-                        projects_};
+    const double *u = m > 0 ? blocks[of_control] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
+    const FlowStep step{{mode_, begin + part * (end - begin), blocks[0], u, p}, (end - begin) / count_, projects_};
     Eigen::VectorXd after(n);
     integrator_.Step(step, after.data());
     Eigen::Map<Eigen::VectorXd>(rows, n) =
@@ -143,21 +137,21 @@ class GuardRows final : public Rows {
               m = functions_.layout().num_controls;
     const int of_parameters = 1 + reads_control_, times = of_parameters + (P > 0);
     const double *u = reads_control_ ? blocks[1] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
-    const double t = time_.At(blocks + times);
+    const ModePoint at{mode_, time_.At(blocks + times), blocks[0], u, p};
     const bool one = guards_.size() == 1;
     const int all = one ? 1 : functions_.num_guards(mode_);
     Eigen::VectorXd values(all);
     Matrix gradients(all, n + 1 + P + m);
     if (one && jacobians == nullptr) {
-      values[0] = functions_.Guard(mode_, guards_[0].guard, t, blocks[0], u, p);
+      values[0] = functions_.Guard(at, guards_[0].guard);
     } else if (one) {
-      values[0] = functions_.GuardGradient(mode_, guards_[0].guard, t, blocks[0], u, p, gradients.data());
+      values[0] = functions_.GuardGradient(at, guards_[0].guard, gradients.data());
     } else if (jacobians != nullptr) {
-      functions_.GuardGradients(mode_, t, blocks[0], u, p, values.data(), gradients.data());
+      functions_.GuardGradients(at, values.data(), gradients.data());
     } else {
       const std::vector<double> still(n, 0.0);
       std::vector<GuardValue> found(all);
-      functions_.GuardRates(mode_, t, blocks[0], still.data(), u, p, found.data());
+      functions_.GuardRates(at, still.data(), found.data());
       for (int guard = 0; guard < all; ++guard) values[guard] = found[guard].value;
     }
     const auto place = [&](const Row& row) { return one ? 0 : row.guard; };
@@ -210,14 +204,8 @@ class ResetRows final : public Rows {
     const int time = 1 + (P > 0);
     Eigen::VectorXd x_plus = Eigen::VectorXd::Constant(most, NAN);
     Matrix jacobian(most, n + 1 + P);
-    const int next = functions_.ResetJacobian(event_.mode,
-                                              event_.guard,
-                                              blocks[time][0],
-                                              blocks[0],
-                                              control_,
-                                              P > 0 ? blocks[1] : nullptr,
-                                              x_plus.data(),
-                                              jacobian.data());
+    const ModePoint at{event_.mode, blocks[time][0], blocks[0], control_, P > 0 ? blocks[1] : nullptr};
+    const int next = functions_.ResetJacobian(at, event_.guard, x_plus.data(), jacobian.data());
     if (next != event_.next_mode && !functions_.CreatesModes()) return false;
     Eigen::Map<Eigen::VectorXd>(rows, after) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[time + 1], after) - x_plus.head(after));
@@ -357,8 +345,8 @@ std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const
 
 }  // namespace
 
-void HybridScales::Add(const HybridFunctions& functions, int mode, double t, const double* x, const double* slope,
-                       const double* u, const double* p, double time) {
+void HybridScales::Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double time) {
+  const int mode = at.mode;
   if (mode >= static_cast<int>(state.size())) {
     state.resize(mode + 1);
     guard.resize(mode + 1);
@@ -366,9 +354,9 @@ void HybridScales::Add(const HybridFunctions& functions, int mode, double t, con
   state[mode].resize(functions.state_size(mode));
   guard[mode].resize(functions.num_guards(mode));
   std::vector<GuardValue> guards(guard[mode].size());
-  functions.GuardRates(mode, t, x, slope, u, p, guards.data());
+  functions.GuardRates(at, slope, guards.data());
   for (size_t i = 0; i < state[mode].size(); ++i) {
-    state[mode][i] = std::max({state[mode][i], std::abs(x[i]), time * std::abs(slope[i])});
+    state[mode][i] = std::max({state[mode][i], std::abs(at.x[i]), time * std::abs(slope[i])});
   }
   for (size_t i = 0; i < guard[mode].size(); ++i) {
     guard[mode][i] = std::max({guard[mode][i], std::abs(guards[i].value), time * std::abs(guards[i].rate)});
@@ -438,13 +426,10 @@ bool HybridTranscription::Lay(const Start& start) {
         for (int i = 0; i < m; ++i) u[i] = start.control(i, middle);
       }
       const std::vector<double>& x = nodes_.back();
-      const FlowStep step{phase.mode,
-                          begin + k * length / count,
-                          length / count,
-                          x.data(),
-                          controls_.back().data(),
-                          parameters_.data(),
-                          Projects(j, k)};
+      const FlowStep step{
+          {phase.mode, begin + k * length / count, x.data(), controls_.back().data(), parameters_.data()},
+          length / count,
+          Projects(j, k)};
       std::vector<double> next(x.size());
       integrator_.Step(step, next.data());
       nodes_.push_back(std::move(next));
@@ -455,13 +440,9 @@ bool HybridTranscription::Lay(const Start& start) {
     if (event.mode != phase.mode) return false;
     if (event.is_switch()) continue;
     std::vector<double> after(functions_.most_states(), NAN);
-    const int next = functions_.Reset(event.mode,
-                                      event.guard,
-                                      *End(j),
-                                      nodes_.back().data(),
-                                      controls_.empty() ? nullptr : controls_.back().data(),
-                                      parameters_.data(),
-                                      after.data());
+    const double* u = controls_.empty() ? nullptr : controls_.back().data();
+    const int next =
+        functions_.Reset({event.mode, *End(j), nodes_.back().data(), u, parameters_.data()}, event.guard, after.data());
     if (next != event.next_mode && !functions_.CreatesModes()) return false;
     after.resize(functions_.state_size(event.next_mode));
     nodes_.push_back(std::move(after));
@@ -527,15 +508,9 @@ void HybridTranscription::FindScalesOfNewModes() {
     for (int node = phase.first_node; node <= phase.last_node; ++node) {
       const double t = *Begin(j) + (*End(j) - *Begin(j)) * (node - phase.first_node) / count;
       const double* u = ControlBefore(node - phase.first_node, phase);
-      functions_.Flow(phase.mode, t, nodes_[node].data(), u, parameters_.data(), slope.data());
-      scales_.Add(functions_,
-                  phase.mode,
-                  t,
-                  nodes_[node].data(),
-                  slope.data(),
-                  u,
-                  parameters_.data(),
-                  kOfRate * problem_.guess.duration);
+      const ModePoint at{phase.mode, t, nodes_[node].data(), u, parameters_.data()};
+      functions_.Flow(at, slope.data());
+      scales_.Add(functions_, at, slope.data(), kOfRate * problem_.guess.duration);
     }
   }
   scales_.Finish();
@@ -749,10 +724,10 @@ std::vector<double> HybridTranscription::CutSpeeds() const {
     const int control = std::max(phases_[j].first_control + phases_[j].intervals - 1, 0);
     const double t = times_[boundary_[j + 1]];
     slope.resize(x.size());
-    functions_.Flow(event.mode, t, x.data(), controls_[control].data(), parameters_.data(), slope.data());
+    const ModePoint at{event.mode, t, x.data(), controls_[control].data(), parameters_.data()};
+    functions_.Flow(at, slope.data());
     double rate = 0;
-    functions_.GuardRate(
-        event.mode, event.guard, t, x.data(), slope.data(), controls_[control].data(), parameters_.data(), &rate);
+    functions_.GuardRate(at, event.guard, slope.data(), &rate);
     speeds.push_back(rate * problem_.guess.duration / scales_.guard[event.mode][event.guard]);
   }
   return speeds;

@@ -19,7 +19,6 @@
 
 #include <deque>
 #include <functional>
-#include <memory>
 #include <vector>
 
 #include "hybrid/runge_kutta.h"
@@ -41,10 +40,9 @@ struct HybridScales {
   std::vector<std::vector<double>> state, guard;
   double loss = 1;
 
-  // Takes a state in a mode into account. Guards have control u; `slope` is the rate of x, which makes a difference
+  // Takes a state in a mode, with its control, into account; `slope` is the rate of x, which makes a difference
   // within `time`.
-  void Add(const HybridFunctions& functions, int mode, double t, const double* x, const double* slope, const double* u,
-           const double* p, double time);
+  void Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double time);
   // Sizes of nothing are 1.
   void Finish();
 };

@@ -119,6 +119,42 @@ std::function<double(int entry, double t)> ControlOf(const Motion& trial, int wi
   };
 }
 
+// Whether an exact simulation has these events, at these times, and no others.
+template <typename Exact, typename Event>
+bool HasEvents(const Exact& exact, const std::vector<Event>& sequence, const std::vector<double>& times,
+               double duration) {
+  constexpr double kSameTime = 1e-6;  // of the duration
+  if (!exact.ok || !exact.only_impacts || exact.contacts != sequence) return false;
+  for (size_t k = 0; k < times.size(); ++k) {
+    if (std::abs(exact.events[k].time - times[k]) > kSameTime * duration) return false;
+  }
+  return true;
+}
+
+// Leaves a saddle: steps of many lengths, that of the largest in proportion to `size`, to both sides along a direction
+// of negative curvature. move(length, &motion) takes one and simulates it. Of the motions that are better by more than
+// rounding, the best with each sequence of events, best first.
+template <typename Motion, typename Move>
+std::vector<Motion> StepsFromSaddle(const Motion& saddle, double size, const Move& move) {
+  constexpr int kLargest = 4, kLengths = 24;  // powers of two
+  std::vector<Motion> better;
+  const double least = saddle.exact.loss - 1e-12 * std::abs(saddle.exact.loss);
+  for (int power = kLargest; power > kLargest - kLengths; --power) {
+    for (const double sign : {1.0, -1.0}) {
+      Motion moved = saddle;
+      move(sign * std::ldexp(size, power), &moved);
+      if (moved.exact.ok && moved.exact.loss < least) better.push_back(std::move(moved));
+    }
+  }
+  std::ranges::stable_sort(better, {}, [](const Motion& motion) { return motion.exact.loss; });
+  std::vector<Motion> best;
+  for (Motion& candidate : better) {
+    const auto same = [&](const Motion& known) { return known.exact.contacts == candidate.exact.contacts; };
+    if (std::ranges::none_of(best, same)) best.push_back(std::move(candidate));
+  }
+  return best;
+}
+
 inline constexpr int kMostSaddles = 5;  // left one after the other
 // Remarks for a person: that a saddle was left, and what came after.
 inline std::string DescribeSaddle(const std::string& then) {

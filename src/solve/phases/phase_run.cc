@@ -9,6 +9,7 @@
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
 #include "saltus/control/objective.h"
+#include "scene/units.h"
 #include "simulate/impact.h"
 
 namespace saltus {
@@ -234,19 +235,10 @@ std::string PhaseRun::DescribeMiss(const Trial& trial) const {
     std::snprintf(part, sizeof part, "%.6g", trial.own.violation);
     return std::string(part) + " of its scale, by " + trial.own.worst;
   }
-  struct Unit {
-    double size;
-    const char* name;
-  };
-  const Unit units[] = {// by quantity
-                        {scene_.units.length, " m"},
-                        {scene_.units.speed(), " m/s"},
-                        {1, " rad"},
-                        {1 / scene_.units.time, " rad/s"}};
-  const Unit& unit = units[static_cast<int>(miss.quantity)];
+  constexpr const char* kUnits[] = {" m", " m/s", " rad", " rad/s"};  // by quantity
   char text[40];
-  std::snprintf(text, sizeof text, "%.6g", miss.size * unit.size);
-  return std::string(text) + unit.name + ", by " + scene_.bodies[miss.body].name;
+  std::snprintf(text, sizeof text, "%.6g", miss.size * UnitFactors(scene_.units, {}).of(miss.quantity));
+  return std::string(text) + kUnits[static_cast<int>(miss.quantity)] + ", by " + scene_.bodies[miss.body].name;
 }
 
 SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termination, std::string reason) {

@@ -27,7 +27,7 @@ class DiscMotions {
 
   void Simulate(Trial* trial) const { saltus::Simulate(*scene_, *terms_, trial); }
   bool IsRealized(const Trial& trial, const ContactSequence& sequence, const std::vector<double>& times) const {
-    return saltus::IsRealized(*scene_, trial.exact, sequence, times);
+    return HasEvents(trial.exact, sequence, times, scene_->duration);
   }
   // What is left of hard terms in the scene's units or of a user's constraints; infinite if the trial has not run, or
   // what must not touch has.

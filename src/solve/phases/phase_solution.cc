@@ -16,14 +16,10 @@
 namespace saltus {
 namespace {
 
-constexpr double kSameTime = 1e-6;  // of the horizon
-
 EventPhases::State MotionsOf(const DiscStates& x) { return {{x.p.begin(), x.p.end()}, {x.v.begin(), x.v.end()}}; }
 
 double GapOf(const Scene& scene, const Candidate& c, const DiscStates& x) {
-  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
-  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - contact_distance;
-  return Separate<double>(x.p[c.a], x.p[c.b]).distance - contact_distance;
+  return SeparationOf(scene, c, x.p).distance - MakeImpactConstants(scene, c).contact_distance;
 }
 
 // When the pair is nearest inside (from, to).
@@ -47,12 +43,7 @@ bool IsPushed(const Scene& scene, int body) {
 
 // Gives a pushed disc of the pair such a velocity that the two approach.
 void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
-  Vec2d normal;
-  if (c.plane) {
-    normal = MakeHalfPlane(scene.planes[c.b]).normal;
-  } else {
-    normal = Separate<double>(x->p[c.a], x->p[c.b]).normal;
-  }
+  const Vec2d normal = SeparationOf(scene, c, x->p).normal;
   const double speed = Dot(normal, x->v[c.a]) - (c.plane ? 0.0 : Dot(normal, x->v[c.b]));
   const double least =
       (MakeImpactConstants(scene, c).contact_distance + std::abs(GapOf(scene, c, *x))) / scene.duration;
@@ -164,21 +155,11 @@ PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequ
   return guess;
 }
 
-bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
-                const std::vector<double>& times) {
-  if (!run.ok || !run.only_impacts || run.contacts != sequence) return false;
-  for (size_t k = 0; k < times.size(); ++k) {
-    if (std::abs(run.events[k].time - times[k]) > kSameTime * scene.duration) return false;
-  }
-  return true;
-}
-
 Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
   return Certify(scene, InitialState(scene), trial.control, trial.durations);
 }
 
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
-  constexpr int kLargest = 4, kLengths = 24;  // powers of two
   // Of the control, in the mean over time; or a force that moves a disc by its radius.
   double size = 0;
   const size_t width = scene.control_width();
@@ -190,28 +171,11 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
     const Body& disc = scene.bodies[body];
     size = std::max(size, disc.mass * disc.radius * std::pow(scene.duration, -1.5));
   }
-  std::vector<Trial> better;
-  const double least = trial.exact.loss - 1e-12 * std::abs(trial.exact.loss);
-  for (int power = kLargest; power > kLargest - kLengths; --power) {
-    for (const double sign : {1.0, -1.0}) {
-      Trial moved = trial;
-      for (size_t i = 0; i < moved.control.size(); ++i) {
-        moved.control[i] += sign * std::ldexp(size, power) * curvature.direction[i];
-      }
-      MoveWithinBounds(scene, moved.control);
-      Simulate(scene, {}, &moved);
-      if (!moved.exact.ok || !(moved.exact.loss < least)) continue;
-      better.push_back(std::move(moved));
-    }
-  }
-  std::stable_sort(
-      better.begin(), better.end(), [](const Trial& a, const Trial& b) { return a.exact.loss < b.exact.loss; });
-  std::vector<Trial> best;
-  for (Trial& candidate : better) {
-    const auto same = [&](const Trial& known) { return known.exact.contacts == candidate.exact.contacts; };
-    if (std::none_of(best.begin(), best.end(), same)) best.push_back(std::move(candidate));
-  }
-  return best;
+  return StepsFromSaddle(trial, size, [&](double length, Trial* moved) {
+    for (size_t i = 0; i < moved->control.size(); ++i) moved->control[i] += length * curvature.direction[i];
+    MoveWithinBounds(scene, moved->control);
+    Simulate(scene, {}, moved);
+  });
 }
 
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
@@ -301,7 +265,8 @@ void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
   solution->valid = true;
   Simulate(scene, {}, &solution->trial);
   const std::span<const double> impacts(solution->times.data(), solution->times.size() - 1);
-  solution->realized = IsRealized(scene, solution->trial.exact, solution->sequence, {impacts.begin(), impacts.end()});
+  solution->realized =
+      HasEvents(solution->trial.exact, solution->sequence, {impacts.begin(), impacts.end()}, scene.duration);
 }
 
 }  // namespace

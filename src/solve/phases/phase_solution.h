@@ -86,13 +86,9 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
-// Leaves a saddle: exact simulations of steps of many lengths, to both sides along a direction of negative curvature.
-// Of those that are better than `trial` by more than rounding, the best with each sequence of impacts, best first.
+// Better motions on both sides of a saddle (StepsFromSaddle).
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
 
-// Whether the exact run has these impacts, at these times, and no others.
-bool IsRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence,
-                const std::vector<double>& times);
 // For a person: where the exact run departs from the sequence.
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
 // For a person: why a solution whose minimum touches, or that is not realized, is no optimum.

@@ -12,7 +12,6 @@
 #include <array>
 #include <functional>
 #include <optional>
-#include <span>
 #include <vector>
 
 #include "control/own_term_cost.h"

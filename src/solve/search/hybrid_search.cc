@@ -46,17 +46,12 @@ class HybridSearch {
         }
       }
     }
-    const auto draw = [&](double* value, const std::vector<double>& min, const std::vector<double>& max, size_t i) {
-      const double part = random.Uniform(0, 1);
-      const bool bounded = !min.empty() && !max.empty() && std::isfinite(max[i] - min[i]);
-      const double size = std::max(1.0, std::abs(*value));
-      *value = bounded ? min[i] + part * (max[i] - min[i]) : *value + (2 * part - 1) * size;
-    };
-    for (size_t i = 0; i < free.initial.size(); ++i) {
-      draw(&motion.initial[free.initial[i]], free.initial_min, free.initial_max, i);
-    }
-    for (size_t i = 0; i < free.parameters.size(); ++i) {
-      draw(&motion.parameters[free.parameters[i]], free.parameters_min, free.parameters_max, i);
+    for (const FreeVariable& variable : FreeVariables(free, width, /*num_intervals=*/0)) {
+      if (variable.kind == FreeVariable::Kind::kDuration) continue;
+      const double part = random.Uniform(0, 1), range = variable.max - variable.min;
+      double& value = variable.In(motion);
+      const double size = std::max(1.0, std::abs(value));
+      value = std::isfinite(range) ? variable.min + part * range : value + (2 * part - 1) * size;
     }
     return motion;
   }
@@ -163,8 +158,8 @@ class HybridSearch {
       if (mode == problem_.guess.mode) x = problem_.guess.initial;
       for (int guard = 0; guard < system.num_guards(mode); ++guard) {
         if (known(mode, guard)) continue;
-        const int next =
-            system.functions().Reset(mode, guard, 0, x.data(), nullptr, problem_.guess.parameters.data(), after.data());
+        const ModePoint at{mode, 0, x.data(), nullptr, problem_.guess.parameters.data()};
+        const int next = system.functions().Reset(at, guard, after.data());
         if (next >= 0 && next < system.num_modes()) events.push_back({mode, guard, next});
       }
     }
@@ -208,8 +203,8 @@ class HybridSearch {
               P = static_cast<int>(guess.parameters.size()), columns = n + 1 + P + m;
     std::vector<double> xdot(n), jacobian(n * columns), sizes(m, 1.0);
     const std::vector<double> zeros(m);
-    problem.system.functions().FlowJacobian(
-        guess.mode, 0, guess.initial.data(), zeros.data(), guess.parameters.data(), xdot.data(), jacobian.data());
+    const ModePoint start{guess.mode, 0, guess.initial.data(), zeros.data(), guess.parameters.data()};
+    problem.system.functions().FlowJacobian(start, xdot.data(), jacobian.data());
     for (int c = 0; c < m; ++c) {
       double size = 0;
       for (int i = 0; i < n; ++i) {

@@ -30,7 +30,6 @@ namespace saltus {
 namespace {
 
 constexpr double kBound = 3;           // times the best loss
-constexpr double kSameLoss = 1e-6;     // relative: the same optimum of a sequence
 constexpr double kNoLoss = 1e-12;      // in natural units: to be compared with nothing smaller
 constexpr double kProved = 1e-8;       // relative, between the best loss and a lower bound
 constexpr int kPatience = 150;         // solves after which nothing better is expected
@@ -141,20 +140,18 @@ class RunnersUp {
   std::multimap<double, Motion> motions_;
 };
 
-class ModeSearch {
+class ModeSearch : LimitedSearch {
  public:
   ModeSearch(PhaseRun* run, const SolveRequest& request)
-      : run_(*run),
+      : LimitedSearch(run->options()),
+        run_(*run),
         request_(request),
         scene_(run->scene()),
-        options_(run->options()),
         bound_(scene_),
         queue_(options_.search_options.memory / 2) {
     const SearchOptions& search = options_.search_options;
-    options_.stop = StopAfter(search.seconds, run->options().stop);
     options_.memory_limit = std::min(options_.memory_limit, search.memory / (2 * NumThreads(options_.threads)));
     searched_.lower_bound = bound_.lowest();
-    searched_.complete = true;
   }
 
   SolveReport Search(const ContactSequence& first) {
@@ -177,9 +174,6 @@ class ModeSearch {
   }
 
  private:
-  // What a limit ends.
-  enum class End { kInterrupt, kTime, kWork, kIterations };
-
   double BestLoss() const { return best_trial_.exact.loss; }
   double Bound() const { return kBound * BestLoss(); }
   // Whether no motion is better than the best optimum. Precondition: there is one.
@@ -191,13 +185,6 @@ class ModeSearch {
   bool LacksPairs() const {
     const ContactSequence& met = best_trial_.exact.contacts;
     return std::ranges::any_of(AllPairs(scene_), [&](const Candidate& c) { return std::ranges::count(met, c) == 0; });
-  }
-  bool Stopped() const { return options_.stop && options_.stop(); }
-
-  // Something is not tried.
-  void Leave(const std::string& why) {
-    searched_.complete = false;
-    if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
   }
 
   // ----------------------------------------------------------------------------------------------------------- solves
@@ -257,17 +244,17 @@ class ModeSearch {
   // What is solved next: the moves of mending come first, then what they do not reach.
   std::optional<SearchTask> Next() {
     if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
-    if (auto mend = MendBest(best_is_mended_ ? 1 - kSameLoss : kMuchBetter)) return mend;
+    if (auto mend = MendBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
-        if (auto mend = MendBest(1 - kSameLoss)) return mend;
+        if (auto mend = MendBest(1 - kSameOptimum)) return mend;
         if (!IsLong() && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
       if (bound_.Along(task.sequence) <= Bound()) return task;
     }
-    if (auto mend = MendBest(1 - kSameLoss)) return mend;
+    if (auto mend = MendBest(1 - kSameOptimum)) return mend;
     // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
     const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !(HasBestOptimum() && IsProved());
     if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
@@ -345,16 +332,9 @@ class ModeSearch {
       if (end_) return std::nullopt;
       std::optional<SearchTask> task = next();
       if (!task) return std::nullopt;
-      const double most_work = options_.search_options.work;
-      if (most_work > 0 && searched_.work >= most_work) {
-        end_ = End::kWork;
-        return std::nullopt;
-      }
-      if (drawn_++ >= options_.iterations) {
-        end_ = End::kIterations;
-        return std::nullopt;
-      }
-      if (most_work > 0) task->most_work = most_work - searched_.work;
+      const std::optional<double> most_work = CountDrawn();
+      if (!most_work) return std::nullopt;
+      task->most_work = *most_work;
       return task;
     };
     line.solve = [this](const SearchTask& task) {
@@ -370,8 +350,7 @@ class ModeSearch {
         if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
       } else {
         if (outcome.finding.trial.exact.ok) Meet(outcome.finding.trial, "");
-        const StopRequest& interrupt = run_.options().stop;
-        end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
+        EndByStop();
       }
     };
     line.ahead = [](const SearchTask& task) {
@@ -391,7 +370,7 @@ class ModeSearch {
     Say(task);
     const Trial& trial = finding.trial;
     if (!trial.exact.ok) return;
-    const bool is_best = trial.exact.loss < (1 - kSameLoss) * BestLoss();
+    const bool is_best = trial.exact.loss < (1 - kSameOptimum) * BestLoss();
     if (is_best) {
       last_better_ = solves_;
       better_work_ = searched_.work;
@@ -444,7 +423,7 @@ class ModeSearch {
   // Motions whose neighbours are queued: by sequence and loss.
   using Expansion = std::pair<SequenceKey, double>;
   Expansion ExpansionOf(const Trial& trial) const {
-    return {KeyOf(trial.exact.contacts), std::round(trial.exact.loss / (kSameLoss * std::max(kNoLoss, BestLoss())))};
+    return {KeyOf(trial.exact.contacts), std::round(trial.exact.loss / (kSameOptimum * std::max(kNoLoss, BestLoss())))};
   }
   bool IsNew(const Trial& trial) const {
     return trial.exact.loss <= Bound() && !expanded_.contains(ExpansionOf(trial));
@@ -464,12 +443,10 @@ class ModeSearch {
   void Keep(const Trial& trial, std::optional<Certificate> certificate) {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};
     for (const Event& event : trial.exact.events) found.times.push_back(event.time);
-    for (LocalOptimum& known : optima_) {
-      const double difference = std::abs(known.loss - found.loss);
-      if (known.sequence != found.sequence || difference > kSameLoss * std::abs(found.loss)) continue;
+    if (LocalOptimum* known = KnownAs(found)) {
       // The best optimum, from another solve: it may meet the conditions that the first one has missed.
-      if (known.loss == best_optimum_.exact.loss && IsOff(certificate_) && certificate && !IsOff(certificate)) {
-        known = std::move(found);
+      if (known->loss == best_optimum_.exact.loss && IsOff(certificate_) && certificate && !IsOff(certificate)) {
+        *known = std::move(found);
         best_optimum_ = trial;
         certificate_ = std::move(certificate);
       }
@@ -486,35 +463,28 @@ class ModeSearch {
   bool HasBestOptimum() const {
     if (optima_.empty()) return false;
     const double loss = best_optimum_.exact.loss;
-    return !(best_trial_.exact.loss < loss - kSameLoss * std::abs(loss));
+    return !(best_trial_.exact.loss < loss - kSameOptimum * std::abs(loss));
   }
 
   void Say(const SearchTask& task) const {
-    if (!run_.options().status) return;
+    if (!options_.status) return;
     const bool along = task.kind == SearchTask::Kind::kAlong;
-    run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
-                          std::to_string(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
-                          (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
+    options_.status(Status(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
+                    (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
 
   SolveReport Report() {
     if (queue_.has_forgotten()) Leave("the limit of memory");
-    if (end_)
-      Leave(*end_ == End::kIterations ? "the limit of iterations"
-            : *end_ == End::kWork     ? "the limit of work"
-            : *end_ == End::kTime     ? "the limit of time"
-                                      : "");
-    std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
+    const std::string limits = LeaveAtEnd();
     const size_t found = optima_.size();
     const bool best_is_optimum = HasBestOptimum();
     searched_.sequences = static_cast<int>(tried_.size());
-    run_.report().optima = std::move(optima_);
+    run_.report().optima = TakeOptima();
     run_.report().evaluations = jacobians_;
     if (options_.search) run_.report().searched = searched_;
     const Termination end = TerminationOf(best_is_optimum);
-    const std::string limits = left_.empty() ? "" : "; not complete: " + left_;
     if (!best_is_optimum) {
       std::string reason = best_remark_.empty() ? failure_ : best_remark_;
       if (reason.empty()) {
@@ -552,7 +522,6 @@ class ModeSearch {
   PhaseRun& run_;
   const SolveRequest& request_;
   const Scene& scene_;
-  SolverOptions options_;  // with its own limits
   LossBound bound_;
   std::deque<SearchTask> starts_left_;  // which come before the queue
   int around_best_ = 0;                 // starts around the best motion, which come after them
@@ -561,22 +530,18 @@ class ModeSearch {
   SearchQueue queue_;
   std::set<SequenceKey> tried_, mended_sequences_;
   std::set<Expansion> expanded_;
-  std::vector<LocalOptimum> optima_;
   Trial best_optimum_;
   std::optional<Certificate> certificate_;  // of it
   Trial best_trial_;                        // of all motions met, the guess included
   ContactSequence best_along_;              // the sequence along which it was found, which it need not have
   std::string best_remark_;                 // why it is no optimum
   std::string failure_;
-  std::string left_;  // what limits have kept it from
-  Searched searched_;
   double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
   double better_work_ = 0;                                        // done when the search was last better
-  int drawn_ = 0, solves_ = 0, last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
+  int last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
   bool coarse_around_ = false;  // the starts around the best motion are coarse
   bool mends_ = false;          // a motion is being mended
   bool best_is_mended_ = false;
-  std::optional<End> end_;
 };
 
 }  // namespace

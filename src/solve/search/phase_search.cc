@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "control/control_bounds.h"
@@ -157,7 +156,7 @@ std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run
 bool IsBetter(const SolveReport& report, const SolveReport& than) {
   const bool mine = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
   if (!mine || !other) return mine || (!other && report.final_violation < than.final_violation);
-  return report.final_loss < than.final_loss - sequence_search::kSameLoss * std::abs(than.final_loss);
+  return report.final_loss < than.final_loss - kSameOptimum * std::abs(than.final_loss);
 }
 
 }  // namespace

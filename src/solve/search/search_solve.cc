@@ -137,9 +137,8 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
 
 // The gap at a new impact, by how far from a touch its pair would be.
 double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x) {
-  const double radius = scene.bodies[c.a].radius;
-  if (c.plane) return Separate<double>(x.p[c.a], MakeHalfPlane(scene.planes[c.b])).distance - radius;
-  return (x.p[c.a] - x.p[c.b]).norm() - radius - scene.bodies[c.b].radius;
+  const double distance = SeparationOf(scene, c, x.p).distance - scene.bodies[c.a].radius;
+  return c.plane ? distance : distance - scene.bodies[c.b].radius;
 }
 
 }  // namespace

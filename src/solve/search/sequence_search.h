@@ -73,11 +73,81 @@ inline int IterationsWithin(double most_work, double each, int iterations) {
   return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
 }
 
+inline constexpr double kSameOptimum = 1e-6;  // relative, between losses along one sequence
+
+// What all searches share: their limits, which are `iterations` solves, SearchOptions and an interrupt, and their
+// optima.
+class LimitedSearch {
+ protected:
+  // What a limit ends.
+  enum class End { kInterrupt, kTime, kWork, kIterations };
+
+  explicit LimitedSearch(const SolverOptions& options) : options_(options), interrupt_(options.stop) {
+    options_.stop = StopAfter(options.search_options.seconds, interrupt_);
+    searched_.complete = true;
+  }
+
+  bool Stopped() const { return options_.stop && options_.stop(); }
+  void EndByStop() { end_ = interrupt_ && interrupt_() ? End::kInterrupt : End::kTime; }
+
+  // Counts one more solve: the work that it may take (SearchOptions::work), or nothing where a limit ends the search.
+  std::optional<double> CountDrawn() {
+    const double most_work = options_.search_options.work;
+    if (most_work > 0 && searched_.work >= most_work) {
+      end_ = End::kWork;
+    } else if (drawn_++ >= options_.iterations) {
+      end_ = End::kIterations;
+    } else {
+      return most_work > 0 ? most_work - searched_.work : std::numeric_limits<double>::infinity();
+    }
+    return std::nullopt;
+  }
+
+  // Something is not tried.
+  void Leave(const std::string& why) {
+    searched_.complete = false;
+    if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
+  }
+  // What limits have kept it from, to be read after a reason; the search is over.
+  std::string LeaveAtEnd() {
+    static constexpr const char* kLimits[] = {"", "the limit of time", "the limit of work", "the limit of iterations"};
+    if (end_) Leave(kLimits[static_cast<int>(*end_)]);
+    return left_.empty() ? "" : "; not complete: " + left_;
+  }
+
+  // In words, after each solve.
+  std::string Status(double best_loss) const {
+    return std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " + std::to_string(best_loss);
+  }
+
+  // The same optimum of a sequence, where it is found again.
+  LocalOptimum* KnownAs(const LocalOptimum& found) {
+    const auto known = std::ranges::find_if(optima_, [&](const LocalOptimum& other) {
+      return other.sequence == found.sequence &&
+             std::abs(other.loss - found.loss) <= kSameOptimum * std::abs(found.loss);
+    });
+    return known == optima_.end() ? nullptr : &*known;
+  }
+  std::vector<LocalOptimum> TakeOptima() {
+    std::ranges::stable_sort(optima_, {}, &LocalOptimum::loss);
+    return std::move(optima_);
+  }
+
+  SolverOptions options_;  // with its own limits
+  std::vector<LocalOptimum> optima_;
+  Searched searched_;
+  int drawn_ = 0, solves_ = 0;
+  std::optional<End> end_;
+
+ private:
+  StopRequest interrupt_;
+  std::string left_;  // what limits have kept it from
+};
+
 namespace sequence_search {
 
 inline constexpr double kShareRelaxed = 0.3;     // of the limits, for the problem without constraints
 inline constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
-inline constexpr double kSameLoss = 1e-6;        // relative: the same optimum of a sequence
 inline constexpr int kIterationsUpdating = 1000;
 inline constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
 inline constexpr int kIterationsShooting = 30;  // from random starts
@@ -86,13 +156,10 @@ inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
 }  // namespace sequence_search
 
 template <typename Problem>
-class SequenceSearch {
+class SequenceSearch : LimitedSearch {
  public:
   SequenceSearch(typename Problem::Run* run, const Problem& problem)
-      : run_(*run), problem_(problem), options_(run->options()) {
-    options_.stop = StopAfter(options_.search_options.seconds, run->options().stop);
-    searched_.complete = true;
-  }
+      : LimitedSearch(run->options()), run_(*run), problem_(problem) {}
 
   SolveReport Search() {
     SolveAll({{run_.guess(), false, run_.given_sequence()}});
@@ -119,16 +186,8 @@ class SequenceSearch {
     const Start* start;
     double most_work;
   };
-  // What a limit ends.
-  enum class End { kInterrupt, kTime, kWork, kIterations };
 
-  bool Stopped() const { return options_.stop && options_.stop(); }
   double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().losses.front(); }
-
-  void Leave(const std::string& why) {
-    searched_.complete = false;
-    if (left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
-  }
 
   // ----------------------------------------------------------------------------------------------------------- starts
 
@@ -189,15 +248,9 @@ class SequenceSearch {
     line.draw = [&]() -> std::optional<Draw> {
       if (Stopped()) EndByStop();
       if (end_ || next == starts.end()) return std::nullopt;
-      const double most_work = options_.search_options.work;
-      if (most_work > 0 && searched_.work >= most_work) {
-        end_ = End::kWork;
-        return std::nullopt;
-      }
-      const double left = most_work > 0 ? most_work - searched_.work : std::numeric_limits<double>::infinity();
-      if (drawn_++ < options_.iterations) return Draw{&*next++, left};
-      end_ = End::kIterations;
-      return std::nullopt;
+      const std::optional<double> most_work = CountDrawn();
+      if (!most_work) return std::nullopt;
+      return Draw{&*next++, *most_work};
     };
     line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(*draw.start, draw.most_work); };
     line.look = [this](const Draw& draw, Finding finding) {
@@ -232,19 +285,11 @@ class SequenceSearch {
     return finding;
   }
 
-  void EndByStop() {
-    const StopRequest& interrupt = run_.options().stop;
-    end_ = interrupt && interrupt() ? End::kInterrupt : End::kTime;
-  }
-
   void Look(Finding finding) {
     ++solves_;
     run_.report().evaluations += finding.report.evaluations + finding.shooting;
     searched_.work += finding.report.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
-    if (run_.options().status) {
-      run_.options().status(std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " +
-                            std::to_string(problem_.LossForUser(BestLoss())));
-    }
+    if (options_.status) options_.status(Status(problem_.LossForUser(BestLoss())));
     const Trial& trial = finding.trial;
     const bool optimal = finding.report.termination == Termination::kConverged;
     if (trial.exact.ok) AddIfNew(trial.exact.contacts, &searched_along_);
@@ -269,9 +314,9 @@ class SequenceSearch {
     const bool mine = MeetsConstraints(finding.trial), other = MeetsConstraints(best_->trial);
     if (mine != other) return mine;
     const double merit = run_.MeritOf(finding.trial), least = run_.MeritOf(best_->trial);
-    if (merit < least - sequence_search::kSameLoss * std::abs(least)) return true;
+    if (merit < least - kSameOptimum * std::abs(least)) return true;
     const auto converged = [](const Finding& f) { return f.report.termination == Termination::kConverged; };
-    return merit < least + sequence_search::kSameLoss * std::abs(least) && converged(finding) && !converged(*best_);
+    return merit < least + kSameOptimum * std::abs(least) && converged(finding) && !converged(*best_);
   }
 
   void KeepReason(const SolveReport& report) {
@@ -280,26 +325,17 @@ class SequenceSearch {
 
   void Keep(const Trial& trial) {
     LocalOptimum found = problem_.OptimumOf(trial);
-    for (const LocalOptimum& known : optima_) {
-      const double difference = std::abs(known.loss - found.loss);
-      if (known.sequence == found.sequence && difference <= sequence_search::kSameLoss * std::abs(found.loss)) return;
-    }
-    optima_.push_back(std::move(found));
+    if (!KnownAs(found)) optima_.push_back(std::move(found));
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
 
   SolveReport Report() {
-    if (end_ == End::kIterations) Leave("the limit of iterations");
-    if (end_ == End::kWork) Leave("the limit of work");
-    if (end_ == End::kTime) Leave("the limit of time");
-    if (end_ == End::kInterrupt) searched_.complete = false;
-    std::stable_sort(optima_.begin(), optima_.end(), [](const auto& a, const auto& b) { return a.loss < b.loss; });
+    const std::string limits = LeaveAtEnd();
     searched_.sequences = static_cast<int>(searched_along_.size());
     const size_t found = optima_.size();
-    run_.report().optima = std::move(optima_);
+    run_.report().optima = TakeOptima();
     if (options_.search) run_.report().searched = searched_;
-    const std::string limits = left_.empty() ? "" : "; not complete: " + left_;
     if (!best_) {
       const Trial& guess = run_.guess();
       const Termination none = end_ == End::kInterrupt ? Termination::kInterrupted : Termination::kNoProgress;
@@ -323,17 +359,11 @@ class SequenceSearch {
 
   typename Problem::Run& run_;
   const Problem& problem_;
-  SolverOptions options_;  // with its own limits
   std::optional<Finding> best_;
-  std::vector<LocalOptimum> optima_;
   std::vector<Sequence> tried_;           // that were given to a solve
   std::vector<Sequence> searched_along_;  // these, and those that solves have ended with
   std::vector<Sequence> expanded_;        // whose neighbours are tried
   std::string reason_;                    // why nothing was found
-  std::string left_;                      // what limits have kept it from
-  Searched searched_;
-  int drawn_ = 0, solves_ = 0;
-  std::optional<End> end_;
 };
 
 }  // namespace saltus

@@ -95,17 +95,16 @@ std::string WhyNotLm(const HybridProblem& problem) {
 SolveReport SolveByGradientDescent(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("gd", problem, options);
   const HybridShooting& shooting = run.shooting();
-  const std::size_t controls = problem.free.control ? shooting.InputAt(run.initial_guess()).control.size() : 0;
   const double length = problem.guess.duration / problem.guess.num_intervals;
   DescentRule rule;
   rule.move_within = [&](std::vector<double>* z) {
     for (std::size_t i = 0; i < z->size(); ++i) {
-      (*z)[i] = std::clamp((*z)[i], shooting.lower()[i], shooting.upper()[i]);
+      (*z)[i] = std::clamp((*z)[i], shooting.variables()[i].min, shooting.variables()[i].max);
     }
   };
   rule.step = [&](const std::vector<double>& gradient, std::vector<double>* z) {
     for (std::size_t i = 0; i < z->size(); ++i) {
-      const bool per_time = options.rate_per_time && i < controls;
+      const bool per_time = options.rate_per_time && shooting.variables()[i].kind == FreeVariable::Kind::kControl;
       (*z)[i] -= options.learning_rate / (per_time ? length : 1.0) * gradient[i];
     }
     rule.move_within(z);
@@ -125,12 +124,9 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
     std::size_t at = 0;
     for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
       for (int i = 0; i < variables.sizes[block]; ++i, ++at) {
-        if (std::isfinite(shooting.lower()[at])) {
-          ceres->SetParameterLowerBound(variables.blocks[block], i, shooting.lower()[at]);
-        }
-        if (std::isfinite(shooting.upper()[at])) {
-          ceres->SetParameterUpperBound(variables.blocks[block], i, shooting.upper()[at]);
-        }
+        const auto& [kind, index, min, max] = shooting.variables()[at];
+        if (std::isfinite(min)) ceres->SetParameterLowerBound(variables.blocks[block], i, min);
+        if (std::isfinite(max)) ceres->SetParameterUpperBound(variables.blocks[block], i, max);
       }
     }
   };

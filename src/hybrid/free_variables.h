@@ -1,0 +1,29 @@
+// The variables of a hybrid problem as one list.
+#pragma once
+
+#include <vector>
+
+#include "saltus/hybrid/hybrid_problem.h"
+
+namespace saltus {
+
+// A number that a solver may change.
+struct FreeVariable {
+  enum class Kind { kControl, kInitial, kParameter, kDuration } kind = Kind::kControl;
+  int index = 0;            // among the numbers of this kind
+  double min = 0, max = 0;  // infinite where there is no bound
+
+  // The number in an input, a gradient or a motion; one without a duration has none.
+  template <typename Numbers>
+  auto& In(Numbers& of) const {
+    if constexpr (requires { of.duration; }) {
+      if (kind == Kind::kDuration) return of.duration;
+    }
+    return (kind == Kind::kControl ? of.control : kind == Kind::kInitial ? of.initial : of.parameters)[index];
+  }
+};
+
+// Those of the control, by interval, of the initial state and of the parameters, and the duration.
+std::vector<FreeVariable> FreeVariables(const HybridFree& free, int num_controls, int num_intervals);
+
+}  // namespace saltus
