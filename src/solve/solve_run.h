@@ -150,4 +150,7 @@ End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double>
 // Does so, and writes the report.
 SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
+// A run has not converged if its certificate says that its motion is no minimum: no_progress then, with the reason.
+void ConvergesAsCertified(SolveReport* report);
+
 }  // namespace saltus

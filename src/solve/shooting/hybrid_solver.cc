@@ -160,7 +160,10 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   report.reason = WhatIsWrongWith(problem);
   if (report.reason.empty() && options.iterations < 0) report.reason = "iterations: expected 0 or more";
   if (report.reason.empty()) report.reason = entry->why_not(problem);
-  return report.reason.empty() ? entry->solve(problem, options) : report;
+  if (!report.reason.empty()) return report;
+  report = entry->solve(problem, options);
+  ConvergesAsCertified(&report);
+  return report;
 }
 
 }  // namespace saltus
