@@ -29,8 +29,7 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
     const double* control = input.control.empty() ? no_control.data() : &input.control[row];
     Json& values = guards.emplace_back(Json::array());
     for (int guard = 0; guard < system.num_guards(mode); ++guard) {
-      values.push_back(
-          system.functions().Guard({mode, time, state.data(), control, input.parameters.data()}, guard));
+      values.push_back(system.functions().Guard({mode, time, state.data(), control, input.parameters.data()}, guard));
     }
   };
   std::size_t next = 0;
