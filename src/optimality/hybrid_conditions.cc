@@ -33,7 +33,7 @@ constexpr double kAtBound = 1e-6;      // of a bound's range, or an inequality's
 constexpr double kAtNode = 1e-6;       // of an interval: an event so near to its end is at it
 constexpr double kSameTime = 1e-14;    // of the duration
 constexpr double kNoInterval = 1e-9;   // of the duration: of an interval so short nothing is asked
-constexpr double kNegligible = 1e-8;   // of the loss: no rounding error of a condition's terms changes it by so much
+constexpr double kSmallTerms = 0.01;   // of the largest terms of a control: smaller ones are compared with this part
 constexpr int kMostMultipliers = 200;  // of which conditions are looked at
 
 // A step of the motion, from `begin` to `end`, with its derivatives [x t p u h].
@@ -78,7 +78,6 @@ class HybridConditions {
       result.reason = shooting_.WhyFailed();
       return result;
     }
-    loss_ = std::abs(outcome.loss);
     if (result.reason = WhyNot(); !result.reason.empty()) return result;
     for (const HybridTie& tie : simulator().ties()) {
       if (!tie.ambiguous) continue;
@@ -779,13 +778,9 @@ class HybridConditions {
   // ---------------------------------------------------------------------------------------------------------
   // conditions
 
-  // How far a variable may move: between its bounds, or by its size.
-  static double RangeOf(double value, double min, double max) {
-    return std::isfinite(max - min) ? max - min : std::max(1.0, std::abs(value));
-  }
   // Of a variable: the sign that the derivative of the loss may have at its bounds; nothing if it cannot move.
   static std::optional<int> SignAt(double value, double min, double max) {
-    const double range = RangeOf(value, min, max);
+    const double range = std::isfinite(max - min) ? max - min : std::max(1.0, std::abs(value));
     const bool low = value <= min + kAtBound * range, high = value >= max - kAtBound * range;
     if (low && high) return std::nullopt;
     return low ? 1 : high ? -1 : 0;
@@ -834,15 +829,14 @@ class HybridConditions {
       const bool of_control = variable.kind == Kind::kControl, of_duration = variable.kind == Kind::kDuration;
       const double length = of_control ? LengthOf(variable.index / width()) : 1;
       const double size = SizeOf([&, &variable = variable](const Sweep& s) {
-        return of_control                          ? s.control_size[variable.index % width()]
+        // Where a component has no effect its terms are errors of the solution, which do not cancel.
+        return of_control ? std::max(s.control_size[variable.index % width()], kSmallTerms * s.control_size.maxCoeff())
                : variable.kind == Kind::kInitial   ? s.initial_size[variable.index]
                : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
                                                    : s.hamiltonian_size;
       });
-      // Where all terms are rounding errors, they do not cancel to less.
-      const double rounding = kNegligible * loss_ / (RangeOf(variable.In(input_), variable.min, variable.max) * length);
       Add([&, &variable = variable](const Sweep& s) { return ByVariable(s, variable, moving) / length; },
-          std::max(size, rounding),
+          size,
           sign,
           conditions,
           of_control    ? &kinds->controls
@@ -940,7 +934,6 @@ class HybridConditions {
   const HybridFunctions& functions_;
   HybridShooting shooting_;
   RungeKutta integrator_;
-  double loss_ = 0;                 // its absolute value
   std::vector<double> times_;       // of the ends of control intervals
   std::vector<double> boundaries_;  // of the phases
   std::vector<Step> steps_;

@@ -241,7 +241,7 @@ optimize: control
   EXPECT_NEAR(document["runs"][0]["solution"]["control"][0][0], u, 1e-8);  // the loss is flat there
   EXPECT_NEAR(document["runs"][0]["solution"]["control"][0][1], 0, 1e-8);
   EXPECT_NEAR(document["runs"][0]["final_loss"], 5 * (a * u - 3) * (a * u - 3) + 0.5 * u * u, 1e-9);
-  // The derivative by the force along y is a sum of rounding errors.
+  // Though the terms of the condition for the force along y do not cancel, as that force is to be zero.
   EXPECT_EQ(document["runs"][0]["certificate"]["verdict"], "stationary");
   EXPECT_EQ(document["runs"][0]["termination"], "converged");
 }
@@ -252,17 +252,19 @@ TEST_F(BodiesProgram, DoesNotConvergeToWhatIsNoMinimum) {
 name: crate
 duration: 1
 steps: 10
-gravity: [0, -10]
-bodies: [{name: crate, box: [0.2, 0.2], mass: 2, position: [0, 0.1], velocity: [0.5, 0]}]
-walls: [{point: [0, 0], normal: [0, 1]}]
+gravity: [0, -9.81]
+bodies: [{name: crate, box: [0.2, 0.2], mass: 2, position: [0, 0.2]}]
+planes: [{point: [0, 0], normal: [0, 1]}]
 contact: {restitution: 0, friction: 0.4}
 control: {bodies: [crate], initial: [[10, 0, 0]], max: 100}
-objective: {terminal: [{body: crate, quantity: position, target: [0.8, 0.1]}], effort: 0.001}
+objective: {terminal: [{body: crate, quantity: position, target: [0.8, 0.2]}], effort: 0.001}
 optimize: control
 )",
-                                 "--solver=ceres_phases");
+                                 "--solver=ceres_phases",
+                                 1);
   const json& run = document["runs"][0];
-  EXPECT_EQ(run["certificate"]["verdict"] == "not_stationary", run["termination"] == "no_progress") << run;
+  EXPECT_EQ(run["certificate"]["verdict"], "not_stationary");
+  EXPECT_EQ(run["termination"], "no_progress");
 }
 
 // A rod on a hinge swings from the horizontal onto a stop. Its energy at the stop is that which it has lost in height.

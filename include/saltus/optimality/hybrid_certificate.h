@@ -17,7 +17,8 @@
 //
 // Multipliers of events, of equalities and of active inequalities are those that meet the conditions best. On a grid
 // that does not move, events at the ends of intervals where the control jumps are kinks, as certificate.h says.
-// Residuals are relative to the size of the terms that cancel.
+// Residuals are relative to the size of the terms that cancel; those of a component of the control to a hundredth of
+// the largest size of a component if that is larger, as the terms of one that is to be zero do not cancel.
 //
 // Curvature is the second derivative of the Lagrangian along directions that keep constraints and bounds that are
 // active, with the times of events as functions of the variables; intervals move with the events, or on a grid that
