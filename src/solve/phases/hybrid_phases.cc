@@ -301,9 +301,11 @@ std::string HybridPhaseRun::NameOf(const ModeEvent& event) const {
 }
 
 std::string HybridPhaseRun::NameOf(const std::vector<ModeEvent>& sequence) const {
-  std::string text;
-  for (const ModeEvent& event : sequence) text += (text.empty() ? "" : ",") + NameOf(event);
-  return text.empty() ? "none" : text;
+  if (sequence.empty()) return "none";
+  constexpr size_t kMostNamed = 20;
+  std::string text = NameOf(sequence[0]);
+  for (size_t i = 1; i < std::min(sequence.size(), kMostNamed); ++i) text += "," + NameOf(sequence[i]);
+  return sequence.size() <= kMostNamed ? text : text + ",... (" + std::to_string(sequence.size()) + " events)";
 }
 
 std::string HybridPhaseRun::NameOf(const PlanOf<ModeEvent>& plan) const {
@@ -337,7 +339,7 @@ std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std
   if (!motion.exact.ok) return motion.exact.reason;
   if (!motion.exact.only_impacts) return "a guard grazes zero or has a transition at once";
   const std::string planned = NameOf(sequence), met = NameOf(motion.exact.contacts);
-  if (planned == met) return "along " + planned + " events come at other times than planned";
+  if (sequence == motion.exact.contacts) return "along " + planned + " events come at other times than planned";
   return "the optimum along " + planned + " is no motion of the system: its events are " + met;
 }
 
