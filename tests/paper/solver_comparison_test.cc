@@ -19,9 +19,9 @@ class Comparison : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     Experiments experiments(SourceFolder() + "/problems");
-    ASSERT_TRUE(experiments.Run(2, ProgressMode::kNone));
+    EXPECT_TRUE(experiments.Run(2, ProgressMode::kNone));
     comparison_ = new SolverComparison(experiments);
-    ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
+    EXPECT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
 
   static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
