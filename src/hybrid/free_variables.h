@@ -13,7 +13,7 @@ struct FreeVariable {
   int index = 0;            // among the numbers of this kind
   double min = 0, max = 0;  // infinite where there is no bound
 
-  // The number in an input, a gradient or a motion; one without a duration has none.
+  // This number of an input, a gradient or a motion. Precondition: `of` has a duration if this is one.
   template <typename Numbers>
   auto& In(Numbers& of) const {
     if constexpr (requires { of.duration; }) {

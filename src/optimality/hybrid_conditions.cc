@@ -33,7 +33,7 @@ constexpr double kAtBound = 1e-6;      // of a bound's range, or an inequality's
 constexpr double kAtNode = 1e-6;       // of an interval: an event so near to its end is at it
 constexpr double kSameTime = 1e-14;    // of the duration
 constexpr double kNoInterval = 1e-9;   // of the duration: of an interval so short nothing is asked
-constexpr double kSmallTerms = 0.01;   // of the largest terms of a control: smaller ones are compared with this part
+constexpr double kSmallTerms = 0.01;   // of the largest size of a component of the control: the least of a component
 constexpr int kMostMultipliers = 200;  // of which conditions are looked at
 
 // A step of the motion, from `begin` to `end`, with its derivatives [x t p u h].

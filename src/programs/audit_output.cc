@@ -34,7 +34,7 @@ std::vector<Column> GradientColumns(const Scene& scene) {
   return columns;
 }
 
-// The cells of those columns but for the last two.
+// The cells of those columns except the last two.
 std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell loss, const ModelGradient& gradient) {
   std::vector<Cell> row = {name, std::move(loss)};
   for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {

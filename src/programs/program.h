@@ -174,7 +174,7 @@ void WriteTextFile(const std::string& path, const std::string& text);
 // Writes <path>.svg and <path>.png. Throws OutputError if it cannot, unless the grace of an interrupt is over.
 void WriteFigureFiles(const Figure& figure, const std::string& path);
 
-// A table under its caption on standard output; the second, nothing if it has no rows.
+// Prints a table under its caption on standard output. PrintTableIfAny() prints nothing for a table without rows.
 void PrintTable(const std::string& caption, const Table& table);
 void PrintTableIfAny(const std::string& caption, const Table& table);
 

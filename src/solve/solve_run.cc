@@ -225,7 +225,7 @@ SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const 
   return run->Finish(z, termination, std::move(words));
 }
 
-void ConvergesAsCertified(SolveReport* report) {
+void JudgeByCertificate(SolveReport* report) {
   if (report->termination != Termination::kConverged || !report->certificate) return;
   const Certificate& certificate = *report->certificate;
   if (certificate.verdict != Certificate::Verdict::kNotStationary && !certificate.IsSaddle()) return;

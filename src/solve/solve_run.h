@@ -150,7 +150,7 @@ End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double>
 // Does so, and writes the report.
 SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
-// A run has not converged if its certificate says that its motion is no minimum: no_progress then, with the reason.
-void ConvergesAsCertified(SolveReport* report);
+// A converged run whose certificate finds no minimum becomes no_progress, with the reason of the certificate.
+void JudgeByCertificate(SolveReport* report);
 
 }  // namespace saltus

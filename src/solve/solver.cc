@@ -131,7 +131,7 @@ void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* 
   for (size_t i = 0; i < certificate.parameters.size(); ++i) {  // of walls it has those from where they stand
     certificate.parameters[i].value = report->parameters[i];
   }
-  ConvergesAsCertified(report);
+  JudgeByCertificate(report);
 }
 
 // A free duration between equal bounds is none: the scene lasts as long, and its price is a part of every loss.

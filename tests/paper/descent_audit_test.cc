@@ -78,7 +78,7 @@ class Along : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     audit_ = new DescentAudit({{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"});
-    EXPECT_TRUE(audit_->Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(audit_->Run(2, ProgressMode::kNone));
   }
 
   // Of the panel 0 (angles), 1 (exact losses) or 2 (losses).

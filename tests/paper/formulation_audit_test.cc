@@ -21,7 +21,7 @@ class Formulations : public testing::Test {
     audit_ =
         new FormulationAudit({{"One bounce", ProblemScene("bounce_once")}, {"Two balls", ProblemScene("two_balls")}},
                              {"direct", "event", "soft_convex", "smooth_compliant"});
-    EXPECT_TRUE(audit_->Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(audit_->Run(2, ProgressMode::kNone));
   }
   static std::string Get(size_t row, const std::string& column) {
     const CsvDocument csv = *ParseCsv(audit_->ToTable().table.ToCsv());

@@ -29,7 +29,7 @@ class Published : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     experiments_ = new Experiments(SourceFolder() + "/problems");
-    EXPECT_TRUE(experiments_->Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(experiments_->Run(2, ProgressMode::kNone));
     rows_ = new std::vector<PublishedRow>(ReadPublished(SourceFolder() + "/data/published.csv"));
     CompareWithPublished(*experiments_, rows_);
   }

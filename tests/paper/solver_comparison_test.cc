@@ -19,9 +19,9 @@ class Comparison : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     Experiments experiments(SourceFolder() + "/problems");
-    EXPECT_TRUE(experiments.Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(experiments.Run(2, ProgressMode::kNone));
     comparison_ = new SolverComparison(experiments);
-    EXPECT_TRUE(comparison_->Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
 
   static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }

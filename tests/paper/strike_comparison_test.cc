@@ -20,7 +20,7 @@ class Strike : public testing::Test {
   static void SetUpTestSuite() {
     comparison_ = new StrikeComparison(ProblemScene("two_balls"),
                                        ReadBoundedReferences(SourceFolder() + "/data/constrained_references.json"));
-    EXPECT_TRUE(comparison_->Run(2, ProgressMode::kNone));
+    ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
   static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
   static double Gap(const std::string& steps, const std::string& solver) {

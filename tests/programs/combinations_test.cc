@@ -351,7 +351,7 @@ class Combinations : public testing::Test {
     const std::string page = *ReadFile(SourceFolder() + "/docs/how-to/audit-a-simulator.md"),
                       first = "import json\nimport math\n";
     const std::size_t begin = page.find(first);
-    EXPECT_NE(begin, std::string::npos);
+    ASSERT_NE(begin, std::string::npos);
     write("mine.py", page.substr(begin, page.find("```", begin) - begin));
     // A ball that is dropped with restitution 0.8, in closed form, with errors of a millimetre.
     write("bounce.yaml",

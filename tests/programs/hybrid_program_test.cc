@@ -246,7 +246,7 @@ optimize: control
   EXPECT_EQ(document["runs"][0]["termination"], "converged");
 }
 
-// A crate that slides on two corners: ceres_phases keeps its first motion, and says that it is no minimum.
+// A crate slides on two corners. ceres_phases finds nothing better than the first motion, which is no minimum.
 TEST_F(BodiesProgram, DoesNotConvergeToWhatIsNoMinimum) {
   const json document = Document(R"(
 name: crate

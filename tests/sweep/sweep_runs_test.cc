@@ -103,9 +103,9 @@ class SweepRunsTest : public testing::Test {
   // What a sweep that nothing disturbed prints. Computed once.
   static void SetUpTestSuite() {
     const Outcome outcome = RunProgram("saltus_sweep" + SceneFlag("two_balls") + kCheapSweep);
-    EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
     undisturbed_ = outcome.output;
-    EXPECT_EQ(std::count(undisturbed_.begin(), undisturbed_.end(), '\n'), kManyPoints + 1);
+    ASSERT_EQ(std::count(undisturbed_.begin(), undisturbed_.end(), '\n'), kManyPoints + 1);
   }
 
   void SetUp() override {

@@ -162,7 +162,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   if (report.reason.empty()) report.reason = entry->why_not(problem);
   if (!report.reason.empty()) return report;
   report = entry->solve(problem, options);
-  ConvergesAsCertified(&report);
+  JudgeByCertificate(&report);
   return report;
 }
 
