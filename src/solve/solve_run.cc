@@ -201,6 +201,7 @@ double GivenEffort(const SingleShooting& shooting) {
 
 bool RecordIteration::Record(const ceres::IterationSummary& summary) {
   if (summary.iteration == 0 || summary.step_is_successful) last_ = loss_(summary.cost);
+  iterate_ = *z_;
   return run_->Record(last_, *z_);
 }
 

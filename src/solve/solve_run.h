@@ -118,12 +118,15 @@ class RecordIteration final : public ceres::IterationCallback {
       : run_(run), loss_(std::move(loss)), z_(z) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override;
   bool Record(const ceres::IterationSummary& summary);
+  // The last iterate recorded: after a failure Ceres puts the variables back to where it began.
+  const std::optional<std::vector<double>>& iterate() const { return iterate_; }
 
  private:
   ShootingRun* run_;
   std::function<double(double)> loss_;
   const std::vector<double>* z_;
   double last_ = 0;
+  std::optional<std::vector<double>> iterate_;
 };
 
 // How Ceres ended.

@@ -16,9 +16,13 @@ namespace saltus {
 namespace {
 
 // True from the question after the first `most` on.
-StopRequest StopAfter(int64_t most) {
-  return [most, asked = std::make_shared<std::atomic<int64_t>>(0)] { return ++*asked > most; };
+StopRequest StopAfter(int64_t most, std::shared_ptr<std::atomic<int64_t>> asked) {
+  return [most, asked = std::move(asked)] { return ++*asked > most; };
 }
+
+StopRequest StopAfter(int64_t most) { return StopAfter(most, std::make_shared<std::atomic<int64_t>>(0)); }
+
+constexpr int64_t kMostQuestions = 3'000'000;
 
 double LossAt(const SolveRequest& request, const std::vector<double>& control) {
   SingleShooting shooting(MakeSimulator(request.contact, request.scene, request.precision));
@@ -42,15 +46,23 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
   const SolverEntry& solver = *FindSolver(GetParam());
   SolveRequest request{ProblemScene("two_balls"), contact};
   request.scene.steps = 48;
+  SolverOptions options;
+  options.iterations = 200;  // ceres_shooting then moves its impact along nodes
+  options.learning_rate = 10;
+  const auto asked = std::make_shared<std::atomic<int64_t>>(0);
+  options.stop = StopAfter(kMostQuestions, asked);
+  Solve(solver.name, request, options);
+  // The first questions, ever wider apart, and the same number of others, evenly.
+  std::vector<int64_t> ends;
+  for (int64_t most = 0; most < *asked; most += 1 + most / 2) ends.push_back(most);
+  const int64_t num_even = 3 * static_cast<int64_t>(ends.size());
+  for (int64_t i = 0; i < num_even; ++i) ends.push_back(*asked * i / num_even);
   int interrupted = 0, with_progress = 0;
-  for (int64_t most = 0; most < 3'000'000; most += 1 + most / 2) {
-    SolverOptions options;
-    options.iterations = 20;
-    options.learning_rate = 10;
+  for (const int64_t most : ends) {
     options.stop = StopAfter(most);
     const SolveReport report = Solve(solver.name, request, options);
     ASSERT_NE(report.termination, Termination::kFailed) << most << ": " << report.reason;
-    if (report.termination != Termination::kInterrupted) break;
+    if (report.termination != Termination::kInterrupted) continue;
     ++interrupted;
     if (report.losses.empty()) continue;
     with_progress += report.losses.size() > 1;

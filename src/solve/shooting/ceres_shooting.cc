@@ -178,8 +178,10 @@ std::vector<double> NodeSearch::PutOntoNodes(std::vector<double> z, const std::v
     if (!run_->shooting().Evaluate(corrected, &loss, nullptr)) return z;
     PathProblem problem(&run_->shooting(), corrected, arrivals);
     problem.Minimize(0, kTolerance, {});  // linearizes
-    const Eigen::MatrixXd slope = problem.GapJacobian();
-    const Eigen::VectorXd step = slope.transpose() * SolveLdlt(MultiplyByTransposed(slope, slope), problem.Gaps());
+    const auto gaps = problem.LinearizeGaps();
+    if (!gaps) return z;
+    const Eigen::MatrixXd& slope = gaps->jacobian;
+    const Eigen::VectorXd step = slope.transpose() * SolveLdlt(MultiplyByTransposed(slope, slope), gaps->values);
     if (!step.allFinite()) return z;
     Eigen::Map<Eigen::VectorXd>(corrected.data(), corrected.size()) -= step;
   }
@@ -192,7 +194,9 @@ std::optional<NodeSearch::Balance> NodeSearch::BalanceGradients() {
   if (!shooting.Evaluate(z_, &loss, nullptr)) return std::nullopt;
   PathProblem problem(&shooting, z_, arrivals_);
   problem.Minimize(0, kTolerance, {});  // linearizes
-  const Eigen::VectorXd slope = problem.GapJacobian().row(0);
+  const auto gaps = problem.LinearizeGaps();
+  if (!gaps) return std::nullopt;
+  const Eigen::VectorXd slope = gaps->jacobian.row(0);
   const Eigen::Map<const Eigen::VectorXd> z(z_.data(), z_.size());
   const double gap = kAside * shooting.scene().bodies[arrivals_.front().candidate.a].radius;
   Eigen::VectorXd gradients[2];  // early, late

@@ -349,27 +349,24 @@ Gap PathProblem::Parts::GapAt(const Arrival& arrival, const std::vector<double>&
   return GapAfterFlight(path.simulator(), arrival.candidate, path.State(first), {u, u + forces});
 }
 
-Eigen::VectorXd PathProblem::Gaps() const {
-  Eigen::VectorXd gaps(parts_->arrivals.size());
-  for (int i = 0; i < gaps.size(); ++i) gaps[i] = parts_->GapAt(parts_->arrivals[i], z_).value;
-  return gaps;
-}
-
-Eigen::MatrixXd PathProblem::GapJacobian() const {
+std::optional<PathProblem::LinearGaps> PathProblem::LinearizeGaps() const {
+  if (!parts_->path.finite()) return std::nullopt;
   const int forces = parts_->path.simulator().control_width();
-  Eigen::MatrixXd jacobian = Eigen::MatrixXd::Zero(parts_->arrivals.size(), z_.size());
-  for (int i = 0; i < jacobian.rows(); ++i) {
+  const int num_gaps = static_cast<int>(parts_->arrivals.size());
+  LinearGaps gaps{Eigen::VectorXd(num_gaps), Eigen::MatrixXd::Zero(num_gaps, z_.size())};
+  for (int i = 0; i < num_gaps; ++i) {
     const int first = parts_->arrivals[i].node - 2;
     const Gap gap = parts_->GapAt(parts_->arrivals[i], z_);
-    for (int j = 0; j < 2; ++j) jacobian.row(i).segment((first + j) * forces, forces) = gap.by_force[j];
+    gaps.values[i] = gap.value;
+    for (int j = 0; j < 2; ++j) gaps.jacobian.row(i).segment((first + j) * forces, forces) = gap.by_force[j];
     Eigen::VectorXd costate = gap.by_state;
     for (int k = first - 1; k >= 0; --k) {
       const std::vector<RowMajor>& step = parts_->path.step(k).jacobians;
-      jacobian.row(i).segment(k * forces, forces) = -step[1].transpose() * costate;
+      gaps.jacobian.row(i).segment(k * forces, forces) = -step[1].transpose() * costate;
       costate = -step[0].transpose() * costate;
     }
   }
-  return jacobian;
+  return gaps;
 }
 
 }  // namespace saltus

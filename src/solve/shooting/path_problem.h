@@ -18,6 +18,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "saltus/control/single_shooting.h"
@@ -45,9 +46,13 @@ class PathProblem {
   // Of the last rollout.
   double loss() const;
 
-  // The gaps at the arrivals, m, and their derivatives by the forces, one row each: where Jacobians were computed last.
-  Eigen::VectorXd Gaps() const;
-  Eigen::MatrixXd GapJacobian() const;
+  // The gaps at the arrivals, m, and their derivatives by the forces, one row each, at z(). Precondition: Minimize was
+  // called. Nothing if the last rollout or its Jacobians are not finite, or if the simulator was stopped.
+  struct LinearGaps {
+    Eigen::VectorXd values;
+    Eigen::MatrixXd jacobian;
+  };
+  std::optional<LinearGaps> LinearizeGaps() const;
 
  private:
   struct Parts;

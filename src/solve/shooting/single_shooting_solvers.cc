@@ -416,6 +416,7 @@ SolveReport MinimizeLeastSquares(
   ceres_options.callbacks = {&record};
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options, &problem, &summary);
+  if (!summary.IsSolutionUsable() && record.iterate()) z = *record.iterate();
   SolveReport report = Conclude(run, &record, z, {summary.termination_type, summary.iterations, false});
   report.evaluations = shot->num_jacobians();
   return report;

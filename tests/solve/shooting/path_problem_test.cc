@@ -11,17 +11,12 @@
 namespace saltus {
 namespace {
 
-struct Gaps {
-  Eigen::VectorXd values;
-  Eigen::MatrixXd by_force;
-};
-
-Gaps GapsAt(SingleShooting* shooting, const std::vector<double>& z, const std::vector<Arrival>& arrivals) {
+PathProblem::LinearGaps GapsAt(SingleShooting* shooting, const std::vector<double>& z, const std::vector<Arrival>& arrivals) {
   double loss = 0;
   EXPECT_TRUE(shooting->Evaluate(z, &loss, nullptr));
   PathProblem problem(shooting, z, arrivals);
   problem.Minimize(0, 0, {});
-  return {problem.Gaps(), problem.GapJacobian()};
+  return problem.LinearizeGaps().value();
 }
 
 // Discs of several masses, one fixed, a plane, gravity, two forces; collisions happen before the later nodes.
@@ -31,7 +26,7 @@ TEST(PathProblem, GapsAgreeWithDifferences) {
   const std::vector<Arrival> arrivals = {
       {2, {0, 2, false}}, {40, {0, 1, false}}, {140, {2, 3, false}}, {145, {2, 0, true}}};
   const std::vector<double> z = shooting.initial_guess();
-  const Gaps here = GapsAt(&shooting, z, arrivals);
+  const PathProblem::LinearGaps here = GapsAt(&shooting, z, arrivals);
   ASSERT_GT(shooting.simulator().touches().size(), 1u);
   ASSERT_LT(shooting.simulator().touches().front().step, 100);
   for (const size_t i : {0, 3, 4, 50, 101, 300, 553, 556, 559, 560, 575, 579}) {
@@ -41,7 +36,7 @@ TEST(PathProblem, GapsAgreeWithDifferences) {
     down[i] -= kWidth;
     const Eigen::VectorXd slope =
         (GapsAt(&shooting, up, arrivals).values - GapsAt(&shooting, down, arrivals).values) / (2 * kWidth);
-    EXPECT_LT((slope - here.by_force.col(i)).lpNorm<Eigen::Infinity>(), 1e-7 + 1e-5 * slope.norm()) << i;
+    EXPECT_LT((slope - here.jacobian.col(i)).lpNorm<Eigen::Infinity>(), 1e-7 + 1e-5 * slope.norm()) << i;
   }
 }
 
@@ -52,7 +47,7 @@ TEST(PathProblem, AGapIsWhatTheRolloutLeaves) {
   std::vector<double> z = shooting.initial_guess();
   z[2] = 300;  // N, on disc 0
   z[6] = -200;
-  const Gaps gaps = GapsAt(&shooting, z, {{2, {0, 2, false}}});
+  const PathProblem::LinearGaps gaps = GapsAt(&shooting, z, {{2, {0, 2, false}}});
   ASSERT_GE(shooting.simulator().touches().front().step, 2);
   std::vector<double> x(4 * scene.num_bodies());
   shooting.simulator().GetState(2, x);
