@@ -2,6 +2,7 @@
 #include "base/linear_algebra.h"
 
 #include <Eigen/Dense>
+#include <cmath>
 
 namespace saltus {
 
@@ -21,6 +22,17 @@ std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, cons
   const Eigen::LLT<Eigen::MatrixXd> factor(matrix);
   if (factor.info() != Eigen::Success) return std::nullopt;
   return factor.solve(right);
+}
+
+CholeskySolver::CholeskySolver(const Eigen::MatrixXd& matrix) : factor_(matrix) {}
+Eigen::MatrixXd CholeskySolver::Solve(const Eigen::MatrixXd& right) const { return factor_.solve(right); }
+Eigen::VectorXd CholeskySolver::SolveLower(const Eigen::VectorXd& right) const {
+  return factor_.matrixL().solve(right);
+}
+double CholeskySolver::LogDeterminant() const {
+  double logarithm = 0;
+  for (Eigen::Index i = 0; i < factor_.rows(); ++i) logarithm += 2 * std::log(factor_.matrixLLT()(i, i));
+  return logarithm;
 }
 
 void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right) { Eigen::LLT<MatrixRef>(matrix).solveInPlace(right); }

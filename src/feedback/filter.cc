@@ -2,12 +2,13 @@
 
 #include <glog/logging.h>
 
-#include <Eigen/Cholesky>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <utility>
 
+#include "base/linear_algebra.h"
 #include "feedback/noisy_states.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_overlap.h"
@@ -16,6 +17,11 @@ namespace saltus {
 namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// F P F^T.
+Eigen::MatrixXd Transported(const Eigen::MatrixXd& F, const Eigen::MatrixXd& P) {
+  return MultiplyByTransposed(Multiply(F, P), F);
+}
 
 HybridOptions BehindGuards(HybridOptions options) {
   options.wait_behind_guards = true;
@@ -65,7 +71,7 @@ class HybridMotion final : public internal::FilterMotion {
     if (!simulator_.Rollout(input)) return simulator_.WhyFailed();
     const HybridSensitivity by = simulator_.IntervalSensitivities()[0];
     const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
-    *F = end.leftCols(x->size()) * *F;
+    *F = Multiply(end.leftCols(x->size()), *F);
     const std::span<const double> final_state = simulator_.final_state();
     *x = Eigen::Map<const Eigen::VectorXd>(final_state.data(), final_state.size());
     *mode = simulator_.final_mode();
@@ -115,7 +121,7 @@ class SceneMotion final : public internal::FilterMotion {
     simulator_->Linearize(state, force, /*with_parameters=*/false, &step);
     Eigen::MatrixXd by_force;
     step.ToDense(F, &by_force);
-    *F = *F * backwards;
+    *F = Multiply(*F, backwards);
     Eigen::VectorXd next(x->size());
     simulator_->Step(state, force, {next.data(), state.size()});
     if (!next.allFinite() || !F->allFinite()) return "the mean has no motion of rigid discs, or no derivative of it";
@@ -207,7 +213,7 @@ bool SaltedKalmanFilter::Predict(double time, std::span<const double> control, c
   Eigen::MatrixXd F;
   why_ = motion_->Advance(time_, time - time_, control, &mode, &x, &F);
   if (!why_.empty()) return false;
-  covariance_ = F * covariance_ * F.transpose();
+  covariance_ = Transported(F, covariance_);
   if (process.size() > 0) {
     CHECK(process.rows() == covariance_.rows() && process.cols() == covariance_.cols()) << "W has another size";
     covariance_ += process;
@@ -223,16 +229,15 @@ double SaltedKalmanFilter::Update(const Eigen::VectorXd& z, const Eigen::VectorX
   CHECK(C.rows() == z.size() && C.cols() == mean_.size() && h.size() == z.size());
   CHECK(V.rows() == z.size() && V.cols() == z.size());
   const Eigen::VectorXd innovation = z - h;
-  const Eigen::LLT<Eigen::MatrixXd> factors(C * covariance_ * C.transpose() + V);
-  CHECK(factors.info() == Eigen::Success) << "the covariance of the measurement is not positive definite";
-  const Eigen::MatrixXd gain = factors.solve(C * covariance_).transpose();
-  const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(mean_.size(), mean_.size()) - gain * C;
-  mean_ += gain * innovation;
-  covariance_ = rest * covariance_ * rest.transpose() + gain * V * gain.transpose();
-  const Eigen::VectorXd white = factors.matrixL().solve(innovation);
-  double log_determinant = 0;
-  for (Eigen::Index i = 0; i < z.size(); ++i) log_determinant += 2 * std::log(factors.matrixLLT()(i, i));
-  return -0.5 * (white.squaredNorm() + log_determinant + z.size() * std::log(2 * std::numbers::pi));
+  const Eigen::MatrixXd seen = Multiply(C, covariance_);
+  const CholeskySolver factors(MultiplyByTransposed(seen, C) + V);
+  CHECK(factors.ok()) << "the covariance of the measurement is not positive definite";
+  const Eigen::MatrixXd gain = factors.Solve(seen).transpose();
+  const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(mean_.size(), mean_.size()) - Multiply(gain, C);
+  mean_ += Multiply(gain, innovation);
+  covariance_ = Transported(rest, covariance_) + Transported(gain, V);
+  const Eigen::VectorXd white = factors.SolveLower(innovation);
+  return -0.5 * (white.squaredNorm() + factors.LogDeterminant() + z.size() * std::log(2 * std::numbers::pi));
 }
 
 }  // namespace saltus

@@ -2,7 +2,7 @@
 
 #include <glog/logging.h>
 
-#include <Eigen/Cholesky>
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -31,8 +31,8 @@ const Eigen::MatrixXd& WeightOf(const TrackingCost& cost, int mode, Eigen::Index
 class Hamiltonian {
  public:
   Hamiltonian(const HybridSystem& system, const HybridInput& input, const TrackingCost& cost)
-      : system_(system), input_(input), cost_(cost), inverse_(cost.R.llt()) {
-    CHECK(inverse_.info() == Eigen::Success) << "R is not positive definite";
+      : system_(system), input_(input), cost_(cost), R_(cost.R) {
+    CHECK(R_.ok()) << "R is not positive definite";
   }
 
   // The transition matrix over a step in so many substeps.
@@ -59,7 +59,7 @@ class Hamiltonian {
       for (int s = 0; s < kStages; ++s) {
         combine(s, &stage, &matrix);
         Evaluate(step, step.t + (i + cooper_verner::kC[s]) * h, stage, &slopes[s]);
-        changes[s] = matrix_ * matrix;
+        changes[s] = Multiply(matrix_, matrix);
       }
       combine(kStages, &stage, &matrix);
       x = stage;
@@ -71,7 +71,7 @@ class Hamiltonian {
   Eigen::MatrixXd Gain(const FlowStep& at, const Eigen::MatrixXd& S) {
     Eigen::VectorXd slope;
     Evaluate(at, at.t, Eigen::Map<const Eigen::VectorXd>(at.x, system_.state_size(at.mode)), &slope);
-    return inverse_.solve(B_.transpose() * S);
+    return R_.Solve(MultiplyTransposed(B_, S));
   }
 
  private:
@@ -82,14 +82,14 @@ class Hamiltonian {
     system_.functions().FlowJacobian({step.mode, t, x.data(), step.u, step.p}, slope->data(), jacobian.data());
     B_ = jacobian.rightCols(m);
     matrix_.resize(2 * n, 2 * n);
-    matrix_ << jacobian.leftCols(n), -B_ * inverse_.solve(B_.transpose()), -WeightOf(cost_, step.mode, n),
+    matrix_ << jacobian.leftCols(n), -Multiply(B_, R_.Solve(B_.transpose())), -WeightOf(cost_, step.mode, n),
         -jacobian.leftCols(n).transpose();
   }
 
   const HybridSystem& system_;
   const HybridInput& input_;
   const TrackingCost& cost_;
-  const Eigen::LLT<Eigen::MatrixXd> inverse_;
+  const CholeskySolver R_;
   Eigen::MatrixXd B_, matrix_;
 };
 
@@ -288,13 +288,13 @@ Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {
     const LinearInterval& at = motion.intervals[k];
     const Eigen::MatrixXd& S = regulator.cost_to_go[k + 1];
     CHECK(S.rows() == at.A.rows()) << "QT has another size than the final state";
-    const Eigen::MatrixXd SB = S * at.B;
-    const Eigen::LLT<Eigen::MatrixXd> factors(cost.R + at.B.transpose() * SB);
-    CHECK(factors.info() == Eigen::Success) << "R is not positive definite";
-    regulator.gains[k] = factors.solve(SB.transpose() * at.A);
-    regulator.closed_loop[k] = at.A - at.B * regulator.gains[k];
-    regulator.cost_to_go[k] =
-        Symmetric(WeightOf(cost, at.mode, at.A.cols()) + at.A.transpose() * S * regulator.closed_loop[k]);
+    const Eigen::MatrixXd SB = Multiply(S, at.B);
+    const CholeskySolver factors(cost.R + MultiplyTransposed(at.B, SB));
+    CHECK(factors.ok()) << "R is not positive definite";
+    regulator.gains[k] = factors.Solve(MultiplyTransposed(SB, at.A));
+    regulator.closed_loop[k] = at.A - Multiply(at.B, regulator.gains[k]);
+    regulator.cost_to_go[k] = Symmetric(WeightOf(cost, at.mode, at.A.cols()) +
+                                        Multiply(MultiplyTransposed(at.A, S), regulator.closed_loop[k]));
   }
   return regulator;
 }

@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <utility>
 
+#include "base/linear_algebra.h"
 #include "base/normal_stream.h"
 #include "saltus/feedback/filter.h"
 #include "saltus/scene/scene.h"
@@ -99,11 +100,11 @@ inline FilterScores CompareFilters(int seeds) {
       P = F * P * F.transpose() + W;
       const auto rare = [&](const Eigen::VectorXd& x, const MatrixXd& covariance) {
         const Vector2d innovation = z - x.head<2>();
-        return innovation.dot(Matrix2d(covariance.topLeftCorner(2, 2) + V).llt().solve(innovation)) > kRare;
+        return innovation.dot(Matrix2d(covariance.topLeftCorner(2, 2) + V).inverse() * innovation) > kRare;
       };
       if (ok && !rare(salted.mean(), salted.covariance())) salted.Update(z, C, V);
       if (!rare(mean, P)) {
-        const MatrixXd S = P.topLeftCorner(2, 2) + V, gain = S.llt().solve(P.topRows(2)).transpose();
+        const MatrixXd gain = P.leftCols<2>() * Matrix2d(P.topLeftCorner<2, 2>() + V).inverse();
         mean += gain * (z - mean.head<2>());
         P = (Matrix4d::Identity() - gain * C) * P * (Matrix4d::Identity() - gain * C).transpose() +
             gain * V * gain.transpose();
@@ -113,7 +114,7 @@ inline FilterScores CompareFilters(int seeds) {
       const bool away = root - std::abs(truth[3]) > 0.1 * kDiscGravity;
       const auto score = [&](const Vector4d& x, const Matrix4d& covariance, FilterScore* of) {
         const Vector4d miss = x - truth;
-        const double inside = miss.dot(covariance.llt().solve(miss)) <= 9.48773 ? 1 : 0;  // chi squared, 4
+        const double inside = miss.dot(SolveLdlt(covariance, miss)) <= 9.48773 ? 1 : 0;  // chi squared, 4
         of->covered_at_all_times += inside / (seeds * kSamples);
         if (!away) return;
         of->covered += inside;

@@ -87,7 +87,7 @@ TEST(TorqueControl, SolversFindWhatALinearSystemSays) {
     system -= by * torque;
     given -= by * torque.dot(target);
   }
-  const Eigen::Vector2d end = system.colPivHouseholderQr().solve(given);
+  const Eigen::Vector2d end = system.inverse() * given;
   for (const char* solver :
        {"ceres_lm", "ceres_lbfgs", "ceres_shooting", "ceres_lagrangian", "ceres_phases", "mode_search"}) {
     const SolveReport report = Solve(solver, {scene, "event"}, {});

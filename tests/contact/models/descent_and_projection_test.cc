@@ -6,6 +6,7 @@
 #include <random>
 #include <string>
 
+#include "base/linear_algebra.h"
 #include "contact/one_step.h"
 #include "saltus/audit/gradients.h"
 #include "test_scenes.h"
@@ -65,7 +66,7 @@ std::optional<Eigen::Vector4d> ProjectByAllSets(const Scene& scene, const Eigen:
     Eigen::Vector4d x = predicted;
     if (!rows.empty()) {
       const Eigen::MatrixXd active = N(rows, Eigen::all), A = active * inverse_mass.asDiagonal() * active.transpose();
-      const Eigen::VectorXd multipliers = A.completeOrthogonalDecomposition().solve(-gap(rows));
+      const Eigen::VectorXd multipliers = LeastNormSolution(A, -gap(rows));
       if (multipliers.minCoeff() < 0) continue;
       x += inverse_mass.asDiagonal() * active.transpose() * multipliers;
     }

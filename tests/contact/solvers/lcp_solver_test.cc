@@ -6,6 +6,8 @@
 #include <cmath>
 #include <random>
 
+#include "base/linear_algebra.h"
+
 namespace saltus {
 namespace {
 
@@ -55,7 +57,7 @@ std::vector<Eigen::VectorXd> AllSolutions(const BoxedLcp& problem) {
       }
     }
     if (!possible) continue;
-    const Eigen::VectorXd x = equations.completeOrthogonalDecomposition().solve(right);
+    const Eigen::VectorXd x = LeastNormSolution(equations, right);
     if (LcpViolation(problem, x, 1e-9) < 1e-9) solutions.push_back(x);
   }
   return solutions;

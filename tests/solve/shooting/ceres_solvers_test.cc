@@ -4,6 +4,7 @@
 #include <Eigen/Dense>
 #include <cmath>
 
+#include "base/linear_algebra.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
@@ -75,7 +76,7 @@ Optimum SolveKkt(const Scene& scene, int num_steps, bool explicit_position) {
     }
     kkt.bottomLeftCorner(constraints, n) = rows;
     kkt.topRightCorner(n, constraints) = rows.transpose();
-    const Eigen::VectorXd x = kkt.fullPivLu().solve(right);
+    const Eigen::VectorXd x = SolveFullPivotLu(kkt, right);
     for (int k = 0; k < num_steps; ++k) optimum.control[2 * k + axis] = x[k];
     optimum.loss += scene.objective.effort * h * x.head(num_steps).squaredNorm();
     for (int j = 0; j < 2; ++j) {

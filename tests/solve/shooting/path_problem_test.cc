@@ -11,7 +11,8 @@
 namespace saltus {
 namespace {
 
-PathProblem::LinearGaps GapsAt(SingleShooting* shooting, const std::vector<double>& z, const std::vector<Arrival>& arrivals) {
+PathProblem::LinearGaps GapsAt(SingleShooting* shooting, const std::vector<double>& z,
+                               const std::vector<Arrival>& arrivals) {
   double loss = 0;
   EXPECT_TRUE(shooting->Evaluate(z, &loss, nullptr));
   PathProblem problem(shooting, z, arrivals);

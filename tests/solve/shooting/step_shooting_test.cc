@@ -4,6 +4,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 
+#include "base/linear_algebra.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -99,9 +100,9 @@ TEST(CeresShooting, TakesTheGaussNewtonStepThroughACollision) {
   Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor> slope(2, n);
   ASSERT_TRUE(shooting.EvaluateResiduals(report.iterates[0], terminal.data(), slope.data()));
   const double effort = scene.objective.effort * scene.dt();
-  Eigen::MatrixXd normal = slope.transpose() * slope;
+  Eigen::MatrixXd normal = MultiplyTransposed(slope, slope);
   normal.diagonal().array() += effort;
-  const Eigen::VectorXd step = normal.ldlt().solve(-slope.transpose() * terminal - effort * u);
+  const Eigen::VectorXd step = SolveLdlt(normal, -slope.transpose() * terminal - effort * u);
   const Eigen::VectorXd taken = Eigen::Map<const Eigen::VectorXd>(report.iterates[1].data(), n) - u;
   EXPECT_LT((taken - step).norm(), 1e-3 * step.norm());
   EXPECT_GT(step.norm(), 0.1 * u.norm());
