@@ -12,8 +12,11 @@
 #include <cmath>
 #include <vector>
 
-#include "hybrid/reference_systems.h"
 #include "hybrid/runge_kutta.h"
+#include "problems/hybrid/bouncing_ball.h"
+#include "problems/hybrid/simplest_walker.h"
+#include "problems/hybrid/slip_hopper.h"
+#include "problems/hybrid/two_mass_hopper.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "timing.h"
 

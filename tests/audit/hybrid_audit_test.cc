@@ -8,10 +8,7 @@
 #include <cmath>
 #include <limits>
 
-#include "problems/hybrid/bouncing_ball.h"
-#include "problems/hybrid/juggled_ball.h"
-#include "problems/hybrid/rimless_wheel.h"
-#include "problems/hybrid/switched_line.h"
+#include "problems/hybrid_systems.h"
 
 namespace saltus {
 namespace {

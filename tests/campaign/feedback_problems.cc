@@ -17,8 +17,7 @@
 
 #include "feedback/bouncing_disc.h"
 #include "folders.h"
-#include "problems/hybrid/cart_pole_walls.h"
-#include "problems/hybrid/two_mass_hopper.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/feedback/closed_loop.h"
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/regulator.h"

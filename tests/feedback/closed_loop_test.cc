@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "feedback/bouncing_disc.h"
-#include "problems/hybrid/bouncing_ball.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/filter.h"
 #include "saltus/feedback/regulator.h"

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "base/normal_stream.h"
-#include "problems/hybrid/controlled_ball.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/hybrid_solver.h"

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <vector>
 
-#include "problems/hybrid/bouncing_ball.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/filter.h"
 #include "saltus/feedback/regulator.h"

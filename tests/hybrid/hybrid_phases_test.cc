@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
-#include "hybrid/reference_systems.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "control/hybrid_shooting.h"
-#include "hybrid/reference_systems.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/solve/hybrid_solver.h"
 
 namespace saltus {

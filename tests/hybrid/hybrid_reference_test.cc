@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
-#include "hybrid/reference_systems.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {

@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include "hybrid/reference_systems.h"
 #include "hybrid/runge_kutta.h"
+#include "problems/hybrid_systems.h"
 
 namespace saltus {
 namespace {

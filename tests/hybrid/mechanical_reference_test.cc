@@ -15,7 +15,7 @@
 
 #include "folders.h"
 #include "hybrid/mechanical_problems.h"
-#include "problems/hybrid/leg_hopper.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/hybrid/mechanical_system.h"
 

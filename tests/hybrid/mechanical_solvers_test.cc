@@ -18,9 +18,7 @@
 
 #include "control/hybrid_shooting.h"
 #include "folders.h"
-#include "problems/hybrid/leg_hopper.h"
-#include "problems/hybrid/pushed_box.h"
-#include "problems/hybrid/wall_swing_up.h"
+#include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"

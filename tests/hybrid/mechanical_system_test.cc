@@ -13,7 +13,7 @@
 
 #include "folders.h"
 #include "hybrid/mechanical_problems.h"
-#include "problems/hybrid/leg_hopper.h"
+#include "problems/hybrid_systems.h"
 
 namespace saltus {
 namespace {

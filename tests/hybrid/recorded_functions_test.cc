@@ -7,7 +7,7 @@
 #include <cmath>
 #include <memory>
 
-#include "problems/hybrid/bouncing_ball.h"
+#include "problems/hybrid_systems.h"
 
 namespace saltus {
 namespace {

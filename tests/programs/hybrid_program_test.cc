@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "problems/hybrid/leg_hopper.h"
+#include "problems/hybrid_systems.h"
 #include "programs/hybrid_document.h"
 #include "programs/run_command.h"
 #include "saltus/hybrid/hybrid_simulator.h"
