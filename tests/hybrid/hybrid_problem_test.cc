@@ -6,8 +6,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdint>
+#include <limits>
 #include <memory>
 #include <numeric>
+#include <utility>
 #include <vector>
 
 #include "control/hybrid_shooting.h"
@@ -212,6 +215,37 @@ TEST(HybridSolvers, NameTheKinkTheyStopAt) {
   EXPECT_GE(report.final_loss, 2.1976626506629637918 - 1e-12) << "no motion on this grid is better";
   EXPECT_LT(report.final_loss, 2.6);
   EXPECT_THAT(report.reason, HasSubstr("has an event at t = 0.7, where the control jumps"));
+}
+
+TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
+  HybridProblem problem = ControlledBallProblem();
+  problem.guess.num_intervals = 20;
+  problem.guess.control.assign(20, 0.0);
+  for (const HybridSolverEntry& solver : HybridSolvers()) {
+    int64_t asked = 0, most = std::numeric_limits<int64_t>::max();
+    SolverOptions options = Iterations(50);
+    options.threads = 1;
+    options.stop = [&] { return ++asked > most; };
+    Solve(solver.name, problem, options);
+    const int64_t all = std::exchange(asked, 0);
+    ASSERT_GT(all, 20) << solver.name;
+    int interrupted = 0;
+    for (int i = 0; i < 60; ++i) {
+      most = i < 20 ? i : all * (i - 20) / 40;
+      asked = 0;
+      const SolveReport report = Solve(solver.name, problem, options);
+      ASSERT_NE(report.termination, Termination::kFailed) << solver.name << most << report.reason;
+      interrupted += report.termination == Termination::kInterrupted;
+      if (report.losses.empty()) continue;
+      HybridInput input = problem.guess;
+      input.control = report.control;
+      input.lengths = report.durations;
+      HybridShooting::Outcome outcome;
+      ASSERT_TRUE(HybridShooting(problem).Simulate(input, &outcome)) << solver.name << most;
+      EXPECT_NEAR(outcome.loss, report.final_loss, 1e-9 * report.initial_loss) << solver.name << " " << most;
+    }
+    EXPECT_GT(interrupted, 20) << solver.name;
+  }
 }
 
 TEST(HybridSolvers, SayWhatTheyCannotTake) {
