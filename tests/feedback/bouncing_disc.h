@@ -64,6 +64,7 @@ struct FilterScores {
 
 inline FilterScores CompareFilters(int seeds) {
   using Eigen::Matrix2d, Eigen::Matrix4d, Eigen::MatrixXd, Eigen::Vector2d, Eigen::Vector4d;
+  using Matrix42d = Eigen::Matrix<double, 4, 2>;
   constexpr int kSamples = 30;
   constexpr double kStep = 0.1, kMeasured = 0.1, kJolt = 0.02, kOutlier = 0.5, kRare = 13.8155;  // chi squared, 2
   const Matrix4d P0 = Vector4d(0.05, 0.05, 0.3, 0.3).cwiseAbs2().asDiagonal();
@@ -104,10 +105,11 @@ inline FilterScores CompareFilters(int seeds) {
       };
       if (ok && !rare(salted.mean(), salted.covariance())) salted.Update(z, C, V);
       if (!rare(mean, P)) {
-        const MatrixXd gain = P.leftCols<2>() * Matrix2d(P.topLeftCorner<2, 2>() + V).inverse();
+        const Matrix42d gain = P.leftCols<2>() * Matrix2d(P.topLeftCorner<2, 2>() + V).inverse();
         mean += gain * (z - mean.head<2>());
-        P = (Matrix4d::Identity() - gain * C) * P * (Matrix4d::Identity() - gain * C).transpose() +
-            gain * V * gain.transpose();
+        Matrix4d rest = Matrix4d::Identity();
+        rest.leftCols<2>() -= gain;
+        P = Matrix4d(rest * P * rest.transpose()) + Matrix4d(kMeasured * kMeasured * gain * gain.transpose());
       }
       // To the bounces before and after.
       const double root = std::sqrt(truth[3] * truth[3] + 2 * kDiscGravity * (truth[1] - kDiscRadius));

@@ -275,7 +275,7 @@ TEST(Filter, MeanBehindAGuard) {
   EXPECT_NEAR(filter.mean()[0], 2.1 * 0.1 - 4.9 * 0.01, 1e-13);  // the reset puts it onto the ground
   EXPECT_NEAR(filter.mean()[1], 2.1 - 0.98, 1e-13);
   Eigen::Matrix2d salted{{-0.7, 0}, {1.7 * 9.8 / 3, -0.7}}, flow{{1, 0.1}, {0, 1}};
-  const MatrixXd F = flow * salted, expected = F * Eigen::Vector2d(0.005, 0.01).asDiagonal() * F.transpose();
+  const Eigen::Matrix2d F = flow * salted, expected = F * Eigen::Vector2d(0.005, 0.01).asDiagonal() * F.transpose();
   EXPECT_LE((filter.covariance() - expected).cwiseAbs().maxCoeff(), 1e-14);
 }
 
