@@ -24,6 +24,8 @@ std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, cons
   return factor.solve(right);
 }
 
+void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right) { Eigen::LLT<MatrixRef>(matrix).solveInPlace(right); }
+
 CholeskySolver::CholeskySolver(const Eigen::MatrixXd& matrix) : factor_(matrix) {}
 Eigen::MatrixXd CholeskySolver::Solve(const Eigen::MatrixXd& right) const { return factor_.solve(right); }
 Eigen::VectorXd CholeskySolver::SolveLower(const Eigen::VectorXd& right) const {
@@ -34,8 +36,6 @@ double CholeskySolver::LogDeterminant() const {
   for (Eigen::Index i = 0; i < factor_.rows(); ++i) logarithm += 2 * std::log(factor_.matrixLLT()(i, i));
   return logarithm;
 }
-
-void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right) { Eigen::LLT<MatrixRef>(matrix).solveInPlace(right); }
 
 Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right) {
   return matrix.ldlt().solve(right);

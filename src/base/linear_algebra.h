@@ -60,23 +60,27 @@ Eigen::MatrixXd SolveLuColumns(const Eigen::MatrixXd& matrix, const Eigen::Matri
 Eigen::VectorXd SolveFullPivotLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
 // By the Cholesky decomposition. Nothing if the matrix is not positive definite.
 std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
-// The decomposition L L^T of a symmetric matrix, for many right sides.
+// The same without memory from the heap: overwrites the matrix with its factor and `right` with the solutions.
+void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right);
+
+// The Cholesky decomposition L L^T of a symmetric n x n matrix, for several right sides. Precondition of what solves:
+// ok().
 class CholeskySolver {
  public:
   explicit CholeskySolver(const Eigen::MatrixXd& matrix);
-  // False if the matrix is not positive definite; then it solves nothing.
+  // Returns false if the matrix is not positive definite.
   bool ok() const { return factor_.info() == Eigen::Success; }
   // A solution for each column of `right`.
   Eigen::MatrixXd Solve(const Eigen::MatrixXd& right) const;
-  // L^{-1} right.
+  // Returns L^{-1} right.
   Eigen::VectorXd SolveLower(const Eigen::VectorXd& right) const;
+  // The natural logarithm of the determinant of the matrix.
   double LogDeterminant() const;
 
  private:
   Eigen::LLT<Eigen::MatrixXd> factor_;
 };
-// The same without memory from the heap: overwrites the matrix with its factor and `right` with the solutions.
-void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right);
+
 // By L D L^T, for symmetric matrices that are semidefinite.
 Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
 

@@ -118,7 +118,7 @@ class RecordIteration final : public ceres::IterationCallback {
       : run_(run), loss_(std::move(loss)), z_(z) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override;
   bool Record(const ceres::IterationSummary& summary);
-  // The last iterate recorded: after a failure Ceres puts the variables back to where it began.
+  // The last iterate that was recorded, if any. After a failure Ceres sets the variables back to their initial values.
   const std::optional<std::vector<double>>& iterate() const { return iterate_; }
 
  private:

@@ -243,6 +243,7 @@ struct AtImpact {
   HybridInput input;
   double loss = 0, speed = 0;
 };
+// The square root of a positive definite matrix that is itself symmetric.
 Eigen::Matrix2d RootOf(const Eigen::Matrix2d& symmetric) {
   const SymmetricEigen eigen = EigenOf(symmetric);
   const Eigen::Matrix2d vectors = eigen.vectors;
@@ -462,7 +463,7 @@ TEST(HybridCertificate, CurvatureOfTheBallAgreesWithDifferencesOfTheLoss) {
   for (double t = 0; t < impact - 1e-6; ++before) t += report.durations[before];
   ASSERT_NEAR(LossOfPhases(report.control, before, impact), report.final_loss, 1e-9);
   const int n = 6;
-  Eigen::MatrixXd hessian(n, n);  // by what has the metric of the effort
+  Eigen::MatrixXd hessian(n, n);  // in coordinates in which the effort is the sum of squares
   const auto at = [&](int i, double by_i, int j, double by_j) {
     std::vector<double> u = report.control;
     u[i] += by_i;

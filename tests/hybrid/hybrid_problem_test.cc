@@ -217,6 +217,8 @@ TEST(HybridSolvers, NameTheKinkTheyStopAt) {
   EXPECT_THAT(report.reason, HasSubstr("has an event at t = 0.7, where the control jumps"));
 }
 
+// Each solver is stopped at its first 20 questions and at 40 others, evenly spaced. The reported control must have the
+// reported loss.
 TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
   HybridProblem problem = ControlledBallProblem();
   problem.guess.num_intervals = 20;

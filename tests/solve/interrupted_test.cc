@@ -6,6 +6,9 @@
 #include <cmath>
 #include <cstdint>
 #include <memory>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
@@ -52,7 +55,8 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
   const auto asked = std::make_shared<std::atomic<int64_t>>(0);
   options.stop = StopAfter(kMostQuestions, asked);
   Solve(solver.name, request, options);
-  // The first questions, ever wider apart, and the same number of others, evenly.
+  // Solvers are stopped at the first questions, with growing distances, and at three times as many that are evenly
+  // spaced.
   std::vector<int64_t> ends;
   for (int64_t most = 0; most < *asked; most += 1 + most / 2) ends.push_back(most);
   const int64_t num_even = 3 * static_cast<int64_t>(ends.size());

@@ -46,12 +46,12 @@ class PathProblem {
   // Of the last rollout.
   double loss() const;
 
-  // The gaps at the arrivals, m, and their derivatives by the forces, one row each, at z(). Precondition: Minimize was
-  // called. Nothing if the last rollout or its Jacobians are not finite, or if the simulator was stopped.
   struct LinearGaps {
-    Eigen::VectorXd values;
-    Eigen::MatrixXd jacobian;
+    Eigen::VectorXd values;    // the gap at each arrival, m
+    Eigen::MatrixXd jacobian;  // by the forces, m / N: a row for each arrival
   };
+  // Linearizes the gaps at z(). Precondition: Minimize was called. Returns std::nullopt if the last rollout or its
+  // Jacobians are not finite, or if an interrupt has left them out.
   std::optional<LinearGaps> LinearizeGaps() const;
 
  private:
