@@ -71,12 +71,13 @@ seed() {
 }
 
 ids=() files=() olds=() news=() tests=()
-while IFS=$'\t' read -r id file old new seen; do
+# By a separator that is not a blank, as `read` takes several of those for one: a replacement may be empty.
+while IFS=$'\x1f' read -r id file old new seen; do
   if [[ -z $id || $id == '#'* || $id == id ]]; then continue; fi
   if (($# > 0)) && [[ " $* " != *" $id "* ]]; then continue; fi
   if (($# == 0)) && cut -f1 "$results" | grep -qxF "$id"; then continue; fi
   ids+=("$id") files+=("$file") olds+=("$old") news+=("$new") tests+=("$seen")
-done <"$list"
+done < <(tr '\t' '\037' <"$list")
 
 failed=0
 if ((${#ids[@]} > 0)); then
