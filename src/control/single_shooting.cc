@@ -273,7 +273,9 @@ void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShoo
     motions.push_back(
         {static_cast<LaneSimulator*>(shooting.simulator_.get()), shooting.initial_, shooting.ControlIn(point(i))});
   }
-  if (!motions.empty()) motions[0].simulator->RolloutTogether(motions, /*force_unit=*/1);
+  // Those of the points that follow, which are most often evaluated next.
+  const std::ptrdiff_t next = points.size(), set = gradients.empty() ? 0 : gradients.data() + next - points.data();
+  if (!motions.empty()) motions[0].simulator->RolloutTogether(motions, /*force_unit=*/1, {next, set});
   for (std::size_t m = 0; m < motions.size(); ++m) {
     const std::size_t i = moving[m];
     ok[i] = motions[m].ok && shootings[i]->EndRollout(point(i)) &&

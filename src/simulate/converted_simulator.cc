@@ -34,7 +34,8 @@ class ConvertedSimulator final : public LaneSimulator {
   }
 
   bool HasLanes() const override { return inner_lanes_ != nullptr && inner_lanes_->HasLanes(); }
-  void RolloutTogether(std::span<Motion> motions, double force_unit) override {
+  void RolloutTogether(std::span<Motion> motions, double force_unit,
+                       const std::array<std::ptrdiff_t, 2>& ahead) override {
     std::vector<Motion> inner;
     for (const Motion& motion : motions) {
       auto* const simulator = static_cast<ConvertedSimulator*>(motion.simulator);
@@ -42,7 +43,7 @@ class ConvertedSimulator final : public LaneSimulator {
       simulator->converts_control_ = false;
       inner.push_back({simulator->inner_lanes_, simulator->initial_, motion.control});
     }
-    inner_lanes_->RolloutTogether(inner, to_inner_.force * force_unit);
+    inner_lanes_->RolloutTogether(inner, to_inner_.force * force_unit, ahead);
     for (std::size_t i = 0; i < motions.size(); ++i) {
       motions[i].ok = static_cast<ConvertedSimulator*>(motions[i].simulator)->End(inner[i].ok);
     }

@@ -1,6 +1,8 @@
 // Simulators that take several motions through the lanes of a core at once.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <span>
 
 #include "saltus/simulate/simulator.h"
@@ -19,9 +21,11 @@ class LaneSimulator : public Simulator {
   // Whether this is of use. Precondition of RolloutTogether.
   virtual bool HasLanes() const = 0;
   // Simulates up to kLanes motions (internal/lanes.h) under controls in units of `force_unit`, N, with the bits of
-  // Rollout. Derivatives by the control are in the same units. Precondition: all
-  // simulators were made as this one.
-  virtual void RolloutTogether(std::span<Motion> motions, double force_unit) = 0;
+  // Rollout. Derivatives by the control are in the same units. Meanwhile the cache fetches the numbers `ahead` of those
+  // of the controls, which are to be read and to be set next (0 if none are). Precondition: all simulators were made as
+  // this one.
+  virtual void RolloutTogether(std::span<Motion> motions, double force_unit,
+                               const std::array<std::ptrdiff_t, 2>& ahead) = 0;
 
  protected:
   using Simulator::Simulator;

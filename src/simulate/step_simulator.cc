@@ -73,7 +73,8 @@ class StepSimulator final : public LaneSimulator {
   }
 
   bool HasLanes() const override { return Model::kInLanes; }
-  void RolloutTogether(std::span<Motion> motions, double force_unit) override {
+  void RolloutTogether(std::span<Motion> motions, double force_unit,
+                       const std::array<std::ptrdiff_t, 2>& ahead) override {
     if constexpr (Model::kInLanes) {
       CHECK_LE(motions.size(), std::size_t{kLanes});
       std::array<Flights, kLanes> flights;
@@ -87,7 +88,7 @@ class StepSimulator final : public LaneSimulator {
         for (std::size_t lane = 0; lane < motions.size(); ++lane) {
           if (motions[lane].ok) flights[lane].simulator->BeginTogether(w, &flights[lane]);
         }
-        FlyTogether(w, force_unit, flights);
+        FlyTogether(w, force_unit, ahead, flights);
         for (std::size_t lane = 0; lane < motions.size(); ++lane) {
           if (!motions[lane].ok) continue;
           flights[lane].simulator->trajectory_.Close();
@@ -319,12 +320,14 @@ class StepSimulator final : public LaneSimulator {
     flights->steps = StepUntilFlight(&flights->k, trajectory_.end(w), [this](int k) { Record(k); });
   }
   // Takes all motions to the end of window w.
-  void FlyTogether(int w, double force_unit, std::array<Flights, kLanes>& flights) const {
+  void FlyTogether(int w, double force_unit, const std::array<std::ptrdiff_t, 2>& ahead,
+                   std::array<Flights, kLanes>& flights) const {
     FlightsInput in;
     in.step.h = typed_.h;
     in.step.gravity = typed_.gravity;
     in.stride = control_.stride();
     in.unit = force_unit;
+    in.ahead = ahead;
     while (std::ranges::any_of(flights, [](const Flights& next) { return next.steps > 0; })) {
       for (int i = 0; i < num_bodies(); ++i) {
         in.step.bodies = {&typed_.bodies[i], 1};

@@ -17,6 +17,7 @@ struct FlightsInput {
   std::array<const double*, kLanes> force{};  // [u_x u_y] of the first step, in units of `unit`; null in all or in none
   std::ptrdiff_t stride = 0;                  // numbers from one step's force to the next
   double unit = 1;                            // N
+  std::array<std::ptrdiff_t, 2> ahead{};      // from a force to a number that is read soon, and to one that is set soon
 };
 
 namespace internal {
@@ -78,6 +79,10 @@ void FlyInLanes(const M& model, const FlightsInput& flights, const std::array<Bo
       for (; step < end; ++step, offset += flights.stride) {
         const std::array<Lanes, 2> pair = LoadPairs(u, offset);
         force = {unit * pair[0], unit * pair[1]};
+        // The forces of a disc in four steps fill a line of the cache.
+        const double* const here = u[step % kLanes] + offset;
+        __builtin_prefetch(here + flights.ahead[0]);
+        __builtin_prefetch(here + flights.ahead[1], /*rw=*/1);
         x = model.Free(in, 0, x);
       }
     }
