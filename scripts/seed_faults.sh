@@ -83,7 +83,7 @@ failed=0
 if ((${#ids[@]} > 0)); then
   # Only files that are newer here, or in which a run that was killed has left a fault.
   git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -p -u -t "$tree"
-  printf '%s\n' "${files[@]}" | sort -u | while read -r file; do
+  perl -F'\t' -lane 'print $F[1] if @F == 5 && $F[0] ne "id"' "$list" | sort -u | while read -r file; do
     cmp -s "$file" "$tree/$file" || cp "$file" "$tree/$file"
   done
   cmake -S "$tree" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DSALTUS_UNITY=OFF \
