@@ -152,12 +152,12 @@ TEST(TableTest, CsvQuotesAsRfc4180Asks) {
 }
 
 TEST(TableTest, CsvReadsBackAsItWas) {
-  Table table({{"a, \"b\""}, {"number"}});
+  Table table({{"a, \"b\""}, {"\"number\""}});
   const double numbers[] = {0.1, 1.0 / 3.0, -1e-300, std::numeric_limits<double>::denorm_min(), 1e22, 480.0};
   for (const double number : numbers) table.AddRow({"line\nbreak,\r\n \"quoted\"", number});
   const StatusOr<CsvDocument> read = ParseCsv(table.ToCsv());
   ASSERT_TRUE(read.ok()) << read.status().message();
-  EXPECT_THAT(read->header, ElementsAre("a, \"b\"", "number"));
+  EXPECT_THAT(read->header, ElementsAre("a, \"b\"", "\"number\""));
   ASSERT_EQ(read->rows.size(), std::size(numbers));
   for (size_t i = 0; i < std::size(numbers); ++i) {
     EXPECT_EQ(read->rows[i][0], "line\nbreak,\r\n \"quoted\"");
