@@ -4,6 +4,7 @@
 //              one scene and model, a lower bound
 //   Steps      the same per step, from 480 to 480 000 steps
 //   Growth     that at 480 000 steps relative to the others, in turns, so that what the machine does meanwhile cancels
+//   Certificate of motions with 700 and 7000 impacts: the latter's time relative to ten times the former's
 //   Bodies     per body and step: a gas in a box at fixed density, 10 to 1000 discs
 //   Batch      losses and gradients of 4096 motions one by one and in a batch, in turns on one thread
 //   Throughput gradients per second of a batch, by number of threads (wall clock)
@@ -15,6 +16,8 @@
 
 #include "base/normal_stream.h"
 #include "saltus/control/batch.h"
+#include "saltus/control/objective.h"
+#include "saltus/optimality/certificate.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_generators.h"
 #include "timing.h"
@@ -195,6 +198,22 @@ void Growth(benchmark::State& state, const std::string& contact) {
   }
 }
 
+// Of two balls of which one is pushed against the other again and again.
+void CertificateOfManyImpacts(benchmark::State& state) {
+  const auto run_of = [](double duration) {
+    Scene scene = ProblemScene("two_balls", 480);
+    scene.duration = duration;
+    return [scene, initial = InitialState(scene), control = InitialControl(scene, scene.steps)] {
+      benchmark::DoNotOptimize(Certify(scene, initial, control));
+    };
+  };
+  for (auto _ : state) {
+    const auto [few, many] = TimeInTurns(run_of(1e3), run_of(1e4));
+    state.counters["growth"] = many / few / 10;
+    state.SetIterationTime(many);
+  }
+}
+
 void Bodies(benchmark::State& state, const std::string& contact) {
   Scene scene = GasInABox({.discs = static_cast<int>(state.range(0))}, 1);
   scene.contact.stiffness = 1e5;
@@ -266,6 +285,7 @@ void RegisterAll() {
     once(benchmark::RegisterBenchmark(("Gradient/" + name).c_str(), Gradient, name));
     once(benchmark::RegisterBenchmark(("Batch/" + name).c_str(), BatchOfMotions, name));
   }
+  once(benchmark::RegisterBenchmark("Certificate/impacts", CertificateOfManyImpacts));
   for (const std::string name : {"direct_toi", "compliant_warp", "event"}) {
     auto* steps = once(benchmark::RegisterBenchmark(("Steps/" + name).c_str(), Steps, name));
     for (int n : {480, 4800, 48000, 480000}) steps->Arg(n);

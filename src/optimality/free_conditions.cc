@@ -76,17 +76,20 @@ class Certifier {
   void FitArcs(int c) {
     const int body = scene_.control.bodies[c];
     int begin = 0;
+    double start = 0;
     for (const Flight::Hit& hit : flight_.hits()) {
       if (!TakesPart(hit.contact, body)) continue;
-      arcs_[c].push_back(FitArc(c, begin, hit.next_piece));
+      arcs_[c].push_back(FitArc(c, start, begin, hit.next_piece));
       begin = hit.next_piece;
+      start = hit.time;
     }
-    arcs_[c].push_back(FitArc(c, begin, static_cast<int>(flight_.pieces().size())));
+    arcs_[c].push_back(FitArc(c, start, begin, static_cast<int>(flight_.pieces().size())));
   }
 
-  // The least-squares line through the forces on pieces [begin, end), those of one interval taken together. Intervals
-  // that an impact of the disc cuts serve both of its sides, and count only if there are hardly any others.
-  Arc FitArc(int c, int begin, int end) const {
+  // The least-squares line through the forces on pieces [begin, end) from time `start` on, those of one interval taken
+  // together. Intervals that an impact of the disc cuts serve both of its sides, and count only if there are hardly any
+  // others.
+  Arc FitArc(int c, double start, int begin, int end) const {
     struct Sample {
       double start, length;
       Vec2d force;
@@ -102,7 +105,7 @@ class Certifier {
       }
       samples.back().whole = samples.back().length > (1 - kNodeMargin) * lengths_[piece.interval];
     }
-    Arc arc;
+    Arc arc{.begin = start, .end = start};
     if (samples.empty()) return arc;
     arc.begin = samples.front().start;
     arc.end = samples.back().start + samples.back().length;
@@ -135,16 +138,15 @@ class Certifier {
     return {t, scale * arc.slope, -scale * arc.Force(t)};
   }
   const Arc& ArcAt(int c, double t) const {
-    for (const Arc& arc : arcs_[c]) {
-      if (t < arc.end) return arc;
-    }
-    return arcs_[c].back();
+    const auto at = std::ranges::upper_bound(arcs_[c], t, {}, &Arc::end);
+    return at == arcs_[c].end() ? arcs_[c].back() : *at;
   }
   // The arc that ends with (starts at) the impact at `time`.
   const Arc& ArcBefore(int c, double time) const {
-    const Arc* nearest = &arcs_[c].front();
-    for (const Arc& arc : arcs_[c]) {
-      if (std::abs(arc.end - time) < std::abs(nearest->end - time)) nearest = &arc;
+    const std::vector<Arc>& arcs = arcs_[c];
+    auto nearest = std::ranges::lower_bound(arcs, time, {}, &Arc::end);
+    if (nearest == arcs.end() || (nearest != arcs.begin() && time - (nearest - 1)->end <= nearest->end - time)) {
+      nearest = std::ranges::lower_bound(arcs, (nearest - 1)->end, {}, &Arc::end);
     }
     return *nearest;
   }
