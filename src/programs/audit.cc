@@ -230,7 +230,7 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
     if (audit.gradient.ok()) continue;
-    const bool not_applicable = !audit.interrupted && IsNotApplicable(audit, request.scene);
+    const bool not_applicable = IsNotApplicable(audit, request.scene);
     if (not_applicable && asked == 1) {
       std::cerr << "error: " << audit.gradient.contact << ": " << audit.gradient.reason << std::endl;
       return kWrongInput;
