@@ -273,7 +273,7 @@ void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShoo
     motions.push_back(
         {static_cast<LaneSimulator*>(shooting.simulator_.get()), shooting.initial_, shooting.ControlIn(point(i))});
   }
-  // Those of the points that follow, which are most often evaluated next.
+  // The next points in memory are most often evaluated next. To fetch what is not there does nothing.
   const std::ptrdiff_t next = points.size(), set = gradients.empty() ? 0 : gradients.data() + next - points.data();
   if (!motions.empty()) motions[0].simulator->RolloutTogether(motions, /*force_unit=*/1, {next, set});
   for (std::size_t m = 0; m < motions.size(); ++m) {

@@ -146,6 +146,7 @@ class Certifier {
     const std::vector<Arc>& arcs = arcs_[c];
     auto nearest = std::ranges::lower_bound(arcs, time, {}, &Arc::end);
     if (nearest == arcs.end() || (nearest != arcs.begin() && time - (nearest - 1)->end <= nearest->end - time)) {
+      // The first of those that end together: the others have no forces.
       nearest = std::ranges::lower_bound(arcs, (nearest - 1)->end, {}, &Arc::end);
     }
     return *nearest;
@@ -353,7 +354,7 @@ class Certifier {
   const Flight& flight_;
   const std::vector<double>& lengths_;  // of the control intervals, s
   std::vector<int> pushed_;             // by body: its place among the pushed ones, or -1
-  std::vector<std::vector<Arc>> arcs_;  // of each pushed disc
+  std::vector<std::vector<Arc>> arcs_;  // of each pushed disc, in order of time
   std::vector<Costate<double>> now_;    // of every disc, carried backwards; used for those that are not pushed
   double next_hamiltonian_ = 0;         // of the phase after the impact at hand
   double largest_position_ = 0, largest_velocity_ = 0, largest_hamiltonian_ = 0;

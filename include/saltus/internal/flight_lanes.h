@@ -17,7 +17,7 @@ struct FlightsInput {
   std::array<const double*, kLanes> force{};  // [u_x u_y] of the first step, in units of `unit`; null in all or in none
   std::ptrdiff_t stride = 0;                  // numbers from one step's force to the next
   double unit = 1;                            // N
-  std::array<std::ptrdiff_t, 2> ahead{};      // from a force to a number that is read soon, and to one that is set soon
+  std::array<std::ptrdiff_t, 2> ahead{};      // numbers from a force to one that is read soon, to one that is set
 };
 
 namespace internal {
