@@ -438,6 +438,22 @@ TEST(BlackBox, TheSimulatorOfThePageIsAudited) {
   EXPECT_THAT(audits[1]["reason"].get<std::string>(), HasSubstr("exit code 127"));
 }
 
+// The same with a fifth of the overlap taken away in each step by a further impulse. The overlap is that of half a
+// step, in the middle of the phases; a displacement is in the velocity from the step on, half a step after the impact.
+TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
+  std::string script = SimulatorOfPage();
+  const std::string impulse = "if distance < 0.4 and approach < 0:\n";
+  script.insert(script.find(impulse) + impulse.size(), "            approach -= 0.1 * (0.4 - distance) / h\n");
+  const Outcome outcome =
+      RunProgram("saltus_audit" + OfProblem("two_balls") +
+                 "--steps=60 --progress=none --json --simulate='fed=python3 " + WrittenTo("fed.py", script) + "'");
+  EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
+  const Json fed = Json::parse(outcome.output)["audits"][0];
+  EXPECT_NEAR(fed["e"].get<double>(), 1.1, 1e-6);
+  EXPECT_NEAR(fed["keep"].get<double>(), 1.1, 1e-6);
+  EXPECT_NEAR(fed["feed"].get<double>(), -0.2, 1e-6);
+}
+
 TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
   const std::string simulate = BuildFolder() + "/bin/saltus_simulate --contact=direct";
   const Outcome outcome =
