@@ -231,6 +231,15 @@ int NumStepsAtOnce(const EventRun& run) {
   return static_cast<int>(std::ranges::count(at_once, 1));
 }
 
+// Without calming, a step of all impacts would have so many that it fails, and be taken at once.
+TEST(EventPiles, ABagWithoutFrictionSettlesWithinAStep) {
+  for (const int discs : {9, 14}) {
+    const EventRun run(Bag(discs, 0, 0.8, 4, 1));
+    EXPECT_LT(ExpectNoOverlapAndNoGain(run), 1e-12) << discs;
+    EXPECT_EQ(NumStepsAtOnce(run), 0) << discs;
+  }
+}
+
 TEST(EventPiles, AJammedBagSettles) {
   for (const double friction : {0.0, 0.3}) {
     const EventRun run(StaggeredBag(50, friction, 2, 400));
