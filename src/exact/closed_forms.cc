@@ -11,7 +11,7 @@ namespace {
 using exact_internal::ContactLaw;
 using exact_internal::DiscPair;
 using exact_internal::DiscPath;
-using exact_internal::Fly;
+using exact_internal::FlyBoth;
 using exact_internal::InitialMotion;
 using exact_internal::kGrazing;
 using exact_internal::kTouching;
@@ -162,10 +162,6 @@ Meeting FindMeeting(const PairParameters& pair, const DiscPair<double>& discs, d
   return Meeting::kImpact;
 }
 
-DiscPair<double> FlyBoth(const PairParameters& pair, const DiscPair<double>& discs, double time) {
-  return {Fly(discs.first, pair.acceleration_first, time), Fly(discs.second, pair.acceleration_second, time)};
-}
-
 bool Approaches(const DiscPair<double>& discs) {
   const Vec2d d = discs.first.position - discs.second.position;
   return d.dot(discs.first.velocity - discs.second.velocity) < -kGrazing * d.norm();
@@ -181,11 +177,8 @@ DiscPair<PairJet> SeedPair(const DiscPair<double>& discs) {
 
 // The phase without a collision, from `discs` at `start` to the end of the scene.
 Phase LastPhase(const Scene& scene, const PairParameters& pair, const DiscPair<double>& discs, double start) {
-  const DiscPair<PairJet> seeded = SeedPair(discs);
-  const PairJet time(scene.duration - start);
-  const PairJet loss = exact_internal::TerminalLoss<PairJet>(
-      scene.objective,
-      {Fly(seeded.first, pair.acceleration_first, time), Fly(seeded.second, pair.acceleration_second, time)});
+  const DiscPair<PairJet> end = FlyBoth(pair, SeedPair(discs), PairJet(scene.duration - start));
+  const PairJet loss = exact_internal::TerminalLoss<PairJet>(scene.objective, {end.first, end.second});
   return PairPhase(loss, start, scene.duration);
 }
 

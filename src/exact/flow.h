@@ -117,6 +117,12 @@ inline Motion<double> InitialMotion(const Scene& scene, int i) {
   return {scene.bodies[i].position, scene.bodies[i].velocity};
 }
 
+// The image of a disc's centre p behind a plane.
+inline Vec2d Mirror(const Plane& plane, double radius, const Vec2d& p) {
+  const Vec2d n = plane.normal.normalized();
+  return p - 2 * (n.dot(p - plane.point) - radius) * n;
+}
+
 // The terminal part of the loss.
 template <typename T>
 T TerminalLoss(const Objective& objective, const std::vector<Motion<T>>& final) {
@@ -188,28 +194,28 @@ struct PairParameters {
   Vec2d acceleration_second = Vec2d::Zero();
 };
 
+template <typename T>
+DiscPair<T> FlyBoth(const PairParameters& pair, const DiscPair<T>& discs, const T& time) {
+  return {Fly(discs.first, pair.acceleration_first, time), Fly(discs.second, pair.acceleration_second, time)};
+}
+
 // The pair `remaining` later than at the given state, if the discs collide once and do so `guess` after it: exactly so
 // for the values, which makes the one Newton step for the time of the collision exact for the derivatives.
 template <typename T>
 DiscPair<T> CollideOnce(const PairParameters& pair, const ContactLaw<T>& law, DiscPair<T> discs, double guess,
                         double remaining, ExactEvent::Mode* mode = nullptr) {
-  const auto fly = [&](const T& time) {
-    discs.first = Fly(discs.first, pair.acceleration_first, time);
-    discs.second = Fly(discs.second, pair.acceleration_second, time);
-  };
-  fly(T(guess));
+  discs = FlyBoth(pair, discs, T(guess));
   Vec2<T> d = discs.first.position - discs.second.position;
   Vec2<T> w = discs.first.velocity - discs.second.velocity;
   const T correction = -(Dot(d, d) - T(pair.contact_distance * pair.contact_distance)) / (T(2) * Dot(d, w));
-  fly(correction);
+  discs = FlyBoth(pair, discs, correction);
   d = discs.first.position - discs.second.position;
   w = discs.first.velocity - discs.second.velocity;
   const double m = 1 / (1 / pair.mass_first + 1 / pair.mass_second);
   const Vec2<T> impulse = Impulse(law, Quotient(d, Length(d)), w, m, mode);
   discs.first.velocity += Scale(1 / pair.mass_first, impulse);
   discs.second.velocity -= Scale(1 / pair.mass_second, impulse);
-  fly(T(T(remaining - guess) - correction));
-  return discs;
+  return FlyBoth(pair, discs, T(T(remaining - guess) - correction));
 }
 
 }  // namespace saltus::exact_internal

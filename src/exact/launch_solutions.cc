@@ -76,9 +76,7 @@ bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
 Vec2d StraightLaunch(const Scene& scene, const PlaneSequence& hits) {
   Vec2d image = Target(scene).target;
   for (auto hit = hits.rbegin(); hit != hits.rend(); ++hit) {
-    const Plane& plane = scene.planes[*hit];
-    const Vec2d n = plane.normal.normalized();
-    image -= 2 * (n.dot(image - plane.point) - scene.bodies[0].radius) * n;
+    image = exact_internal::Mirror(scene.planes[*hit], scene.bodies[0].radius, image);
   }
   return (image - scene.bodies[0].position) / scene.duration -
          0.5 * scene.duration * exact_internal::InitialAcceleration(scene, 0);

@@ -8,16 +8,6 @@ namespace {
 
 constexpr double kClear = 1e-11;  // overlap below this is rounding
 
-Vec2d Mirror(const Plane& plane, double radius, const Vec2d& p) {
-  const Vec2d n = plane.normal.normalized();
-  return p - 2 * (n.dot(p - plane.point) - radius) * n;
-}
-
-Vec2d MirrorDirection(const Plane& plane, const Vec2d& v) {
-  const Vec2d n = plane.normal.normalized();
-  return v - 2 * n.dot(v) * n;
-}
-
 Path Straight(const Vec2d& position, const Vec2d& velocity) {
   return {Polynomial{position[0], velocity[0]}, Polynomial{position[1], velocity[1]}};
 }
@@ -156,9 +146,10 @@ std::optional<std::vector<PathPiece>> PathsAfterImpact(const Scene& scene, TwoDi
   const double wait = (n.dot(p2 - plane.point) - second.radius) / -n.dot(v2);
   if (!(wait > 0 && wait < scene.duration - s)) return std::nullopt;
   *hit = s + wait;
+  const Vec2d rebound = v2 - 2 * n.dot(v2) * n;
   return std::vector<PathPiece>{
       {s, s + wait, Straight(p1, v1), Straight(p2, v2)},
-      {s + wait, scene.duration, Straight(p1 + wait * v1, v1), Straight(p2 + wait * v2, MirrorDirection(plane, v2))}};
+      {s + wait, scene.duration, Straight(p1 + wait * v1, v1), Straight(p2 + wait * v2, rebound)}};
 }
 
 bool PathsAreClear(const Scene& scene, const std::vector<PathPiece>& pieces) {
