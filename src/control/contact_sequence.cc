@@ -11,8 +11,6 @@ std::string Names(const Scene& scene, const Candidate& c, const char* between = 
   return scene.bodies[c.a].name + between + (c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name);
 }
 
-std::string PairToString(const Scene& scene, const Candidate& c) { return Names(scene, c, "-"); }
-
 struct Thing {
   int index = 0;
   bool plane = false;
@@ -51,7 +49,7 @@ std::string ListPairs(const Scene& scene) {
   std::string list;
   const ContactSequence pairs = AllPairs(scene);
   for (size_t i = 0; i < std::min(pairs.size(), kMost); ++i) {
-    list += (list.empty() ? "" : ", ") + PairToString(scene, pairs[i]);
+    list += (list.empty() ? "" : ", ") + Names(scene, pairs[i], "-");
   }
   if (list.empty()) return "pairs, of which this scene has none";
   return list + (pairs.size() > kMost ? ", ..." : "");
@@ -110,7 +108,7 @@ std::string ParseContactSequence(const Scene& scene, std::string_view text, Cont
 
 std::string ContactSequenceToString(const Scene& scene, const ContactSequence& sequence) {
   std::string text;
-  for (const Candidate& c : sequence) text += (text.empty() ? "" : ",") + PairToString(scene, c);
+  for (const Candidate& c : sequence) text += (text.empty() ? "" : ",") + Names(scene, c, "-");
   return text.empty() ? "none" : text;
 }
 

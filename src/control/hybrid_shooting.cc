@@ -68,18 +68,19 @@ bool HybridShooting::Rollout(std::span<const double> z) {
 bool HybridShooting::RolloutOf(HybridInput input) {
   input_ = std::move(input);
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
-  if (!simulator_.Rollout(input_)) {
-    why_ = simulator_.WhyFailed();
-    return false;
-  }
-  times_ = input_.Times();
-  return FindPlaces();
+  return simulator_.Rollout(input_) ? FindPlaces() : Fail(simulator_.WhyFailed());
+}
+
+bool HybridShooting::Fail(std::string why) {
+  why_ = std::move(why);
+  return false;
 }
 
 bool HybridShooting::FindPlaces() {
   places_.clear();
   constraint_places_.clear();
   int rows = 0;
+  const std::vector<double> times = input_.Times();
   const std::vector<HybridEvent>& events = simulator_.events();
   for (const HybridTerm& term : problem_.terms) {
     const bool is_cost = term.role == HybridTerm::Role::kCost;
@@ -91,12 +92,11 @@ bool HybridShooting::FindPlaces() {
         if (events[i].mode != term.mode || events[i].guard != term.guard) continue;
         const std::span<const double> state = term.before ? events[i].before : events[i].after;
         if (term.with_state && static_cast<int>(state.size()) != state_size) {
-          why_ = term.name + ": found a state of " + std::to_string(state.size()) +
-                 " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
-                 std::to_string(state_size);
-          return false;
+          return Fail(term.name + ": found a state of " + std::to_string(state.size()) +
+                      " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
+                      std::to_string(state_size));
         }
-        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, -1});
+        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, -1});
       }
       continue;
     }
@@ -107,13 +107,13 @@ bool HybridShooting::FindPlaces() {
       const bool counts = term.mode < 0 || term.mode == mode;
       const bool fits = !term.with_state || static_cast<int>(state.size()) == state_size;
       if (at_end && !(counts && fits)) {
-        why_ =
-            term.name + ": the motion ends in mode '" + problem_.system.ModeName(mode) + "', where it does not apply";
-        return false;
+        return Fail(term.name + ": the motion ends in mode '" + problem_.system.ModeName(mode) +
+                    "', where it does not apply");
       }
       // Rows of intervals in another mode stay zero.
       if (counts && fits) {
-        places.push_back({&term, at_end ? -1 : k, -1, state, times_[node], rows});
+        const double length = at_end ? 0 : times[k + 1] - times[k];
+        places.push_back({&term, at_end ? -1 : k, -1, state, times[node], length, rows});
       }
       if (is_cost) rows += count;
     }
@@ -121,21 +121,20 @@ bool HybridShooting::FindPlaces() {
   return true;
 }
 
-std::vector<const double*> HybridShooting::BlocksOf(const Place& place, const double* length) const {
+std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
   const HybridTerm& term = *place.term;
   std::vector<const double*> blocks;
   if (term.with_state) blocks.push_back(place.state.data());
   if (term.with_control) blocks.push_back(input_.control.data() + place.interval * problem_.system.num_controls());
   if (term.with_parameters) blocks.push_back(input_.parameters.data());
   if (term.with_time) blocks.push_back(&place.time);
-  if (term.with_length) blocks.push_back(length);
+  if (term.with_length) blocks.push_back(&place.length);
   return blocks;
 }
 
 bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* values) const {
   const HybridTerm& term = *place.term;
-  const double length = place.interval >= 0 ? times_[place.interval + 1] - times_[place.interval] : 0;
-  const std::vector<const double*> blocks = BlocksOf(place, &length);
+  const std::vector<const double*> blocks = BlocksOf(place);
   const int rows = term.function->num_residuals();
   values->residuals.resize(rows);
   values->jacobians.clear();
@@ -153,10 +152,7 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
   Values values;
   for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
     for (const Place& place : *places) {
-      if (!ValuesAt(place, false, &values)) {
-        why_ = place.term->name + ": the function has no value";
-        return false;
-      }
+      if (!ValuesAt(place, false, &values)) return FailAt(place);
       for (const double r : values.residuals) {
         if (place.term->role == HybridTerm::Role::kCost) {
           outcome->loss += r * r;
@@ -170,9 +166,7 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
       }
     }
   }
-  if (std::isfinite(outcome->loss) && !std::isnan(outcome->violation)) return true;
-  why_ = "the loss is not finite";
-  return false;
+  return (std::isfinite(outcome->loss) && !std::isnan(outcome->violation)) || Fail("the loss is not finite");
 }
 
 bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) const {
@@ -183,9 +177,8 @@ bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) const {
       if (!ValuesAt(place, true, &values)) return false;
       TermAt& at =
           terms->emplace_back(TermAt{place.term, place.interval, place.event, values.residuals, values.jacobians, {}});
-      const double length = place.interval >= 0 ? times_[place.interval + 1] - times_[place.interval] : 0;
       const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
-      const std::vector<const double*> blocks = BlocksOf(place, &length);
+      const std::vector<const double*> blocks = BlocksOf(place);
       for (std::size_t i = 0; i < blocks.size(); ++i) at.blocks.emplace_back(blocks[i], blocks[i] + sizes[i]);
     }
   }
@@ -210,10 +203,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   };
   Values values;
   for (const Place& place : places_) {
-    if (!ValuesAt(place, gradient != nullptr, &values)) {
-      why_ = place.term->name + ": the function has no value";
-      return false;
-    }
+    if (!ValuesAt(place, gradient != nullptr, &values)) return FailAt(place);
     for (const double residual : values.residuals) *loss += residual * residual;
     if (gradient == nullptr) continue;
     const HybridTerm& term = *place.term;
@@ -255,12 +245,9 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
         by.duration += by_time * place.time / input_.duration;
       }
     }
-    if (term.with_length) by.duration += pull_back()[0] * PartOf(place.interval);
+    if (term.with_length) by.duration += pull_back()[0] * (place.length / input_.duration);
   }
-  if (!std::isfinite(*loss)) {
-    why_ = "the loss is not finite";
-    return false;
-  }
+  if (!std::isfinite(*loss)) return Fail("the loss is not finite");
   if (gradient == nullptr) return true;
   by.initial.resize(input_.initial.size());
   if (reads_motion) {
@@ -281,15 +268,11 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
   Values values;
   for (const Place& place : places_) {
     if (place.first_row < 0) continue;
-    if (!ValuesAt(place, false, &values)) {
-      why_ = place.term->name + ": the function has no value";
-      return false;
-    }
+    if (!ValuesAt(place, false, &values)) return FailAt(place);
     std::copy(values.residuals.begin(), values.residuals.end(), residuals + place.first_row);
   }
   if (!std::all_of(residuals, residuals + num_residuals_, [](double number) { return std::isfinite(number); })) {
-    why_ = "the loss is not finite";
-    return false;
+    return Fail("the loss is not finite");
   }
   if (jacobian != nullptr) ResidualJacobian(jacobian);
   return true;
@@ -325,10 +308,8 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
     const int m = system.num_controls();
     if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();
     if (term.with_parameters) all.middleCols(first_parameter, system.num_parameters()) += next();
-    if (term.with_time) {
-      all.col(duration) += next() * (place.time / input_.duration);
-    }
-    if (term.with_length) all.col(duration) += next() * PartOf(place.interval);
+    if (term.with_time) all.col(duration) += next() * (place.time / input_.duration);
+    if (term.with_length) all.col(duration) += next() * (place.length / input_.duration);
     for (std::size_t j = 0; j < variables_.size(); ++j) {
       const int column = first_of_kind[static_cast<int>(variables_[j].kind)] + variables_[j].index;
       out.block(place.first_row, j, rows, 1) = all.col(column);

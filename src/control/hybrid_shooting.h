@@ -73,7 +73,7 @@ class HybridShooting final : public ShootingFunction {
     const HybridTerm* term;
     int interval = -1, event = -1;  // neither: the end
     std::span<const double> state;
-    double time = 0;
+    double time = 0, length = 0;  // s; of the interval, if there is one
     int first_row = 0;
   };
   // Residuals and Jacobians at a place, one matrix (rows x size, row-major) for each block.
@@ -86,10 +86,11 @@ class HybridShooting final : public ShootingFunction {
   bool RolloutOf(HybridInput input);
   // Every place of a term. False if one has no meaning in this motion.
   bool FindPlaces();
-  // The length of a control interval as a part of the duration.
-  double PartOf(int interval) const { return (times_[interval + 1] - times_[interval]) / input_.duration; }
-  std::vector<const double*> BlocksOf(const Place& place, const double* length) const;
+  std::vector<const double*> BlocksOf(const Place& place) const;
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
+  // Keep the reason why there is no loss, and return false.
+  bool Fail(std::string why);
+  bool FailAt(const Place& place) { return Fail(place.term->name + ": the function has no value"); }
 
   const HybridProblem problem_;
   HybridSimulator simulator_;
@@ -98,8 +99,7 @@ class HybridShooting final : public ShootingFunction {
   HybridInput start_;  // the guess of the problem; without a control that of zeros
   std::vector<FreeVariable> variables_;
   std::vector<double> guess_;
-  HybridInput input_;          // of the last rollout
-  std::vector<double> times_;  // of its control intervals
+  HybridInput input_;  // of the last rollout
   std::vector<Place> places_, constraint_places_;
   int num_residuals_ = 0;
   std::string why_;

@@ -30,43 +30,37 @@ bool ModelStep::Evaluate(double const* const* parameters, double* rows, double**
   if (!std::all_of(rows, rows + num_residuals(), [](double row) { return std::isfinite(row); })) return false;
   if (jacobians == nullptr) return true;
 
-  // Writes entries (row, column, value) into a block of zeros.
-  const auto fill = [&](int block, const auto& entries) {
+  using Jacobian = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, PushedStep::kRows, 4>;
+  const auto zeros = [&](int columns) { return Jacobian(Jacobian::Zero(num_residuals(), columns)); };
+  const auto put = [&](int block, const Jacobian& jacobian) {
     if (jacobians[block] == nullptr) return;
-    const int columns = parameter_block_sizes()[block];
-    std::fill_n(jacobians[block], num_residuals() * columns, 0.0);
-    entries([&](int row, int column, double value) { jacobians[block][row * columns + column] = value; });
+    Eigen::Map<Jacobian>(jacobians[block], jacobian.rows(), jacobian.cols()) = jacobian;
   };
   const StepLinearization::FreeFlight& by = over->flight;
-  fill(0, [&](const auto& set) {
-    for (int j = 0; j < 2; ++j) {
-      set(j, j, -by.pp);
-      set(j, 2 + j, -by.pv);
-      set(2 + j, j, -by.vp);
-      set(2 + j, 2 + j, -by.vv);
-    }
-  });
-  if (push_) {
-    fill(1, [&](const auto& set) {
-      for (int j = 0; j < 2; ++j) {
-        set(j, j, -by.pa * inverse_mass);
-        set(2 + j, j, -by.va * inverse_mass);
-        set(4 + j, j, scale);
-      }
-    });
+  Jacobian by_node = zeros(4), by_force = zeros(2), by_next = zeros(4);
+  for (int j = 0; j < 2; ++j) {
+    by_node(j, j) = -by.pp;
+    by_node(j, 2 + j) = -by.pv;
+    by_node(2 + j, j) = -by.vp;
+    by_node(2 + j, 2 + j) = -by.vv;
+    if (!push_) continue;
+    by_force(j, j) = -by.pa * inverse_mass;
+    by_force(2 + j, j) = -by.va * inverse_mass;
+    by_force(4 + j, j) = scale;
   }
+  put(0, by_node);
+  if (push_) put(1, by_force);
   std::array<double, 4> by_length;
   Fly(over->by_time, x, a, by_length.data());
   for (const int end : {0, 1}) {
     const double length = (end ? 1.0 : -1.0) / step_.count;  // d(h)/d(end) or d(h)/d(begin)
-    fill(times + end, [&](const auto& set) {
-      for (int r = 0; r < 4; ++r) set(r, 0, -length * by_length[r]);
-      for (int j = 0; grows && j < 2; ++j) set(4 + j, 0, length * 0.5 * scale / h * force[j]);
-    });
+    Jacobian by_time = zeros(1);
+    for (int r = 0; r < 4; ++r) by_time(r, 0) = -length * by_length[r];
+    for (int j = 0; grows && j < 2; ++j) by_time(4 + j, 0) = length * 0.5 * scale / h * force[j];
+    put(times + end, by_time);
   }
-  fill(times + 2, [&](const auto& set) {
-    for (int r = 0; r < 4; ++r) set(r, r, 1);
-  });
+  by_next.topRows(4).setIdentity();
+  put(times + 2, by_next);
   return true;
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <limits>
 #include <numeric>
 
@@ -114,8 +115,9 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
   std::vector<std::vector<double>> derivatives;
   std::vector<double*> wanted;
   if (jacobians != nullptr) {
-    for (const std::vector<double>& block : blocks) derivatives.emplace_back(rows * block.size());
-    for (std::size_t i = 0; i < blocks.size(); ++i) wanted.push_back(derivatives[i].data());
+    for (const std::vector<double>& block : blocks) {
+      wanted.push_back(derivatives.emplace_back(rows * block.size()).data());
+    }
   }
   if (!term_.function->Evaluate(values.data(), residuals, jacobians == nullptr ? nullptr : wanted.data())) return false;
   for (int r = 0; r < rows; ++r) residuals[r] *= row_factor_;
@@ -144,20 +146,21 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
     const OwnTermCost cost(term, scene, /*steps=*/1);
     std::vector<double> residuals(cost.num_residuals());
     const auto add = [&](const DiscStates& x, const double* row, double begin, double end) {
-      std::vector<std::array<double, 4>> states;
-      for (const int body : term.states) states.push_back({x.p[body][0], x.p[body][1], x.v[body][0], x.v[body][1]});
+      std::deque<std::array<double, 4>> numbers;  // of states and rotations; a deque does not move its entries
       std::vector<const double*> blocks;
-      for (const auto& state : states) blocks.push_back(state.data());
+      for (const int body : term.states) {
+        numbers.push_back({x.p[body][0], x.p[body][1], x.v[body][0], x.v[body][1]});
+        blocks.push_back(numbers.back().data());
+      }
       const auto place_in = [](const std::vector<int>& all, int body) {
         return std::find(all.begin(), all.end(), body) - all.begin();
       };
       for (const int body : term.forces) blocks.push_back(row + 2 * place_in(scene.control.bodies, body));
-      std::vector<std::array<double, 2>> rotations;
       for (const int body : term.rotations) {
         const double radius = scene.bodies[body].radius;
-        rotations.push_back({radius * x.angle[body], radius * x.spin[body]});
+        numbers.push_back({radius * x.angle[body], radius * x.spin[body]});
+        blocks.push_back(numbers.back().data());
       }
-      for (const auto& rotation : rotations) blocks.push_back(rotation.data());
       for (const int body : term.torques) {
         blocks.push_back(row + 2 * scene.num_controlled() + place_in(scene.control.turned, body));
       }

@@ -240,8 +240,9 @@ class SteppedWayCosts final : public WayCosts {
   std::string Update(const Simulator& simulator, std::span<const double>, std::span<const double> control) override {
     simulator_ = &simulator;
     control_.assign(control.begin(), control.end());
-    states_.resize(static_cast<size_t>(num_steps_ + 1) * simulator.state_size());
-    for (int k = 0; k <= num_steps_; ++k) simulator.GetState(k, State(k));
+    const size_t size = simulator.state_size();
+    states_.resize((num_steps_ + 1) * size);
+    for (int k = 0; k <= num_steps_; ++k) simulator.GetState(k, std::span(states_).subspan(k * size, size));
     return "";
   }
 
@@ -254,7 +255,7 @@ class SteppedWayCosts final : public WayCosts {
   void Gradient(std::span<double> control, std::span<double> initial, double*) const override {
     std::vector<double> cotangents(states_.size());
     TerminalGradient(scene_.objective,
-                     StateAt(num_steps_),
+                     State(num_steps_),
                      simulator_->body_size(),
                      std::span(cotangents).last(simulator_->state_size()));
     for (size_t i = num_terminal_; i < rows_.size(); ++i) AddDerivative(rows_[i], 2 * Value(rows_[i]), cotangents);
@@ -295,16 +296,13 @@ class SteppedWayCosts final : public WayCosts {
 
   int IndexOf(const NodeRow& row) const { return row.body * simulator_->body_size() + row.entry; }
 
-  std::span<double> State(int k) {
-    return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
-  }
-  std::span<const double> StateAt(int k) const {
+  std::span<const double> State(int k) const {
     return std::span(states_).subspan(static_cast<size_t>(k) * simulator_->state_size(), simulator_->state_size());
   }
   double Value(const NodeRow& row) const {
     const int i = IndexOf(row);
-    double q = StateAt(row.step)[i];
-    if (row.part > 0) q += row.part * (StateAt(row.step + 1)[i] - q);
+    double q = State(row.step)[i];
+    if (row.part > 0) q += row.part * (State(row.step + 1)[i] - q);
     return row.scale * (q - row.target);
   }
   void AddDerivative(const NodeRow& row, double weight, std::span<double> cotangents) const {
@@ -319,7 +317,7 @@ class SteppedWayCosts final : public WayCosts {
     std::vector<double> force(simulator_->force_size());
     for (int k = 0; k < num_steps_; ++k) {
       simulator_->ExpandForce(control_, k, force);
-      simulator_->Linearize(StateAt(k), force, /*with_parameters=*/false, &steps[k]);
+      simulator_->Linearize(State(k), force, /*with_parameters=*/false, &steps[k]);
     }
     return steps;
   }
