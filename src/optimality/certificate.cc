@@ -169,6 +169,12 @@ Certificate WithImpactsOf(const ControlledMotion& motion) {
   return certificate;
 }
 
+std::optional<double> ThetaBetween(double early, double late, double multiplier) {
+  const double kink = early - late;
+  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) return std::nullopt;
+  return (multiplier - late) / kink;
+}
+
 void Judge(Certificate* certificate) {
   const std::array<std::pair<double, const char*>, 4> residuals = {{{certificate->stationarity, "stationarity"},
                                                                     {certificate->costate_jump, "the costate jump"},

@@ -22,9 +22,9 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       restrictions_(std::move(restrictions)),
       soft_(scene.objective),
       width_(scene.control_width()) {
-  std::erase_if(soft_.terminal, [](const TerminalTerm& term) { return term.hard; });
-  num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
   const auto is_hard = [](const TerminalTerm& term) { return term.hard; };
+  std::erase_if(soft_.terminal, is_hard);
+  num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
   int hard = static_cast<int>(std::ranges::count_if(scene.objective.terminal, is_hard));
   for (const ViaTerm& term : scene.objective.via) {
     hard_via_.push_back(term.hard && !restrictions_.hard.empty() ? hard++ : -1);
@@ -457,9 +457,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       if (spins) {
         costate.angular_velocity -= at_impact.dt * costate.angle;
         of_spin[i] = costate.angular_velocity;
-        power += costate.angle * SpinGain(law, i, at_impact.impact);
-        early += costate.angle * SpinGain(law, i, at_impact.impact);
-        late += costate.angle * SpinGain(law, i, at_impact.impact);
+        for (T* sum : {&power, &early, &late}) *sum += costate.angle * SpinGain(law, i, at_impact.impact);
       }
       lengthen(side.body, side.after, -at_impact.dt);
       count(side, rate, at_impact.after[i], side.after, 1);

@@ -22,7 +22,7 @@ inline bool IsBetween(const Vec2d& a, const Vec2d& b, const Vec2d& w) {
 // The cone of outward normals of the bounds at a force, in the plane: empty, a ray or what two rays span.
 class NormalCone {
  public:
-  void Add(const Vec2d& normal) { normals_.push_back(normal); }
+  explicit NormalCone(std::vector<Vec2d> normals) : normals_(std::move(normals)) {}
 
   // w less its projection on the cone, and the derivative by w.
   void Residual(const Vec2d& w, Vec2d* residual, Eigen::Matrix2d* derivative) const {
@@ -62,9 +62,9 @@ class ConeConditions {
  public:
   explicit ConeConditions(int num_unknowns) : theta_(Eigen::VectorXd::Zero(num_unknowns)) {}
 
-  // `value`, whose derivative by theta is `columns`, is to be opposite to the cone.
-  void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, NormalCone cone) {
-    forces_.push_back({value, columns, std::move(cone)});
+  // `value`, whose derivative by theta is `columns`, is to be opposite to the cone of these normals.
+  void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, std::vector<Vec2d> normals) {
+    forces_.push_back({value, columns, NormalCone(std::move(normals))});
   }
   // A number that is to vanish, or to have the sign `allowed`.
   void AddNumber(double value, const Eigen::RowVectorXd& columns, int allowed) {

@@ -83,6 +83,7 @@ class ConstrainedCertifier {
   using Result = CostateSweep::Result;
 
   int num_hits() const { return static_cast<int>(motion_.flight.hits().size()); }
+  int num_intervals() const { return static_cast<int>(motion_.lengths.size()); }
   int num_segments() const { return static_cast<int>(sweep_.segments().size()); }
   double effort() const { return scene_.objective.effort; }
   double Mass(int c) const { return scene_.bodies[scene_.control.bodies[c]].mass; }
@@ -153,26 +154,18 @@ class ConstrainedCertifier {
     return normals;
   }
 
-  NormalCone ConeAt(int interval, int c) const {
-    NormalCone cone;
-    for (const Vec2d& normal : NormalsAt(interval, c)) cone.Add(normal);
-    return cone;
-  }
-
-  NormalCone TurnConeAt(int interval, int t) const {
-    NormalCone cone;
+  std::vector<Vec2d> TurnNormalsAt(int interval, int t) const {
     const double turn = Turn(interval, t), most = MostTurn(scene_, t);
-    if (std::abs(turn) >= (1 - kAtBound) * most) cone.Add(Vec2d(turn > 0 ? 1 : -1, 0));
-    return cone;
+    if (std::abs(turn) >= (1 - kAtBound) * most) return {Vec2d(turn > 0 ? 1 : -1, 0)};
+    return {};
   }
 
-  bool HasCondition(size_t interval) const { return motion_.lengths[interval] > kNoInterval * scene_.duration; }
+  bool HasCondition(int interval) const { return motion_.lengths[interval] > kNoInterval * scene_.duration; }
 
   void AddForces(const std::vector<Result>& sweeps, ConeConditions* conditions) const {
     const int n = static_cast<int>(sweeps.size()) - 1;
     const int pushed = scene_.num_controlled();
-    const size_t intervals = motion_.lengths.size();
-    std::vector<Eigen::Matrix2Xd> mean(intervals * pushed, Eigen::Matrix2Xd::Zero(2, n + 1));
+    std::vector<Eigen::Matrix2Xd> mean(num_intervals() * pushed, Eigen::Matrix2Xd::Zero(2, n + 1));
     for (int i = 0; i < num_segments(); ++i) {
       const int interval = sweep_.segments()[i].piece.interval;
       for (int c = 0; c < pushed; ++c) {
@@ -181,13 +174,11 @@ class ConstrainedCertifier {
         }
       }
     }
-    for (size_t k = 0; k < intervals; ++k) {
+    for (int k = 0; k < num_intervals(); ++k) {
       if (!HasCondition(k)) continue;
       for (int c = 0; c < pushed; ++c) {
-        const int interval = static_cast<int>(k);
         const Eigen::Matrix2Xd& of = mean[k * pushed + c];
-        conditions->AddForce(
-            of.col(0) + 2 * effort() * Mass(c) * Force(interval, c), of.rightCols(n), ConeAt(interval, c));
+        conditions->AddForce(of.col(0) + 2 * effort() * Mass(c) * Force(k, c), of.rightCols(n), NormalsAt(k, c));
       }
     }
     for (int t = 0; t < scene_.num_turned(); ++t) AddTorques(t, sweeps, conditions);
@@ -197,16 +188,15 @@ class ConstrainedCertifier {
   void AddTorques(int t, const std::vector<Result>& sweeps, ConeConditions* conditions) const {
     const int n = static_cast<int>(sweeps.size()) - 1;
     const double radius = Turned(t).radius, mass = Turned(t).MomentOfInertia() / (radius * radius);
-    std::vector<Eigen::Matrix2Xd> mean(motion_.lengths.size(), Eigen::Matrix2Xd::Zero(2, n + 1));
+    std::vector<Eigen::Matrix2Xd> mean(num_intervals(), Eigen::Matrix2Xd::Zero(2, n + 1));
     for (int i = 0; i < num_segments(); ++i) {
       const int interval = sweep_.segments()[i].piece.interval;
       for (int j = 0; j <= n; ++j) mean[interval](0, j) += sweeps[j].turn[i][t] / (radius * motion_.lengths[interval]);
     }
-    for (size_t k = 0; k < mean.size(); ++k) {
+    for (int k = 0; k < num_intervals(); ++k) {
       if (!HasCondition(k)) continue;
-      const int interval = static_cast<int>(k);
-      const Vec2d own(2 * effort() * mass * Turn(interval, t), 0);
-      conditions->AddForce(mean[k].col(0) + own, mean[k].rightCols(n), TurnConeAt(interval, t));
+      const Vec2d own(2 * effort() * mass * Turn(k, t), 0);
+      conditions->AddForce(mean[k].col(0) + own, mean[k].rightCols(n), TurnNormalsAt(k, t));
     }
   }
 
@@ -296,9 +286,7 @@ class ConstrainedCertifier {
   void SetSizes(const Result& sweep) {
     position_scale_ = std::max(sweep.largest_position, sweep.largest_velocity / scene_.duration);
     hamiltonian_scale_ = sweep.largest_hamiltonian;
-    for (size_t k = 0; k < motion_.lengths.size(); ++k) {
-      hamiltonian_scale_ = std::max(hamiltonian_scale_, EffortRate(static_cast<int>(k)));
-    }
+    for (int k = 0; k < num_intervals(); ++k) hamiltonian_scale_ = std::max(hamiltonian_scale_, EffortRate(k));
   }
   double RelativeForce(const ConeConditions& conditions) const {
     const double force = conditions.LargestForce();
@@ -363,10 +351,8 @@ class ConstrainedCertifier {
                  [&](int k, const ImpactJump& jump, double gain) {
                    const double late = sweep_.Late(k, jump, gain);
                    if (!unknown[k]) return late;
-                   const double early = sweep_.Early(k, jump, gain), kink = early - late;
-                   if (std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late))) {
-                     result->impacts[k].theta = (found.multipliers[k] - late) / kink;
-                   }
+                   const double early = sweep_.Early(k, jump, gain);
+                   result->impacts[k].theta = ThetaBetween(early, late, found.multipliers[k]);
                    return found.multipliers[k];
                  });
   }
@@ -375,8 +361,7 @@ class ConstrainedCertifier {
     // The condition of Legendre and Clebsch: where H_uu is zero, the second variation is not positive definite.
     if (scene_.objective.effort == 0) {
       return "without a cost of effort the Hamiltonian is linear in the forces, and no condition of second order "
-             "proves "
-             "a minimum";
+             "proves a minimum";
     }
     for (int k = 0; k < num_hits(); ++k) {
       if (IsAtEnd(k)) return "an impact is at the final time, where the loss has a kink and no second derivative";
@@ -402,17 +387,14 @@ class ConstrainedCertifier {
     restrictions_.hard = HardOf(conditions.theta());
     restrictions_.duration = IsDurationFree();
     restrictions_.turns.clear();
-    for (size_t k = 0; k < motion_.lengths.size(); ++k) {
-      for (int t = 0; t < scene_.num_turned(); ++t) {
-        const int interval = static_cast<int>(k);
-        restrictions_.turns.push_back(std::abs(Turn(interval, t)) < (1 - kAtBound) * MostTurn(scene_, t));
-      }
+    for (int k = 0; k < num_intervals(); ++k) {
+      for (int t = 0; t < scene_.num_turned(); ++t) restrictions_.turns.push_back(TurnNormalsAt(k, t).empty());
     }
-    restrictions_.forces.assign(motion_.lengths.size() * scene_.num_controlled(), {});
+    const int pushed = scene_.num_controlled();
+    restrictions_.forces.assign(num_intervals() * pushed, {});
     size_t next = 0;
-    for (size_t i = 0; i < restrictions_.forces.size(); ++i) {
-      const int interval = static_cast<int>(i / scene_.num_controlled()),
-                c = static_cast<int>(i % scene_.num_controlled());
+    for (int i = 0; i < num_intervals() * pushed; ++i) {
+      const int interval = i / pushed, c = i % pushed;
       const Vec2d left = HasCondition(interval) ? conditions.Force(next++) : Vec2d(0, 0);
       Restrictions::Force& force = restrictions_.forces[i];
       for (const Vec2d& normal : NormalsAt(interval, c)) {

@@ -41,7 +41,7 @@ class FollowingRuns {
         run_(run),
         constraints_(constraints),
         stop_(stop) {
-    nodes_ = NodesOf(durations);
+    for (const double length : durations) nodes_.push_back(nodes_.back() + length);
     for (std::size_t k = 0; k < run.events.size() && follow; ++k) {
       const auto at = std::min_element(nodes_.begin(), nodes_.end(), [&](double a, double b) {
         return std::abs(a - run.events[k].time) < std::abs(b - run.events[k].time);
@@ -102,29 +102,17 @@ class FollowingRuns {
     return sum;
   }
 
-  static std::vector<double> NodesOf(const std::vector<double>& durations) {
-    std::vector<double> nodes = {0};
-    for (const double length : durations) nodes.push_back(nodes.back() + length);
-    return nodes;
-  }
-
   const Scene& scene_;
   const std::vector<double>&initial_, &control_, &durations_;
   const ExactRun& run_;
   const std::vector<ConstraintCertificate>& constraints_;
   const StopRequest& stop_;
-  std::vector<double> nodes_;
+  std::vector<double> nodes_ = {0};
   std::vector<std::pair<std::size_t, std::size_t>> follows_;  // events, and the nodes that move with them
 };
 
 bool HasPathCosts(const Objective& objective) {
   return objective.duration || !objective.running.empty() || !objective.via.empty();
-}
-
-std::vector<double> TerminalCostate(const Scene& scene, const std::vector<double>& end, int body_size) {
-  std::vector<double> costate(end.size());
-  TerminalGradient(scene.objective, end, body_size, costate);
-  return costate;
 }
 
 std::size_t NumHardTerms(const Objective& objective) {
@@ -154,8 +142,9 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
   Scene rolled = scene;
   if (scene.num_controlled() > 0) rolled.steps = static_cast<int>(control.size()) / scene.control_width();
   const std::unique_ptr<Simulator> simulator = MakeSimulator(Contact(ExactModel()->name), rolled, Precision::kDouble);
-  const std::vector<double> costate =
-      TerminalCostate(scene, ToState(run.end, scene.num_bodies()), simulator->body_size());
+  const std::vector<double> end = ToState(run.end, scene.num_bodies());
+  std::vector<double> costate(end.size());
+  TerminalGradient(scene.objective, end, simulator->body_size(), costate);
   // In natural units costates are about 1, but vanish with a loss that reaches zero.
   gradient.costate = std::max(1.0, LargestOf(costate));
   for (const ConstraintCertificate& constraint : constraints) {

@@ -159,7 +159,7 @@ class Certifier {
   }
 
   void Transversality(Certificate* result) {
-    now_ = TerminalCostates();
+    for (int i = 0; i < scene_.num_bodies(); ++i) now_.push_back(FinalCostate(scene_, flight_.end(), i));
     for (int c = 0; c < scene_.num_controlled(); ++c) {
       const int body = scene_.control.bodies[c];
       const Costate<double> from_force = ArcCostate(c, arcs_[c].back(), scene_.duration);
@@ -173,12 +173,6 @@ class Certifier {
       }
     }
     for (const Costate<double>& costate : now_) Note(costate);
-  }
-
-  std::vector<Costate<double>> TerminalCostates() const {
-    std::vector<Costate<double>> costates;
-    for (int i = 0; i < scene_.num_bodies(); ++i) costates.push_back(FinalCostate(scene_, flight_.end(), i));
-    return costates;
   }
 
   // Of a disc after an impact. Forces say nothing of the costates of spin, which are carried backwards.
@@ -279,20 +273,14 @@ class Certifier {
     return jump.MultiplierAt(flight_.pieces()[hit.next_piece], hit.impact.speed);
   }
 
+  // Early (late) is as if the forces just before (after) the impact acted on both of its sides.
   std::optional<double> Theta(int k, const ImpactJump& jump, double multiplier) const {
-    const auto [early, late] = OneSidedMultipliers(k, jump);
-    const double kink = early - late;
-    if (std::abs(kink) <= 1e-9 * (std::abs(early) + std::abs(late))) return std::nullopt;
-    return (multiplier - late) / kink;
-  }
-
-  // As if the forces just before (after) the impact acted on both of its sides.
-  std::pair<double, double> OneSidedMultipliers(int k, const ImpactJump& jump) const {
     const Flight::Hit& hit = flight_.hits()[k];
     const int next = std::min<int>(hit.next_piece, static_cast<int>(flight_.pieces().size()) - 1);
     const int last = std::max(hit.next_piece - 1, 0);
-    return {jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
-            jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed)};
+    return ThetaBetween(jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
+                        jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed),
+                        multiplier);
   }
 
   void GridGradients(Certificate* result) const {

@@ -169,8 +169,7 @@ class HybridConditions {
     return true;
   }
 
-  // -------------------------------------------------------------------------------------------------- the motion as
-  // steps
+  // -------------------------------------------------------------------------------------------- the motion as steps
 
   void ReadMotion() {
     times_ = input_.Times();
@@ -280,21 +279,19 @@ class HybridConditions {
     return source;
   }
 
-  // -------------------------------------------------------------------------------------------------------------
-  // sweeps
+  // ------------------------------------------------------------------------------------------------------------ sweeps
+
+  // Where in a phase a time is: 0 at its beginning, 1 at its end.
+  double PartOf(int phase, double t) const {
+    const double begin = boundaries_[phase], length = boundaries_[phase + 1] - begin;
+    return length > 0 ? std::clamp((t - begin) / length, 0.0, 1.0) : 1.0;
+  }
 
   // Adds the derivative by a time that is not a boundary of phases but lies in one, as these move.
   void AddTime(double t, int phase, double by, VectorXd* times) const {
-    const double begin = boundaries_[phase], length = boundaries_[phase + 1] - begin;
-    const double part = length > 0 ? std::clamp((t - begin) / length, 0.0, 1.0) : 1.0;
+    const double part = PartOf(phase, t);
     (*times)[phase] += (1 - part) * by;
     (*times)[phase + 1] += part * by;
-  }
-
-  static double OwnTimeOf(const std::vector<Source>& sources) {
-    double sum = 0;
-    for (const Source& source : sources) sum += source.time;
-    return sum;
   }
 
   int PhaseAt(double t, bool before) const {  // of two phases that meet there, the first
@@ -408,10 +405,8 @@ class HybridConditions {
       }
     };
     add(false);
-    const std::vector<int>& sizes = system_.layout().state_sizes;
-    const int most = *std::max_element(sizes.begin(), sizes.end());
-    VectorXd after(most);
-    Matrix reset(most, columns);
+    VectorXd after(functions_.most_states());
+    Matrix reset(functions_.most_states(), columns);
     const ModePoint at{event.mode, event.time, event.before.data(), control, input_.parameters.data()};
     functions_.ResetJacobian(at, event.guard, after.data(), reset.data());
     const VectorXd costate_after = *costate;
@@ -435,7 +430,9 @@ class HybridConditions {
     add(true);
     sweep->times[k + 1] += by_time;
     sweep->scale += by_time * event.time / input_.duration;
-    by_time += OwnTimeOf(at_event[k]);
+    double own_time = 0;  // the derivative by the time of the event that terms read
+    for (const Source& source : at_event[k]) own_time += source.time;
+    by_time += own_time;
     // Of the event alone, with one control on both sides: H before less H after.
     const auto one_sided = [&](const double* u) {
       VectorXd in(n), out(costate_after.size());
@@ -520,8 +517,7 @@ class HybridConditions {
     if (t == boundaries_[phase]) return to.boundaries.row(phase);
     if (t == boundaries_[phase + 1]) return to.boundaries.row(phase + 1);
     if (!to.moving) return t / input_.duration * to.boundaries.row(num_events() + 1);
-    const double begin = boundaries_[phase], length = boundaries_[phase + 1] - begin;
-    const double part = length > 0 ? std::clamp((t - begin) / length, 0.0, 1.0) : 1.0;
+    const double part = PartOf(phase, t);
     return (1 - part) * to.boundaries.row(phase) + part * to.boundaries.row(phase + 1);
   }
 
@@ -629,9 +625,7 @@ class HybridConditions {
 
     Eigen::MatrixXd states = to.initial;
     int interval = 0, event = 0;
-    const auto jump = [&](int k) {
-      states = JumpForward(to, k, weights[1 + k], costates, parameter_sizes, states, second);
-    };
+    const auto jump = [&](int k) { states = JumpForward(to, k, weights, costates, parameter_sizes, states, second); };
     for (size_t s = 0; s < steps_.size(); ++s) {
       const Step& step = steps_[s];
       for (; event < step.phase; ++event) jump(event);
@@ -674,7 +668,7 @@ class HybridConditions {
   }
 
   // Adds the guard, the reset and the terms of event k; returns the derivatives of the state after it.
-  Eigen::MatrixXd JumpForward(const Directions& to, int k, double multiplier, const Costates& costates,
+  Eigen::MatrixXd JumpForward(const Directions& to, int k, const VectorXd& weights, const Costates& costates,
                               const VectorXd& parameter_sizes, const Eigen::MatrixXd& states, Second* second) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
@@ -703,15 +697,13 @@ class HybridConditions {
               linearize(y);
               const double* u = m > 0 ? y.data() + columns : ControlOf(before);
               functions_.GuardGradient({event.mode, y[n], y.data(), u, y.data() + n + 1}, event.guard, guard.data());
-              VectorXd gradient = multiplier * guard.head(columns + m);
+              VectorXd gradient = weights[1 + k] * guard.head(columns + m);
               gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
               return gradient;
             }),
         along);
     linearize(at);
     const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along.topRows(columns));
-    VectorXd weights(1 + num_multipliers());
-    weights << 1, theta_;
     AddTerms(to, -1, k, weights, sizes.head(n), states, second, /*before=*/true);
     AddTerms(to, -1, k, weights, VectorXd::Zero(next.rows()), next, second);
     return next;
@@ -775,8 +767,7 @@ class HybridConditions {
     }
   }
 
-  // ---------------------------------------------------------------------------------------------------------
-  // conditions
+  // -------------------------------------------------------------------------------------------------------- conditions
 
   // Of a variable: the sign that the derivative of the loss may have at its bounds; nothing if it cannot move.
   static std::optional<int> SignAt(double value, double min, double max) {
@@ -951,17 +942,10 @@ class HybridConditions {
 }  // namespace
 
 Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
-  if (std::string wrong = WhatIsWrongWith(input, problem.system); !wrong.empty()) {
-    Certificate certificate;
-    certificate.reason = wrong;
-    return certificate;
-  }
-  if (input.begin != 0) {
-    Certificate certificate;
-    certificate.reason = "the motion does not begin at time 0";
-    return certificate;
-  }
-  return HybridConditions(problem, input).Run();
+  Certificate wrong;
+  wrong.reason = WhatIsWrongWith(input, problem.system);
+  if (wrong.reason.empty() && input.begin != 0) wrong.reason = "the motion does not begin at time 0";
+  return wrong.reason.empty() ? HybridConditions(problem, input).Run() : wrong;
 }
 
 }  // namespace saltus

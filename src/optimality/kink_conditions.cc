@@ -30,7 +30,6 @@ struct Kink {
   Candidate pair;
   double time = 0;
   bool strikes = false;
-  VectorXd gap;  // its derivative by the control
 };
 
 class KinkCertifier {
@@ -49,7 +48,7 @@ class KinkCertifier {
     Certificate certificate;
     FindKinks();
     if (kinks_.empty()) return certificate;
-    const VectorXd with = Gradient(/*strikes=*/true), multipliers = Multipliers(with);
+    const VectorXd with = Gradient(), multipliers = Multipliers(with);
     const double residual = Residual(with, multipliers);
     if (!(residual <= kCertificateTolerance)) return certificate;
     certificate.stationarity = residual;
@@ -90,16 +89,17 @@ class KinkCertifier {
 
   void FindKinks() {
     for (const Flight::Hit& hit : flight_.hits()) {
-      if (hit.time >= scene_.duration * (1 - kAtEnd)) kinks_.push_back({hit.contact, hit.time, true, {}});
+      if (hit.time >= scene_.duration * (1 - kAtEnd)) kinks_.push_back({hit.contact, hit.time, true});
     }
     for (const Candidate& pair : AllPairs(scene_)) {
       const double time = TimeOfLeastGap(pair);
       const bool near = std::ranges::any_of(flight_.hits(), [&](const Flight::Hit& hit) {
         return hit.contact == pair && std::abs(hit.time - time) <= kApart * scene_.duration;
       });
-      if (!near && time > 0 && std::abs(Gap(pair, time)) <= kTouch) kinks_.push_back({pair, time, false, {}});
+      if (!near && time > 0 && std::abs(Gap(pair, time)) <= kTouch) kinks_.push_back({pair, time, false});
     }
-    for (Kink& kink : kinks_) kink.gap = GapGradient(kink);
+    gaps_.resize(static_cast<Eigen::Index>(control_.size()), static_cast<Eigen::Index>(kinks_.size()));
+    for (Eigen::Index i = 0; i < gaps_.cols(); ++i) gaps_.col(i) = GapGradient(kinks_[i]);
   }
 
   // The best sample, and golden sections around it.
@@ -167,13 +167,8 @@ class KinkCertifier {
     return gradient;
   }
 
-  // Of the loss, with the strikes at the final time or without them.
-  VectorXd Gradient(bool strikes) const {
-    if (!strikes) {
-      const Part part = Until(scene_.duration);
-      const Flight flight(scene_, initial_, control_, lengths_, part.run);
-      return CondensedLoss(scene_, flight, control_, lengths_).Gradient();
-    }
+  // Of the loss, with the strikes at the final time.
+  VectorXd Gradient() const {
     std::vector<std::optional<double>> early(flight_.hits().size());
     for (std::size_t k = 0; k < early.size(); ++k) {
       if (flight_.hits()[k].time >= scene_.duration * (1 - kAtEnd)) early[k] = 1;
@@ -181,16 +176,11 @@ class KinkCertifier {
     return CondensedLoss(scene_, flight_, control_, lengths_, std::move(early)).Gradient();
   }
 
-  Eigen::MatrixXd Gaps() const {
-    Eigen::MatrixXd gaps(static_cast<Eigen::Index>(control_.size()), static_cast<Eigen::Index>(kinks_.size()));
-    for (std::size_t i = 0; i < kinks_.size(); ++i) gaps.col(static_cast<Eigen::Index>(i)) = kinks_[i].gap;
-    return gaps;
-  }
-  VectorXd Multipliers(const VectorXd& gradient) const { return LeastSquaresSolution(Gaps(), gradient); }
+  VectorXd Multipliers(const VectorXd& gradient) const { return LeastSquaresSolution(gaps_, gradient); }
 
   // What is left of 2 effort m u + lambda_v in the mean over an interval, relative to the largest 2 effort m u.
   double Residual(const VectorXd& gradient, const VectorXd& multipliers) const {
-    const VectorXd left = gradient - Gaps() * multipliers;
+    const VectorXd left = gradient - gaps_ * multipliers;
     double largest = 0, scale = 0;
     const int width = scene_.control_width();
     for (Eigen::Index i = 0; i < left.size(); ++i) {
@@ -217,7 +207,8 @@ class KinkCertifier {
     };
     const double jump = terminal(flight.end()) - terminal(flight_.end());
     if (std::abs(jump) > Noise()) return jump < 0 ? "without the impact" : "";
-    const VectorXd without = Gradient(/*strikes=*/false), multipliers = Multipliers(without);
+    const VectorXd without = CondensedLoss(scene_, flight, control_, lengths_).Gradient();
+    const VectorXd multipliers = Multipliers(without);
     if (Residual(without, multipliers) > kCertificateTolerance) return "without the impact";
     return multipliers[static_cast<Eigen::Index>(i)] < -Noise() ? "without the impact" : "";
   }
@@ -255,6 +246,7 @@ class KinkCertifier {
   const StopRequest& stop_;
   Flight flight_;
   std::vector<Kink> kinks_;
+  Eigen::MatrixXd gaps_;  // the derivatives of their gaps by the control, a column each
 };
 
 }  // namespace

@@ -36,6 +36,10 @@ Certificate ConstrainedConditions(const ControlledMotion& motion);
 // Why ConstrainedConditions() does not apply; empty if it does.
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight);
 
+// The theta of an impact on a node, whose multiplier lies between the one-sided ones: 0 at the late one, 1 at the early
+// one. Returns std::nullopt if these two are the same.
+std::optional<double> ThetaBetween(double early, double late, double multiplier);
+
 // Returns std::nullopt if the matrices would be too large.
 std::optional<Curvature> FindCurvature(const CondensedLoss& loss);
 // With its kind: it is flat if it is nearly zero, or less than `rounding` times the largest.
