@@ -21,6 +21,7 @@ EventPhases::EventPhases(const Scene& scene, std::vector<Candidate> sequence, st
     const int pushed = pushed_[c.a] + PushesB(k);
     num_variables_ += pushed == 2 ? 8 : pushed == 1 ? 4 : 1;
     num_arcs_ += pushed;
+    num_gaps_ += pushed == 0;
   }
   aim_index_.assign(scene_.num_bodies(), -1);
   for (const TerminalTerm& term : scene_.objective.terminal) {

@@ -80,6 +80,8 @@ class EventPhases {
   bool IsPushed(int body) const { return pushed_[body]; }
   // Whether impact k has a pushed disc, so that its gap is closed by construction.
   bool IsSteered(int k) const { return IsPushed(sequence_[k].a) || PushesB(k); }
+  // The impacts that are not steered.
+  int num_gaps() const { return num_gaps_; }
   // Whether a disc is pushed after its last impact.
   bool IsAimed(int body) const { return aim_index_[body] >= 0; }
   // The variable that is the time of impact k.
@@ -135,6 +137,7 @@ class EventPhases {
   std::vector<int> index_;      // by impact: of its variables
   int num_variables_ = 0;
   int num_arcs_ = 0;
+  int num_gaps_ = 0;
 };
 
 // Scene::steps control intervals for phases that begin at 0 and at `times`: one where nobody is pushed with effect, the
@@ -260,12 +263,7 @@ bool EventPhases::Unroll(const T* z, Path<T>* path) const {
       }
       arc_from[body[side]] = 2 * k + side;
     }
-    Separation<T> at;
-    if (c.plane) {
-      at = Separate<T>(knots[0].p, planes_[c.b]);
-    } else {
-      at = Separate<T>(knots[0].p, knots[1].p);
-    }
+    const Separation<T> at = c.plane ? Separate<T>(knots[0].p, planes_[c.b]) : Separate<T>(knots[0].p, knots[1].p);
     event.gap = at.distance - laws_[k].contact_distance;
     event.impact = MakeImpact<T>(laws_[k], at.normal, Vec2<T>(knots[0].v - knots[1].v));
     event.before = {knots[0].v, knots[1].v};

@@ -21,26 +21,24 @@
 #pragma once
 
 #include "control/event_phases.h"
+#include "optimality/costate_shooting.h"
 #include "simulate/costate_sweep.h"
 
 namespace saltus {
 
-// Residuals of each condition, in the order above; sizes are those of the constructor.
+// Residuals of each condition, in the order above.
 struct HmpSystem {
-  explicit HmpSystem(const EventPhases* problem) : phases(problem) {}
+  explicit HmpSystem(const EventPhases* problem);
 
   int num_variables() const { return phases->num_variables() + phases->num_impacts(); }
-  int num_jumps() const;  // numbers in all lambda- = ...
   int num_impacts() const { return phases->num_impacts(); }
-  int num_gaps() const;
-  int num_terminal() const;
-  int num_residuals() const { return num_jumps() + num_impacts() + num_gaps() + num_terminal(); }
 
   // `y`: the variables of the path, then the multipliers. False if there is no such path.
   template <typename T>
   bool Evaluate(const T* y, Path<T>* path, T* residuals) const;
 
   const EventPhases* phases;
+  ConditionSizes sizes;
 };
 
 // ---------------------------------------------------------------------------------------------------- implementation
@@ -62,9 +60,9 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
   if (!phases->Unroll(y, path)) return false;
   const T* multipliers = y + phases->num_variables();
   T* jump = residuals;
-  T* hamiltonian = jump + num_jumps();
-  T* gap = hamiltonian + num_impacts();
-  T* terminal = gap + num_gaps();
+  T* hamiltonian = jump + sizes.jumps;
+  T* gap = hamiltonian + sizes.hamiltonians;
+  T* terminal = gap + sizes.gaps;
 
   std::vector<Costate<T>> now;  // of every disc; of pushed ones only while they fly freely
   for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -86,7 +84,6 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
     const PhaseImpact<T>& event = path->impacts[k];
     const ImpactConstants& law = phases->law(k);
     const std::array<int, 2> body = {c.a, c.plane ? -1 : c.b};
-    const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
     std::array<Costate<T>, 2> after;
     Vec2<T> y_gain(T(0.0), T(0.0));
     T jump_of_h(0.0);
@@ -94,7 +91,7 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
       if (body[side] < 0 || scene.bodies[body[side]].fixed) continue;
       const int arc = event.arc_after[side];
       after[side] = arc >= 0 ? internal::ArcCostate(scene, path->arcs[arc], false) : now[body[side]].At(event.time);
-      y_gain += Scale(side == 0 ? inverse_mass[0] : -inverse_mass[1], after[side].velocity);
+      y_gain += Scale(side == 0 ? law.inverse_mass_a : -law.inverse_mass_b, after[side].velocity);
       Vec2<T> push;
       if (arc >= 0) push = path->arcs[arc].AccelerationAtStart();
       jump_of_h += power(after[side], event.after[side], body[side], arc >= 0 ? &push : nullptr);
@@ -125,24 +122,13 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
   return true;
 }
 
-inline int HmpSystem::num_jumps() const {
-  int count = 0;
+inline HmpSystem::HmpSystem(const EventPhases* problem) : phases(problem) {
+  sizes.hamiltonians = num_impacts();
+  sizes.gaps = phases->num_gaps();
   for (const Candidate& c : phases->sequence()) {
-    count += 4 * (phases->IsPushed(c.a) + (!c.plane && phases->IsPushed(c.b)));
+    sizes.jumps += 4 * (phases->IsPushed(c.a) + (!c.plane && phases->IsPushed(c.b)));
   }
-  return count;
-}
-
-inline int HmpSystem::num_gaps() const {
-  int count = 0;
-  for (int k = 0; k < num_impacts(); ++k) count += !phases->IsSteered(k);
-  return count;
-}
-
-inline int HmpSystem::num_terminal() const {
-  int count = 0;
-  for (int i = 0; i < phases->scene().num_bodies(); ++i) count += 4 * phases->IsAimed(i);
-  return count;
+  for (int i = 0; i < phases->scene().num_bodies(); ++i) sizes.terminal += 4 * phases->IsAimed(i);
 }
 
 }  // namespace saltus

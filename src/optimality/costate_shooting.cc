@@ -86,7 +86,7 @@ CostateShooting::CostateShooting(const Scene& scene, std::vector<Candidate> sequ
   num_unknowns_ += 2 * num_hard;
   sizes_.gaps = static_cast<int>(sequence_.size()) + 2 * num_hard;
   if (moving_end) end_index_ = num_unknowns_++;
-  CHECK_EQ(num_unknowns_, sizes_.jumps + sizes_.hamiltonians + sizes_.gaps + sizes_.terminal);
+  CHECK_EQ(num_unknowns_, sizes_.Sum());
 }
 
 std::string CostateShooting::WhyNot(const Scene& scene) {
@@ -349,7 +349,6 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     pass_vias(last);
     const ImpactConstants law = MakeImpactConstants(scene_, c);
     const std::array<int, 2> body = BodiesOf(c);
-    const std::array<double, 2> inverse_mass = {law.inverse_mass_a, law.inverse_mass_b};
     std::array<Flying<T>, 2> before, after;
     Vec2<T> gain_of(T(0.0), T(0.0));
     for (int side = 0; side < 2; ++side) {
@@ -367,11 +366,12 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     for (int side = 0; side < 2; ++side) {
       if (body[side] < 0 || !Matters(body[side])) continue;
       after[side] = before[side];
-      after[side].v += Scale(side == 0 ? inverse_mass[0] : -inverse_mass[1], impact.impulse);
+      const double inverse_mass = side == 0 ? law.inverse_mass_a : -law.inverse_mass_b;
+      after[side].v += Scale(inverse_mass, impact.impulse);
       after[side].q = {at[0], at[1]};
       after[side].w = {at[2], at[3]};
       at += 4;
-      gain_of += Scale(side == 0 ? inverse_mass[0] : -inverse_mass[1], after[side].w);
+      gain_of += Scale(inverse_mass, after[side].w);
       gained += Hamiltonian(body[side], time, after[side], true) - Hamiltonian(body[side], time, before[side], true);
       now[body[side]] = after[side];
     }

@@ -26,6 +26,12 @@ namespace saltus {
 
 inline constexpr int kCostateShootingStride = 4;  // of the Jets that Evaluate takes, and double
 
+// The number of residuals of each condition, in their order.
+struct ConditionSizes {
+  int jumps = 0, hamiltonians = 0, gaps = 0, terminal = 0;
+  int Sum() const { return jumps + hamiltonians + gaps + terminal; }
+};
+
 class CostateShooting {
  public:
   // State and costates of a disc. q is lambda_q, w is lambda_v.
@@ -56,10 +62,7 @@ class CostateShooting {
                                const std::vector<double>& times, const std::vector<double>& multipliers,
                                const std::vector<Vec2d>& hard, double end) const;
 
-  struct Sizes {  // of the residuals, in their order
-    int jumps = 0, hamiltonians = 0, gaps = 0, terminal = 0;
-  };
-  const Sizes& sizes() const { return sizes_; }
+  const ConditionSizes& sizes() const { return sizes_; }
 
   // Writes as many residuals as there are unknowns. Returns false if there is no motion with these unknowns: impact
   // times are not in order, or the two bodies of an impact separate. Loss and legs are not computed where null.
@@ -98,7 +101,7 @@ class CostateShooting {
   std::vector<int> impact_index_;           // by impact: of its time, its multiplier and the costates after it
   std::vector<std::vector<double>> turns_;  // by body: of its targets, rising
   int hard_index_ = 0, end_index_ = -1, num_unknowns_ = 0;
-  Sizes sizes_;
+  ConditionSizes sizes_;
 };
 
 }  // namespace saltus

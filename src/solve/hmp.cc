@@ -48,13 +48,10 @@ struct ShootingConditions {
   }
 };
 
-struct NewtonSummary {
-  int iterations = 0, jacobians = 0;
-};
-
-// Newton's method, damped where the full step fails, for as many equations as there are numbers in y.
+// Newton's method, damped where the full step fails, for as many equations as there are numbers in y. Returns the
+// number of Jacobians that it has computed.
 template <int kJetWidth, typename Equations>
-NewtonSummary FindRoot(const Equations& equations, int num_equations, std::vector<double>* y, int most_iterations) {
+int FindRoot(const Equations& equations, int num_equations, std::vector<double>* y, int most_iterations) {
   auto* cost = new ceres::DynamicAutoDiffCostFunction<Equations, kJetWidth>(new Equations(equations));
   cost->AddParameterBlock(static_cast<int>(y->size()));
   cost->SetNumResiduals(num_equations);
@@ -73,12 +70,12 @@ NewtonSummary FindRoot(const Equations& equations, int num_equations, std::vecto
   options.max_num_consecutive_invalid_steps = 20;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
-  return {std::max(0, static_cast<int>(summary.iterations.size()) - 1), summary.num_jacobian_evaluations};
+  return summary.num_jacobian_evaluations;
 }
 
 // The multipliers that leave the least sum of squares.
 bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
-  const int n = system.num_residuals(), variables = system.phases->num_variables();
+  const int n = system.sizes.Sum(), variables = system.phases->num_variables();
   Path<double> path;
   Eigen::VectorXd base(n), moved(n);
   if (!system.Evaluate(y->data(), &path, base.data())) return false;
@@ -95,15 +92,21 @@ bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
   return true;
 }
 
-Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& on_grid) {
-  const CostateShooting::Sizes& sizes = optimum.shooting.sizes();
-  const double* at = optimum.residuals.data();
+// A certificate with the residuals of the conditions, relative to `scale`.
+Certificate WithResiduals(const std::vector<double>& residuals, const ConditionSizes& sizes, double scale) {
+  const double* hamiltonian = residuals.data() + sizes.jumps;
+  const double* terminal = hamiltonian + sizes.hamiltonians + sizes.gaps;
   Certificate certificate;
-  certificate.costate_jump = LargestOf(at, sizes.jumps) / optimum.scale;
-  const double* hamiltonian = at + sizes.jumps;
-  certificate.hamiltonian = LargestOf(hamiltonian, sizes.hamiltonians) / optimum.scale;
-  at = hamiltonian + sizes.hamiltonians + sizes.gaps;
-  certificate.transversality = LargestOf(at, sizes.terminal) / optimum.scale;
+  certificate.costate_jump = LargestOf(residuals.data(), sizes.jumps) / scale;
+  certificate.hamiltonian = LargestOf(hamiltonian, sizes.hamiltonians) / scale;
+  certificate.transversality = LargestOf(terminal, sizes.terminal) / scale;
+  return certificate;
+}
+
+Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& on_grid) {
+  const ConditionSizes& sizes = optimum.shooting.sizes();
+  const double* hamiltonian = optimum.residuals.data() + sizes.jumps;
+  Certificate certificate = WithResiduals(optimum.residuals, sizes, optimum.scale);
   certificate.impacts = on_grid.impacts;
   for (size_t k = 0; k < certificate.impacts.size(); ++k) {
     ImpactCertificate& impact = certificate.impacts[k];
@@ -166,19 +169,12 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
 // The conditions as HmpSystem has them, relative to the costates met.
 Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const ExactRun& exact) {
   const HmpSystem system(&phases);
-  std::vector<double> y = root.z, r(system.num_residuals());
+  std::vector<double> y = root.z, r(system.sizes.Sum());
   y.insert(y.end(), root.multipliers.begin(), root.multipliers.end());
   Path<double> path;
   system.Evaluate(y.data(), &path, r.data());
-  const double scale = root.scale;
-  Certificate certificate;
-  const double* at = r.data();
-  certificate.costate_jump = LargestOf(at, system.num_jumps()) / scale;
-  at += system.num_jumps();
-  const double* hamiltonian = at;  // last impact first
-  certificate.hamiltonian = LargestOf(at, system.num_impacts()) / scale;
-  at += system.num_impacts() + system.num_gaps();
-  certificate.transversality = LargestOf(at, system.num_terminal()) / scale;
+  Certificate certificate = WithResiduals(r, system.sizes, root.scale);
+  const double* hamiltonian = r.data() + system.sizes.jumps;  // last impact first
   const int n = system.num_impacts();
   for (int k = 0; k < n; ++k) {
     const PhaseImpact<double>& impact = path.impacts[k];
@@ -188,7 +184,7 @@ Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const Ex
                            .speed = -impact.impact.speed,
                            .multiplier = root.multipliers[k],
                            .jump = certificate.costate_jump,
-                           .hamiltonian = hamiltonian[n - 1 - k] / scale,
+                           .hamiltonian = hamiltonian[n - 1 - k] / root.scale,
                            .on_node = true,
                            .theta = std::nullopt};
     certificate.impacts.push_back(std::move(item));
@@ -247,9 +243,6 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   if (!(root.valid || minimum.touches) || !phases.Unroll(root.z.data(), &path)) {
     return fail(Termination::kFailed, "Newton's method has left the paths along the sequence");
   }
-  PhaseSolution solution;
-  solution.sequence = sequence;
-  solution.minimum = minimum;
   Attempt attempt;
   attempt.loss = phases.Loss(path);
   run->Record(attempt.loss);
@@ -258,10 +251,9 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   if (!WriteControl(scene, sequence, root.z, times, &attempt.trial)) {
     return fail(Termination::kFailed, "there are too few steps to write the control down");
   }
-  solution.trial = attempt.trial;
   attempt.termination = Termination::kNoProgress;
   if (minimum.touches || !HasEvents(attempt.trial.exact, sequence, times, scene.duration)) {
-    attempt.reason = WhyNotOptimal(scene, solution);
+    attempt.reason = WhyNotOptimal(scene, sequence, minimum.touches, attempt.trial.exact);
     return attempt;
   }
   attempt.certificate = CertifyRoot(phases, root, attempt.trial.exact);
@@ -287,15 +279,13 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
   std::vector<double> y = std::move(z);
   y.resize(system.num_variables(), 0.0);
   if (!StartMultipliers(system, &y)) return root;
-  NewtonSummary summary;
-  if (system.num_residuals() > 0) {
-    summary = FindRoot<kStride>(conditions, system.num_residuals(), &y, most_iterations);
-  }
+  const int n = system.sizes.Sum();
+  const int jacobians = n > 0 ? FindRoot<kStride>(conditions, n, &y, most_iterations) : 0;
   Path<double> path;
-  std::vector<double> r(system.num_residuals());
+  std::vector<double> r(n);
   if (!system.Evaluate(y.data(), &path, r.data())) return root;
   root.valid = true;
-  for (double x : r) root.residual = std::max(root.residual, std::abs(x));
+  root.residual = LargestOf(r.data(), n);
   for (int k = 0; k < system.num_impacts(); ++k) {
     root.scale = std::max(root.scale, std::abs(y[phases.num_variables() + k]));
   }
@@ -304,8 +294,7 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
     const double weight = 2 * phases.scene().objective.effort * mass * mass;
     root.scale = std::max({root.scale, weight * arc.slope.norm(), weight * arc.AccelerationAtStart().norm()});
   }
-  root.iterations = summary.iterations;
-  root.jacobians = summary.jacobians;
+  root.jacobians = jacobians;
   root.multipliers.assign(y.begin() + phases.num_variables(), y.end());
   y.resize(phases.num_variables());
   root.z = std::move(y);
@@ -343,10 +332,8 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
   ContinuousOptimum found(CostateShooting(whole, exact.contacts, moving_end));
   const CostateShooting& shooting = found.shooting;
   found.y = shooting.Unknowns(costates.start, costates.after_impact, times, multipliers, source.hard, whole.duration);
-  const NewtonSummary summary = FindRoot<kCostateShootingStride>(
+  found.jacobians = FindRoot<kCostateShootingStride>(
       ShootingConditions{&shooting}, shooting.num_unknowns(), &found.y, most_iterations);
-  found.iterations = summary.iterations;
-  found.jacobians = summary.jacobians;
   found.residuals.resize(shooting.num_unknowns());
   if (!shooting.Evaluate(found.y.data(), found.residuals.data(), &found.loss, &found.legs)) return std::nullopt;
   found.scale = std::max({costates.largest_position, costates.largest_velocity, 1e-300});

@@ -26,7 +26,6 @@ struct HmpRoot {
   bool valid = false;               // whether there is a path; if not, nothing else is filled
   double residual = 0;              // the largest of all conditions
   double scale = 0;                 // the largest costate
-  int iterations = 0;
   int jacobians = 0;
 };
 
@@ -43,7 +42,7 @@ struct ContinuousOptimum {
   std::vector<double> residuals;
   double loss = 0;
   double scale = 0;  // the largest costate
-  int iterations = 0, jacobians = 0;
+  int jacobians = 0;
 
   double Residual() const;  // the largest of all conditions, as a part of the scale
 };

@@ -14,6 +14,7 @@ namespace {
 constexpr int kStride = 4;           // derivatives in one pass
 constexpr double kFlat = 1e-14;      // of the cost: a step that gains no more ends the search ...
 constexpr double kWideRadius = 100;  // ... if it was not cut short by a trust region smaller than this
+constexpr double kClosed = 1e-11;    // of a gap, in lengths
 constexpr double kLeastLoss = 1e-6;  // from which gaps have their price
 constexpr int kBlockedSteps = 4;     // one after the other, after which an impact that stops them is held at a touch
 
@@ -30,12 +31,6 @@ struct Constraints {
 class Residuals {
  public:
   Residuals(const EventPhases* phases, Constraints* constraints) : phases_(phases), constraints_(constraints) {}
-
-  int size() const {
-    int gaps = 0;
-    for (int k = 0; k < phases_->num_impacts(); ++k) gaps += !phases_->IsSteered(k);
-    return phases_->num_loss_residuals() + gaps;
-  }
 
   template <typename T>
   bool operator()(T const* const* z, T* residuals) const {
@@ -165,7 +160,6 @@ bool ReleaseTouches(const EventPhases& phases, Constraints* constraints, std::ve
 
 PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, const PhaseMinimumOptions& options) {
   PhaseMinimum result;
-  result.multipliers.assign(phases.num_impacts(), 0.0);
   Path<double> path;
   if (!phases.Unroll(z.data(), &path)) return result;
 
@@ -175,7 +169,7 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
     return result;
   }
   Constraints constraints;
-  constraints.multipliers = result.multipliers;
+  constraints.multipliers.assign(phases.num_impacts(), 0.0);
   constraints.touching.assign(phases.num_impacts(), false);
   constraints.blocked = constraints.touching;
   for (const auto& impact : path.impacts) constraints.approaching.push_back(impact.impact.speed < 0);
@@ -184,10 +178,9 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
   for (int k = 0; k < phases.num_impacts(); ++k) distance = std::max(distance, phases.law(k).contact_distance);
   if (distance > 0) constraints.weight = std::max(kLeastLoss, phases.Loss(path)) * 200 / (distance * distance);
 
-  const Residuals residuals(&phases, &constraints);
-  auto* cost = new ceres::DynamicAutoDiffCostFunction<Residuals, kStride>(new Residuals(residuals));
+  auto* cost = new ceres::DynamicAutoDiffCostFunction<Residuals, kStride>(new Residuals(&phases, &constraints));
   cost->AddParameterBlock(phases.num_variables());
-  cost->SetNumResiduals(residuals.size());
+  cost->SetNumResiduals(phases.num_loss_residuals() + phases.num_gaps());
   ceres::Problem problem;
   problem.AddResidualBlock(cost, nullptr, z.data());
   Watch watch(phases, options, &constraints, &z);
@@ -215,26 +208,24 @@ PhaseMinimum MinimizeLoss(const EventPhases& phases, std::vector<double> z, cons
       continue;
     }
     if (summary.termination_type == ceres::FAILURE) return result;
-    result.gap = LargestGap(phases, path);
-    result.converged = flat && result.gap <= options.gap_tolerance;
+    const double gap = LargestGap(phases, path);
+    result.converged = flat && gap <= kClosed;
     if (result.converged && result.touches && ReleaseTouches(phases, &constraints, &z)) {
       result.converged = false;
       hold();
       continue;
     }
-    if (result.converged || watch.interrupted() || watch.iterations() >= options.iterations) break;
-    if (residuals.size() == phases.num_loss_residuals()) break;  // nothing to be constrained
+    if (result.converged || stopped) break;
+    if (phases.num_gaps() == 0) break;  // nothing to be constrained
     for (int k = 0; k < phases.num_impacts(); ++k) {
       if (!phases.IsSteered(k)) constraints.multipliers[k] += constraints.weight * path.impacts[k].gap;
     }
-    if (round > 0 && result.gap > 0.1 * last_gap) constraints.weight *= 10;
-    last_gap = result.gap;
+    if (round > 0 && gap > 0.1 * last_gap) constraints.weight *= 10;
+    last_gap = gap;
   }
   result.valid = true;
   result.interrupted = watch.interrupted();
   result.loss = phases.Loss(path);
-  result.multipliers = constraints.multipliers;
-  result.iterations = watch.iterations();
   result.z = std::move(z);
   return result;
 }

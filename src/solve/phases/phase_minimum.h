@@ -19,15 +19,11 @@ struct PhaseMinimum {
   bool interrupted = false;
   bool touches = false;  // at some impact the normal velocity is zero: the loss has a kink there
   double loss = 0;
-  double gap = 0;                   // the largest, in lengths
-  std::vector<double> multipliers;  // of the gaps, by impact; 0 for those closed by construction
-  int iterations = 0;               // of Ceres, in all
   int jacobians = 0;
 };
 
 struct PhaseMinimumOptions {
   int iterations = 200;                       // of Ceres, in all
-  double gap_tolerance = 1e-11;               // lengths
   std::function<bool(double loss)> callback;  // after each iteration; false interrupts
 };
 

@@ -55,6 +55,59 @@ void MakeApproach(const Scene& scene, const Candidate& c, DiscStates* x) {
   }
 }
 
+// Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
+// (hmp.h), which replaces it and is converged, if there is one with a loss that differs by at most `loss_change` of it.
+void Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum) {
+  constexpr int kMostIterations = 30;
+  constexpr double kResidual = 1e-9;  // of the largest costate
+  const HmpRoot root = FindHmpRoot(phases, minimum->z, kMostIterations);
+  Path<double> path;
+  if (!root.valid || !(root.residual <= kResidual * root.scale) || !phases.Unroll(root.z.data(), &path)) return;
+  const double loss = phases.Loss(path);
+  if (!(std::abs(loss - minimum->loss) <= loss_change * std::abs(loss))) return;
+  for (const PhaseImpact<double>& impact : path.impacts) {
+    if (!(impact.impact.speed < 0)) return;
+  }
+  minimum->z = root.z;
+  minimum->loss = loss;
+  minimum->converged = true;
+  minimum->jacobians += root.jacobians;
+}
+
+// One solve on given intervals; all but the exact run of the trial is filled. False if there is no motion.
+bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseGuess* guess,
+             const PhaseMinimumOptions& options, double loss_change, PhaseSolution* solution) {
+  const EventPhases phases(scene, solution->sequence, intervals);
+  PhaseMinimum& minimum = solution->minimum;
+  const int jacobians_before = minimum.jacobians;
+  std::vector<double> z = guess != nullptr ? phases.Variables(guess->times, guess->before, guess->end) : minimum.z;
+  minimum = MinimizeLoss(phases, std::move(z), options);
+  if (minimum.valid && !minimum.interrupted && !minimum.touches && !(phases.num_gaps() == 0 && minimum.converged)) {
+    minimum.converged = false;
+    Polish(phases, loss_change, &minimum);
+  }
+  minimum.jacobians += jacobians_before;
+  Path<double> path;
+  if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return false;
+  solution->times.clear();
+  solution->speeds.clear();
+  for (const PhaseImpact<double>& impact : path.impacts) {
+    solution->times.push_back(impact.time);
+    solution->speeds.push_back(impact.impact.speed);
+  }
+  solution->times.push_back(scene.duration);
+  solution->intervals = intervals;
+  phases.Control(path, &solution->trial.control, &solution->trial.durations);
+  return true;
+}
+
+void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
+  solution->valid = true;
+  Simulate(scene, {}, &solution->trial);
+  const std::vector<double> impacts(solution->times.begin(), solution->times.end() - 1);
+  solution->realized = HasEvents(solution->trial.exact, solution->sequence, impacts, scene.duration);
+}
+
 }  // namespace
 
 bool IsExact(const SolveRequest& request) {
@@ -187,89 +240,11 @@ std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const Contac
   return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
 }
 
-std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution) {
-  const std::string along = ContactSequenceToString(scene, solution.sequence);
-  if (solution.minimum.touches) {
-    return "the best motion along " + along +
-           " only touches, where the loss has a kink: no condition of optimality is checked";
-  }
-  return WhyNotRealized(scene, solution.trial.exact, solution.sequence);
+std::string WhyNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run) {
+  if (!touches) return WhyNotRealized(scene, run, sequence);
+  return "the best motion along " + ContactSequenceToString(scene, sequence) +
+         " only touches, where the loss has a kink: no condition of optimality is checked";
 }
-
-bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum) {
-  constexpr int kMostIterations = 30;
-  constexpr double kResidual = 1e-9;  // of the largest costate
-  const HmpRoot root = FindHmpRoot(phases, minimum->z, kMostIterations);
-  Path<double> path;
-  if (!root.valid || !(root.residual <= kResidual * root.scale) || !phases.Unroll(root.z.data(), &path)) return false;
-  const double loss = phases.Loss(path);
-  if (!(std::abs(loss - minimum->loss) <= loss_change * std::abs(loss))) return false;
-  double gap = 0;
-  for (const PhaseImpact<double>& impact : path.impacts) {
-    if (!(impact.impact.speed < 0)) return false;
-    gap = std::max(gap, std::abs(impact.gap));
-  }
-  minimum->z = root.z;
-  minimum->multipliers = root.multipliers;
-  minimum->loss = loss;
-  minimum->gap = gap;
-  minimum->converged = true;
-  minimum->jacobians += root.jacobians;
-  return true;
-}
-
-namespace {
-
-// One solve on given intervals.
-PhaseMinimum SolveOnIntervals(const EventPhases& phases, std::vector<double> z, const PhaseMinimumOptions& options,
-                              double loss_change) {
-  PhaseMinimum minimum = MinimizeLoss(phases, std::move(z), options);
-  bool steered = true;
-  for (int k = 0; k < phases.num_impacts(); ++k) steered = steered && phases.IsSteered(k);
-  if (minimum.valid && !minimum.interrupted && !minimum.touches && !(steered && minimum.converged)) {
-    minimum.converged = false;
-    Polish(phases, loss_change, &minimum);
-  }
-  return minimum;
-}
-
-}  // namespace
-
-namespace {
-
-// One solve on given intervals; all but the exact run of the trial is filled. False if there is no motion.
-bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseGuess* guess,
-             const PhaseMinimumOptions& options, double loss_change, PhaseSolution* solution) {
-  const EventPhases phases(scene, solution->sequence, intervals);
-  PhaseMinimum& minimum = solution->minimum;
-  const PhaseMinimum before = minimum;
-  std::vector<double> z = guess != nullptr ? phases.Variables(guess->times, guess->before, guess->end) : before.z;
-  minimum = SolveOnIntervals(phases, std::move(z), options, loss_change);
-  minimum.iterations += before.iterations;
-  minimum.jacobians += before.jacobians;
-  Path<double> path;
-  if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return false;
-  solution->times.clear();
-  solution->speeds.clear();
-  for (int k = 0; k < phases.num_impacts(); ++k) {
-    solution->times.push_back(path.impacts[k].time);
-    solution->speeds.push_back(path.impacts[k].impact.speed);
-  }
-  solution->times.push_back(scene.duration);
-  solution->intervals = intervals;
-  phases.Control(path, &solution->trial.control, &solution->trial.durations);
-  return true;
-}
-
-void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
-  solution->valid = true;
-  Simulate(scene, {}, &solution->trial);
-  const std::span<const double> impacts(solution->times.data(), solution->times.size() - 1);
-  solution->realized =
-      HasEvents(solution->trial.exact, solution->sequence, {impacts.begin(), impacts.end()}, scene.duration);
-}
-
-}  // namespace
 
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change) {

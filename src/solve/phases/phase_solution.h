@@ -70,13 +70,8 @@ struct PhaseSolution {
   bool realized = false;       // its impacts are those of the sequence and no others
   bool optimal() const { return valid && minimum.converged && realized; }
 };
-// Makes a minimum exact: from its augmented Lagrangian, or from slow steps, to a zero of the costate conditions near by
-// (hmp.h). True, and `minimum` replaced and converged, if there is one with a loss that differs by at most
-// `loss_change` of it.
-bool Polish(const EventPhases& phases, double loss_change, PhaseMinimum* minimum);
-
 // With piecewise constant forces on Scene::steps intervals. Not valid if there are too few of them, or the guess is of
-// no use.
+// no use. The last steps, to a zero of the costate conditions (hmp.h), may change the loss by the part `loss_change`.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 // The same sequence with intervals moved from phases to those beside them, as long as that lowers the loss by the part
@@ -91,8 +86,8 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
 
 // For a person: where the exact run departs from the sequence.
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
-// For a person: why a solution whose minimum touches, or that is not realized, is no optimum.
-std::string WhyNotOptimal(const Scene& scene, const PhaseSolution& solution);
+// For a person: why a minimum along the sequence that touches, or whose control does not run so, is no optimum.
+std::string WhyNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run);
 
 // The sequence that the options ask for; that of the initial guess unless one is given.
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess);

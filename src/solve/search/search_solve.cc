@@ -42,7 +42,9 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
   finding.work = each * finding.jacobians;
   if (!solution.valid || !solution.trial.exact.ok) return finding;
   finding.optimal = solution.optimal();
-  if (!finding.optimal) finding.remark = WhyNotOptimal(scene, solution);
+  if (!finding.optimal) {
+    finding.remark = WhyNotOptimal(scene, task.sequence, solution.minimum.touches, solution.trial.exact);
+  }
   finding.trial = std::move(solution.trial);
   if (finding.optimal) Certify(scene, &finding);
   return finding;
