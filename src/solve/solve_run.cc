@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/registry.h"
@@ -191,12 +190,6 @@ std::string WhyNothingToOptimize(const Scene& scene) {
   const bool nothing = scene.optimize == Optimize::kNone ||
                        (scene.optimize == Optimize::kControl ? scene.control.bodies.empty() : scene.free.empty());
   return nothing ? "the scene leaves nothing to optimize" : "";
-}
-
-double GivenEffort(const SingleShooting& shooting) {
-  const Scene& scene = shooting.scene();
-  if (scene.optimize == Optimize::kControl) return 0;
-  return EffortLoss(scene.objective, shooting.ControlAt(shooting.initial_guess()), shooting.simulator().step());
 }
 
 bool RecordIteration::Record(const ceres::IterationSummary& summary) {

@@ -99,15 +99,21 @@ void SetCommonOptions(int iterations, CeresOptions* options) {
   options->update_state_every_iteration = true;  // callbacks read it; Ceres drops the state otherwise if it fails
 }
 
+// Calls a function after each iteration. Where it returns false, Ceres stops and keeps its iterate.
+class AfterIteration final : public ceres::IterationCallback {
+ public:
+  using MayGoOn = std::function<bool(const ceres::IterationSummary& summary)>;
+  explicit AfterIteration(MayGoOn may_go_on) : may_go_on_(std::move(may_go_on)) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
+    return may_go_on_(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+  }
+
+ private:
+  MayGoOn may_go_on_;
+};
+
 // A gradient has vanished if it is below kGradientTolerance, or this part of the largest one met.
 inline constexpr double kGradientReduction = 1e-6;
-
-// From what Ceres minimizes to the loss.
-struct LossOfCost {
-  double scale = 1;
-  double offset = 0;
-  double operator()(double cost) const { return scale * cost + offset; }
-};
 
 // Records the loss of each iterate (of a rejected step, Ceres gives the cost at the rejected candidate), and stops
 // Ceres, keeping its iterate, when told to.
@@ -135,9 +141,6 @@ struct CeresOutcome {
   std::span<const ceres::IterationSummary> iterations;
   bool failure_is_stall;  // FAILURE at a later iterate means that no descent was found
 };
-
-// The effort of a control that is not optimized: a constant that Ceres does not see.
-double GivenEffort(const SingleShooting& shooting);
 
 // How a run ended, and why in words.
 struct End {

@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "solve/solve_run.h"
+
 namespace saltus {
 namespace {
 
@@ -27,24 +29,6 @@ ceres::Problem::Options ProblemOptions() {
   return options;
 }
 
-class Watch final : public ceres::IterationCallback {
- public:
-  explicit Watch(std::function<bool()> may_go_on) : may_go_on_(std::move(may_go_on)) {}
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
-    if (summary.iteration == 0) return ceres::SOLVER_CONTINUE;  // of another solve
-    ++iterations_;
-    interrupted_ = !may_go_on_();
-    return interrupted_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
-  }
-  int iterations() const { return iterations_; }
-  bool interrupted() const { return interrupted_; }
-
- private:
-  std::function<bool()> may_go_on_;
-  int iterations_ = 0;
-  bool interrupted_ = false;
-};
-
 }  // namespace
 
 // A function whose constrained rows are weighted and shifted by their multipliers.
@@ -61,7 +45,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     if (!function_->Evaluate(parameters, residuals, jacobians)) return false;
-    for (int row = 0; row < roles_.equalities + roles_.inequalities; ++row) {
+    for (int row = 0; row < num_constraints(); ++row) {
       const bool equality = row < roles_.equalities;
       const double weight = equality ? weights_->equality : weights_->inequality;
       const double shifted = residuals[row] + multipliers_[row] / weight;
@@ -77,11 +61,11 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
 
   double Cost(const std::vector<double*>& blocks) const {
-    if (num_residuals() == roles_.equalities + roles_.inequalities) return 0;
+    if (num_residuals() == num_constraints()) return 0;
     std::vector<double> rows(num_residuals());
     if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
     double cost = 0;
-    for (int row = roles_.equalities + roles_.inequalities; row < num_residuals(); ++row) cost += rows[row] * rows[row];
+    for (int row = num_constraints(); row < num_residuals(); ++row) cost += rows[row] * rows[row];
     return cost;
   }
 
@@ -105,7 +89,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
       if (row < roles_.equalities) {
         multipliers_[row] += weights_->equality * rows[row];
         violation = std::max(violation, std::abs(rows[row]));
-      } else if (row < roles_.equalities + roles_.inequalities) {
+      } else if (row < num_constraints()) {
         multipliers_[row] = std::max(0.0, multipliers_[row] + weights_->inequality * rows[row]);
         violation = std::max(violation, rows[row]);
       } else {
@@ -216,7 +200,13 @@ double AugmentedLagrangian::LargestWeight() const {
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
   const std::vector<double> start = Values();
   weights_ = {options.equality_weight, options.inequality_weight};
-  Watch watch([&] { return !options.callback || options.callback(Cost()); });
+  Summary result;
+  AfterIteration watch([&](const ceres::IterationSummary& summary) {
+    if (summary.iteration == 0) return true;  // of another solve
+    ++result.iterations;
+    result.interrupted = options.callback && !options.callback(Cost());
+    return !result.interrupted;
+  });
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   ceres_options.max_trust_region_radius = 1e16;
@@ -225,12 +215,11 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
   ceres_options.parameter_tolerance = 1e-15;
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
-  Summary result;
   bool estimated = false, near = false;
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
-    ceres_options.max_num_iterations = options.iterations - watch.iterations();
+    ceres_options.max_num_iterations = options.iterations - result.iterations;
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, &problem_, &summary);
     result.jacobians += summary.num_jacobian_evaluations;
@@ -239,21 +228,20 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     const double before = result.cost;
     result.violation = UpdateMultipliers(&result.cost);
     // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
-    near = near || (round == 0 && !estimated && watch.iterations() == 0);
+    near = near || (round == 0 && !estimated && result.iterations == 0);
     if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
       estimated = true;
       SetValues(start);
       const Weights weights = weights_;
       EstimateMultipliers();
       weights_ = weights;
-      if (!watch.interrupted() && watch.iterations() < options.iterations) {
+      if (!result.interrupted && result.iterations < options.iterations) {
         --round;
         continue;
       }
     }
     if (options.after_round) options.after_round();
-    result.interrupted = watch.interrupted();
-    if (result.interrupted || watch.iterations() >= options.iterations) break;
+    if (result.interrupted || result.iterations >= options.iterations) break;
     const bool settled = round >= (near ? kLast : 1) && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
@@ -261,7 +249,6 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     weights_.equality = std::min(most, kGrowth * weights_.equality);
     weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }
-  result.iterations = watch.iterations();
   return result;
 }
 

@@ -254,20 +254,6 @@ class ArrivalOnPath final : public ceres::CostFunction {
   Arrival arrival_;
 };
 
-// Reads the decision variables where an iteration has left the variables, before others look at them.
-class ReadDecisions final : public ceres::IterationCallback {
- public:
-  ReadDecisions(const StepShooting* variables, std::vector<double>* z) : variables_(variables), z_(z) {}
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
-    *z_ = variables_->Decisions();
-    return ceres::SOLVER_CONTINUE;
-  }
-
- private:
-  const StepShooting* variables_;
-  std::vector<double>* z_;
-};
-
 // Damping is the same for every variable, as if of the integral of |dx|^2 + |du|^2 over time: by their own diagonals
 // (Ceres' default) states would be held by the weights of their defects.
 double Damping(const Simulator& simulator) {
@@ -308,8 +294,6 @@ struct PathProblem::Parts {
     return options;
   }
 
-  Gap GapAt(const Arrival& arrival, const std::vector<double>& z) const;
-
   StepShooting variables;
   Path path;
   ceres::Problem problem;
@@ -323,7 +307,11 @@ PathProblem::~PathProblem() = default;
 
 ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tolerance,
                                              const std::vector<ceres::IterationCallback*>& callbacks) {
-  ReadDecisions read(&parts_->variables, &z_);
+  // Where an iteration has left the variables, before others look at them.
+  AfterIteration read([this](const ceres::IterationSummary&) {
+    z_ = parts_->variables.Decisions();
+    return true;
+  });
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;  // the same bits every time
@@ -342,26 +330,21 @@ ceres::Solver::Summary PathProblem::Minimize(int iterations, double function_tol
 
 double PathProblem::loss() const { return parts_->path.loss(); }
 
-Gap PathProblem::Parts::GapAt(const Arrival& arrival, const std::vector<double>& z) const {
-  const int forces = path.simulator().control_width();
-  const int first = arrival.node - 2;
-  const double* u = &z[static_cast<size_t>(first) * forces];
-  return GapAfterFlight(path.simulator(), arrival.candidate, path.State(first), {u, u + forces});
-}
-
 std::optional<PathProblem::LinearGaps> PathProblem::LinearizeGaps() const {
-  if (!parts_->path.finite()) return std::nullopt;
-  const int forces = parts_->path.simulator().control_width();
+  const Path& path = parts_->path;
+  if (!path.finite()) return std::nullopt;
+  const int forces = path.simulator().control_width();
   const int num_gaps = static_cast<int>(parts_->arrivals.size());
   LinearGaps gaps{Eigen::VectorXd(num_gaps), Eigen::MatrixXd::Zero(num_gaps, z_.size())};
   for (int i = 0; i < num_gaps; ++i) {
     const int first = parts_->arrivals[i].node - 2;
-    const Gap gap = parts_->GapAt(parts_->arrivals[i], z_);
+    const double* u = &z_[static_cast<size_t>(first) * forces];
+    const Gap gap = GapAfterFlight(path.simulator(), parts_->arrivals[i].candidate, path.State(first), {u, u + forces});
     gaps.values[i] = gap.value;
     for (int j = 0; j < 2; ++j) gaps.jacobian.row(i).segment((first + j) * forces, forces) = gap.by_force[j];
     Eigen::VectorXd costate = gap.by_state;
     for (int k = first - 1; k >= 0; --k) {
-      const std::vector<RowMajor>& step = parts_->path.step(k).jacobians;
+      const std::vector<RowMajor>& step = path.step(k).jacobians;
       gaps.jacobian.row(i).segment(k * forces, forces) = -step[1].transpose() * costate;
       costate = -step[0].transpose() * costate;
     }

@@ -17,13 +17,14 @@
 #include "control/phase_costs.h"
 #include "control/smoothed_gradient.h"
 #include "control/step_shooting.h"
+#include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
 
-bool AllFinite(const std::vector<double>& values) {
+bool AllFinite(std::span<const double> values) {
   return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
@@ -161,8 +162,7 @@ class Loss final : public ceres::FirstOrderFunction {
 
   bool Evaluate(const double* z, double* loss, double* gradient) const override {
     if (!shooting_->Evaluate({z, static_cast<size_t>(NumParameters())}, loss, gradient)) return false;
-    return gradient == nullptr ||
-           std::all_of(gradient, gradient + NumParameters(), [](double g) { return std::isfinite(g); });
+    return gradient == nullptr || AllFinite({gradient, static_cast<size_t>(NumParameters())});
   }
   int NumParameters() const override { return shooting_->num_variables(); }
 
@@ -374,7 +374,8 @@ SolveReport MinimizeByLbfgs(ShootingRun* run) {
   if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
     return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
-  RecordIteration record(run, LossOfCost{}, &z);
+  RecordIteration record(
+      run, [](double cost) { return cost; }, &z);
   ceres::GradientProblemSolver::Options ceres_options;
   ceres_options.line_search_direction_type = ceres::LBFGS;
   ceres_options.line_search_type = ceres::WOLFE;
@@ -410,7 +411,7 @@ SolveReport MinimizeLeastSquares(
   problem.AddResidualBlock(shot, nullptr, variables.blocks);
   add_terms(variables, &problem);
 
-  const LossOfCost loss{.scale = 2, .offset = offset};  // Ceres minimizes half the sum of squares
+  const auto loss = [offset](double cost) { return 2 * cost + offset; };  // Ceres minimizes half the sum of squares
   RecordIteration record(run, loss, &z);
   ceres::Solver::Options ceres_options = LeastSquaresOptions(run->options(), problem.NumParameterBlocks());
   ceres_options.callbacks = {&record};
@@ -425,18 +426,20 @@ SolveReport MinimizeLeastSquares(
 SolveReport SolveByCeresLm(const SolveRequest& request, const SolverOptions& options) {
   SolveRun run("ceres_lm", request, options);
   const SingleShooting& shooting = run.shooting();
+  const Scene& scene = shooting.scene();
   std::vector<double> z = run.initial_guess();
-  if (shooting.scene().optimize == Optimize::kControl) {
-    MoveWithinBounds(shooting.scene(), std::span(z).first(z.size() - shooting.has_duration() - shooting.num_design()));
+  const int num_own = shooting.has_duration() + shooting.num_design();
+  double given_effort = 0;  // of a control that is not optimized: a constant that Ceres does not see
+  if (scene.optimize == Optimize::kControl) {
+    MoveWithinBounds(scene, std::span(z).first(z.size() - num_own));
+  } else {
+    given_effort = EffortLoss(scene.objective, shooting.ControlAt(z), shooting.simulator().step());
   }
-  return MinimizeLeastSquares(&run,
-                              std::move(z),
-                              shooting.has_duration() + shooting.num_design(),
-                              GivenEffort(shooting),
-                              [&](const VariableBlocks& variables, ceres::Problem* problem) {
-                                AddEffort(shooting, variables, problem);
-                                SetBounds(shooting, variables, problem);
-                              });
+  return MinimizeLeastSquares(
+      &run, std::move(z), num_own, given_effort, [&](const VariableBlocks& variables, ceres::Problem* problem) {
+        AddEffort(shooting, variables, problem);
+        SetBounds(shooting, variables, problem);
+      });
 }
 
 }  // namespace saltus
