@@ -146,7 +146,6 @@ std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
 void HybridPhaseRun::FindScales() {
   const HybridSystem& system = problem_.system;
   const HybridSimulator& simulator = shooting_->simulator();
-  constexpr double kOfRate = 0.1;  // times the duration: a size that a rate makes
   for (int mode = 0; mode < system.num_modes() && !system.functions().CreatesModes(); ++mode) {
     scales_.state.emplace_back(system.state_size(mode), 0.0);
     scales_.guard.emplace_back(system.num_guards(mode), 0.0);
@@ -163,7 +162,7 @@ void HybridPhaseRun::FindScales() {
     slope.resize(x.size());
     system.functions().Flow({mode, t, x.data(), zeros.data(), p}, slope.data());
     for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
-    scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), kOfRate * problem_.guess.duration);
+    scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), problem_.guess.duration);
   }
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;

@@ -21,7 +21,6 @@ constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, 
 constexpr double kFirstWeight = 10;
 constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
 constexpr double kCostOfViolation = 1e-3;  // of other costs, where only violations count
-constexpr double kOfRate = 0.1;            // times the duration: a size that a rate makes
 
 // A time that is a part of the way between two blocks, or one block if `begin` is not one.
 struct TimeOf {
@@ -345,8 +344,9 @@ std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const
 
 }  // namespace
 
-void HybridScales::Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double time) {
+void HybridScales::Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double duration) {
   const int mode = at.mode;
+  const double time = 0.1 * duration;
   if (mode >= static_cast<int>(state.size())) {
     state.resize(mode + 1);
     guard.resize(mode + 1);
@@ -495,22 +495,19 @@ void HybridTranscription::HoldWhatIsGiven() {
 // The modes that the motion of the scales does not have, from that on which the nodes start.
 void HybridTranscription::FindScalesOfNewModes() {
   const size_t known = scales_.state.size();
-  const std::vector<char> is_new = [&] {
-    std::vector<char> out(functions_.num_modes(), 0);
-    for (size_t mode = 0; mode < out.size(); ++mode) out[mode] = mode >= known || scales_.state[mode].empty();
-    return out;
-  }();
+  std::vector<bool> is_new(functions_.num_modes());
+  for (size_t mode = 0; mode < is_new.size(); ++mode) is_new[mode] = mode >= known || scales_.state[mode].empty();
   std::vector<double> slope(functions_.most_states());
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
-    if (is_new[phase.mode] == 0) continue;
+    if (!is_new[phase.mode]) continue;
     const int count = std::max(phase.intervals * substeps_, 1);
     for (int node = phase.first_node; node <= phase.last_node; ++node) {
       const double t = *Begin(j) + (*End(j) - *Begin(j)) * (node - phase.first_node) / count;
       const double* u = ControlBefore(node - phase.first_node, phase);
       const ModePoint at{phase.mode, t, nodes_[node].data(), u, parameters_.data()};
       functions_.Flow(at, slope.data());
-      scales_.Add(functions_, at, slope.data(), kOfRate * problem_.guess.duration);
+      scales_.Add(functions_, at, slope.data(), problem_.guess.duration);
     }
   }
   scales_.Finish();

@@ -41,8 +41,8 @@ struct HybridScales {
   double loss = 1;
 
   // Takes a state in a mode, with its control, into account; `slope` is the rate of x, which makes a difference
-  // within `time`.
-  void Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double time);
+  // within a tenth of `duration`.
+  void Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double duration);
   // Sizes of nothing are 1.
   void Finish();
 };

@@ -89,15 +89,13 @@ void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, dou
         At(step.from), &turns[step.torque], &times[step.span.begin], &times[step.span.end], At(step.to)};
     const StepOfPhase place{step.index, step.span.steps};
     const double inverse_mass = InverseMass(step.body), effort = scene_.objective.effort;
+    std::unique_ptr<ceres::CostFunction> cost;
     if (flight_ != nullptr) {
-      problem->Add(std::make_unique<ModelTurn>(*flight_, place, ModelStep::Push{inverse_mass, effort, least}),
-                   {.equalities = TurnedStep::kEqualities},
-                   blocks);
+      cost = std::make_unique<ModelTurn>(*flight_, place, ModelStep::Push{inverse_mass, effort, least});
     } else {
-      problem->Add(Sized<2, 1, 1, 1, 2>(TurnedStep{place, inverse_mass, effort, least}),
-                   {.equalities = TurnedStep::kEqualities},
-                   blocks);
+      cost = Sized<2, 1, 1, 1, 2>(TurnedStep{place, inverse_mass, effort, least});
     }
+    problem->Add(std::move(cost), {.equalities = TurnedStep::kEqualities}, blocks);
   }
   for (const Turn& turn : turns_) {
     problem->Add(Sized<2, 1, 1, 2>(Turning{}),

@@ -36,9 +36,6 @@ class DiscMotions {
   double NodeMargin(const Trial& trial) const;
   static int SideOf(const Candidate&) { return 1; }
 
- protected:
-  const Scene& motion_scene() const { return *scene_; }
-
  private:
   const Scene* scene_;
   const std::vector<OwnTerm>* terms_;
