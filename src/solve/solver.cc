@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 #include <utility>
 
 #include "optimality/kink_conditions.h"
@@ -159,43 +160,27 @@ void ForEachLoss(SolveReport* report, const Apply& apply) {
 
 // The next functions are the border between the units of users, SI, and those in which a solver works on `scene`.
 // First the values of design parameters and the decision variables (single_shooting.h), from the latter to SI.
-void ConvertDesign(const Scene& scene, std::vector<double>* values) {
-  for (size_t i = 0; i < values->size(); ++i) {
-    (*values)[i] = ConvertParameter(scene.design[i].parameter, (*values)[i], scene.units, {});
+void ConvertDesign(const Scene& scene, std::span<double> values) {
+  for (size_t i = 0; i < values.size(); ++i) {
+    values[i] = ConvertParameter(scene.design[i].parameter, values[i], scene.units, {});
   }
 }
 
-void ConvertDecisions(const Scene& scene, std::vector<double>* z) {
+void ConvertDecisions(const Scene& scene, std::span<double> z) {
   const UnitFactors to_si(scene.units, {});
-  const size_t variables = z->size() - scene.design.size();
-  std::vector<double> design(z->begin() + static_cast<std::ptrdiff_t>(variables), z->end());
-  if (!design.empty()) {
-    Scene others = scene;
-    others.design.clear();
-    z->resize(variables);
-    ConvertDecisions(others, z);
-    ConvertDesign(scene, &design);
-    z->insert(z->end(), design.begin(), design.end());
-    return;
-  }
-  if (scene.optimize == Optimize::kControl && scene.objective.duration) {
-    const double duration = z->back() * to_si.time;
-    *z = Multiplied(std::move(*z), to_si.force);
-    z->back() = duration;
-    return;
-  }
-  if (scene.optimize == Optimize::kVelocity) {
-    const size_t turning = z->size() - scene.free_spin.size();
-    for (size_t i = 0; i < z->size(); ++i) (*z)[i] *= i < turning ? to_si.speed : to_si.rate;
-    return;
-  }
-  if (scene.optimize != Optimize::kPosition) {
-    *z = Multiplied(std::move(*z), to_si.force);
-    return;
-  }
-  for (size_t i = 0; i + 1 < z->size(); i += 2) {
-    const Vec2d position = ConvertPosition({(*z)[i], (*z)[i + 1]}, scene.units, {});
-    std::copy_n(position.data(), 2, &(*z)[i]);
+  ConvertDesign(scene, z.last(scene.design.size()));
+  z = z.first(z.size() - scene.design.size());
+  if (scene.optimize == Optimize::kPosition) {
+    for (size_t i = 0; i + 1 < z.size(); i += 2) {
+      const Vec2d position = ConvertPosition({z[i], z[i + 1]}, scene.units, {});
+      std::copy_n(position.data(), 2, &z[i]);
+    }
+  } else if (scene.optimize == Optimize::kVelocity) {
+    const size_t turning = z.size() - scene.free_spin.size();
+    for (size_t i = 0; i < z.size(); ++i) z[i] *= i < turning ? to_si.speed : to_si.rate;
+  } else {
+    const size_t forces = z.size() - scene.objective.duration.has_value();
+    for (size_t i = 0; i < z.size(); ++i) z[i] *= i < forces ? to_si.force : to_si.time;
   }
 }
 
@@ -223,12 +208,12 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
     motion->control = Multiplied(std::move(motion->control), to_si.force);
     motion->durations = Multiplied(std::move(motion->durations), to_si.time);
-    ConvertDesign(scene, &motion->parameters);
+    ConvertDesign(scene, motion->parameters);
   };
   ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
   convert_motion(&report);
   if (report.best) convert_motion(&*report.best);
-  for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, &z);
+  for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, z);
   if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
   for (LocalOptimum& optimum : report.optima) optimum.times = Multiplied(std::move(optimum.times), to_si.time);
   return report;
