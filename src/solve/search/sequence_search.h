@@ -291,16 +291,16 @@ class SequenceSearch : LimitedSearch {
     searched_.work += finding.report.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
     if (options_.status) options_.status(Status(problem_.LossForUser(BestLoss())));
     const Trial& trial = finding.trial;
-    const bool optimal = finding.report.termination == Termination::kConverged;
-    if (trial.exact.ok) AddIfNew(trial.exact.contacts, &searched_along_);
     if (!trial.exact.ok) {
-      if (!best_) KeepReason(finding.report);
+      if (!best_ && reason_.empty()) reason_ = finding.report.reason;
       return;
     }
-    if (optimal) Keep(trial);
-    if (!best_ || IsBetter(finding)) {
-      best_ = std::move(finding);
+    AddIfNew(trial.exact.contacts, &searched_along_);
+    if (finding.report.termination == Termination::kConverged) {
+      LocalOptimum found = problem_.OptimumOf(trial);
+      if (!KnownAs(found)) optima_.push_back(std::move(found));
     }
+    if (!best_ || IsBetter(finding)) best_ = std::move(finding);
   }
 
   bool MeetsConstraints(const Trial& trial) const { return run_.ViolationOf(trial) <= kFeasible; }
@@ -317,15 +317,6 @@ class SequenceSearch : LimitedSearch {
     if (merit < least - kSameOptimum * std::abs(least)) return true;
     const auto converged = [](const Finding& f) { return f.report.termination == Termination::kConverged; };
     return merit < least + kSameOptimum * std::abs(least) && converged(finding) && !converged(*best_);
-  }
-
-  void KeepReason(const SolveReport& report) {
-    if (reason_.empty()) reason_ = report.reason;
-  }
-
-  void Keep(const Trial& trial) {
-    LocalOptimum found = problem_.OptimumOf(trial);
-    if (!KnownAs(found)) optima_.push_back(std::move(found));
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
