@@ -82,7 +82,7 @@ class CsvReader {
 }  // namespace
 
 std::optional<size_t> CsvDocument::Find(std::string_view column) const {
-  const auto found = std::find(header.begin(), header.end(), column);
+  const auto found = std::ranges::find(header, column);
   if (found == header.end()) return std::nullopt;
   return static_cast<size_t>(found - header.begin());
 }

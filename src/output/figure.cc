@@ -383,7 +383,7 @@ class ScriptWriter {
   std::vector<std::pair<std::string, std::string>> KeyEntries() const {
     std::vector<std::pair<std::string, std::string>> entries;
     const auto add = [&](const std::string& label, const std::string& look) {
-      const bool known = std::any_of(entries.begin(), entries.end(), [&](const auto& e) { return e.first == label; });
+      const bool known = std::ranges::any_of(entries, [&](const auto& e) { return e.first == label; });
       if (!label.empty() && !known) entries.emplace_back(label, look);
     };
     for (const Panel& panel : figure_.panels) {

@@ -137,7 +137,7 @@ void Table::AddRow(std::vector<Cell> row) {
 }
 
 bool Table::IsNumeric(size_t column) const {
-  return std::none_of(rows_.begin(), rows_.end(), [&](const auto& row) { return row[column].IsText(); });
+  return std::ranges::none_of(rows_, [&](const auto& row) { return row[column].IsText(); });
 }
 
 std::string Table::Display(size_t row, size_t column) const {
@@ -179,7 +179,7 @@ std::string Table::ToCsv() const {
 std::vector<size_t> Table::ColumnsWithContent() const {
   std::vector<size_t> shown;
   for (size_t j = 0; j < columns_.size(); ++j) {
-    const bool empty = std::all_of(rows_.begin(), rows_.end(), [&](const auto& row) { return row[j].Exact().empty(); });
+    const bool empty = std::ranges::all_of(rows_, [&](const auto& row) { return row[j].Exact().empty(); });
     if (j < keys_ || !empty || rows_.empty()) shown.push_back(j);
   }
   return shown;
@@ -363,9 +363,7 @@ size_t PrefixOf(std::string_view text, size_t columns) {
   return text.size();
 }
 
-size_t DisplayWidth(std::string_view text) {
-  return static_cast<size_t>(std::count_if(text.begin(), text.end(), StartsCharacter));
-}
+size_t DisplayWidth(std::string_view text) { return static_cast<size_t>(std::ranges::count_if(text, StartsCharacter)); }
 
 std::vector<std::string> WrapText(std::string_view text, size_t width) {
   CHECK_GT(width, 0);

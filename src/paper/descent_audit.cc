@@ -51,7 +51,7 @@ DescentAudit::DescentAudit(std::vector<Task> tasks, std::vector<std::string> con
     : tasks_(std::move(tasks)) {
   for (size_t task = 0; task < tasks_.size(); ++task) {
     for (const std::string& contact : contacts) {
-      if (std::find(slow.begin(), slow.end(), contact) != slow.end()) continue;
+      if (std::ranges::find(slow, contact) != slow.end()) continue;
       if (WhyNotApplicable(contact, tasks_[task].scene).empty()) descents_.push_back({task, contact, {}, {}, {}, {}});
     }
   }
@@ -100,7 +100,7 @@ bool DescentAudit::Run(int threads, ProgressMode mode) {
   // Those that are known last, and of the others the last first: slow models are the last in the registry.
   std::vector<Descent*> jobs;
   for (Descent& descent : descents_) jobs.push_back(&descent);
-  std::stable_sort(jobs.begin(), jobs.end(), [](const Descent* l, const Descent* r) {
+  std::ranges::stable_sort(jobs, [](const Descent* l, const Descent* r) {
     return std::pair(l->known.empty(), l) > std::pair(r->known.empty(), r);
   });
   std::vector<std::string> names;

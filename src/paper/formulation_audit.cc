@@ -76,7 +76,7 @@ std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const
       if (works[i] != nullptr) times[i].push_back(works[i]->Time());
     }
   }
-  const size_t unit = std::find(contacts.begin(), contacts.end(), kUnit) - contacts.begin();
+  const size_t unit = std::ranges::find(contacts, kUnit) - contacts.begin();
   const double unit_time = Median(times[unit]);
   std::vector<double> costs;
   for (const std::vector<double>& of_model : times)
@@ -97,7 +97,7 @@ FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::str
                                    std::vector<SimulatorCommand> simulators)
     : contacts_(std::move(contacts)), simulators_(std::move(simulators)) {
   for (const SimulatorCommand& simulator : simulators_) contacts_.push_back(simulator.name);
-  CHECK(std::find(contacts_.begin(), contacts_.end(), kUnit) != contacts_.end());
+  CHECK(std::ranges::find(contacts_, kUnit) != contacts_.end());
   for (Task& task : tasks) {
     Results& results = tasks_.emplace_back();
     results.task = std::move(task);
@@ -163,7 +163,7 @@ std::string FormulationAudit::ClassesOf(size_t model) const {
     const ModelAudit& audit = tasks_[task].report.models[model];
     if (!audit.recognition) continue;
     const std::string found = ContactClassToString(audit.recognition->contact_class);
-    auto known = std::find_if(classes.begin(), classes.end(), [&](const auto& entry) { return entry.first == found; });
+    auto known = std::ranges::find_if(classes, [&](const auto& entry) { return entry.first == found; });
     if (known == classes.end()) known = classes.insert(classes.end(), {found, {}});
     known->second.push_back(std::to_string(task + 1));
   }

@@ -234,7 +234,7 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
     // Once if a sweep over stiffnesses has the scene's too.
     if (std::ranges::any_of(replay.motions, [&](const auto& motion) { return motion.label == contact; })) continue;
     add(SimulateMotion(own, contact, input, options), input, contact, contact);
-    const bool shown = std::find(std::begin(kShown), std::end(kShown), contact) != std::end(kShown);
+    const bool shown = std::ranges::find(kShown, contact) != std::end(kShown);
     if (!replay.motions.empty()) replay.motions.back().shown = shown;
     if (contact == "direct" && run != nullptr) {
       add(SimulateExactMotion(own, input, options), input, contact + ", in exact dynamics", "analytic");

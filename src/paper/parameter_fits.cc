@@ -102,7 +102,7 @@ bool ParameterFits::Run(int threads, ProgressMode mode) {
 
 const ParameterFits::Fit* ParameterFits::Find(const std::string& contact, Of of) const {
   const auto found =
-      std::find_if(fits_.begin(), fits_.end(), [&](const Fit& fit) { return fit.contact == contact && fit.of == of; });
+      std::ranges::find_if(fits_, [&](const Fit& fit) { return fit.contact == contact && fit.of == of; });
   return found == fits_.end() || !found->report ? nullptr : &*found;
 }
 
@@ -118,7 +118,7 @@ std::optional<double> ParameterFits::Fit::LargestBias(const Scene& truth) const 
 }
 
 bool ParameterFits::Fit::IsHonest(const Scene& truth) const {
-  return LargestBias(truth) && std::all_of(report->estimates.begin(), report->estimates.end(), [&](const Estimate& at) {
+  return LargestBias(truth) && std::ranges::all_of(report->estimates, [&](const Estimate& at) {
            return std::abs(at.value - ValueOf(at.unknown, truth)) < kHonest * at.standard_error;
          });
 }

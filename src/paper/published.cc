@@ -197,7 +197,7 @@ Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
 Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes) {
   std::vector<std::string> contacts, quantities;
   const auto add = [](const std::string& item, std::vector<std::string>* list) {
-    const auto index = std::find(list->begin(), list->end(), item) - list->begin();
+    const auto index = std::ranges::find(*list, item) - list->begin();
     if (index == std::ssize(*list)) list->push_back(item);
     return index;
   };

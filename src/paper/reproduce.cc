@@ -54,9 +54,7 @@ void AddTask(const Experiments& experiments, const std::string& problem, Page* p
 }
 
 std::vector<Tile> Summary(const Experiments& experiments, const std::vector<PublishedRow>& rows, double seconds) {
-  const auto count = [&](const auto& holds) {
-    return static_cast<int>(std::count_if(rows.begin(), rows.end(), holds));
-  };
+  const auto count = [&](const auto& holds) { return static_cast<int>(std::ranges::count_if(rows, holds)); };
   const int judged = count([](const PublishedRow& row) { return row.IsJudged(); });
   const int matching = count([](const PublishedRow& row) { return row.IsJudged() && row.Matches(); });
   const int wrong = count([](const PublishedRow& row) {

@@ -33,7 +33,7 @@ const std::set<std::string>& GeneralSolvers() {
 // Not a number of what has none.
 double OpenDefect(const SolveReport& report) {
   if (report.defects.empty()) return std::numeric_limits<double>::quiet_NaN();
-  return *std::max_element(report.defects.back().begin(), report.defects.back().end());
+  return *std::ranges::max_element(report.defects.back());
 }
 
 SolvedRun Planned(const std::string& contact, const std::string& solver) {
@@ -161,7 +161,7 @@ bool SolverComparison::Run(int threads, ProgressMode mode) {
     }
   }
   // The long ones first, so that no core waits for them in the end.
-  std::stable_partition(jobs.begin(), jobs.end(), [](const auto& job) {
+  std::ranges::stable_partition(jobs, [](const auto& job) {
     return job.second->report.solver == "ceres_lagrangian" || job.second->report.solver == "ceres_shooting";
   });
   std::vector<std::string> names;
@@ -277,7 +277,7 @@ std::string SolverComparison::FindingOnOthers() const {
   std::vector<std::pair<double, std::string>> gaps;
   for (const SolvedRun& run : others_.runs) {
     const std::string& contact = run.report.contact;
-    const bool known = std::any_of(gaps.begin(), gaps.end(), [&](const auto& gap) { return gap.second == contact; });
+    const bool known = std::ranges::any_of(gaps, [&](const auto& gap) { return gap.second == contact; });
     if (known) continue;
     double smallest = std::numeric_limits<double>::infinity();
     for (const std::string solver : {"ceres_lbfgs", "ceres_lm"}) {
@@ -286,7 +286,7 @@ std::string SolverComparison::FindingOnOthers() const {
     }
     gaps.emplace_back(smallest, contact);
   }
-  std::sort(gaps.begin(), gaps.end());
+  std::ranges::sort(gaps);
   std::string near, far;
   for (const auto& [gap, contact] : gaps) {
     std::string& list = gap < kNearOptimum ? near : far;

@@ -155,8 +155,7 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
         own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
       }
       for (size_t i = 0; i < names.size(); ++i) {
-        const bool flips =
-            std::find(study.wrong_signs.begin(), study.wrong_signs.end(), names[i]) != study.wrong_signs.end();
+        const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
         table.AddRow({audit.gradient.contact,
                       QuantityToString(study.quantity),
                       names[i],
@@ -472,10 +471,8 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
   Json audits = Json::array();
   for (const ModelAudit& audit : report.models) audits.push_back(ModelToJson(request.scene, audit));
   document["audits"] = std::move(audits);
-  const bool interrupted = report.models.size() < request.contacts.size() ||
-                           std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) {
-                             return audit.interrupted;
-                           });
+  const bool interrupted =
+      report.models.size() < request.contacts.size() || std::ranges::any_of(report.models, &ModelAudit::interrupted);
   if (interrupted) document["interrupted"] = true;
   return document;
 }
@@ -543,7 +540,7 @@ std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, 
     return std::nullopt;
   }
   const std::vector<std::string> names = EntryNames(scene, sweep.quantity, 1);
-  const auto at = std::find(names.begin(), names.end(), sweep.entry);
+  const auto at = std::ranges::find(names, sweep.entry);
   if (at == names.end()) return std::nullopt;
   return EntriesOf(scene, *report.reference, sweep.quantity, 1)[at - names.begin()];
 }
@@ -620,7 +617,7 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
         "position; velocity from position, times step=velocity_from_position; evidence=words");
   WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
   const bool swept =
-      std::any_of(report.models.begin(), report.models.end(), [](const ModelAudit& audit) { return audit.widths; });
+      std::ranges::any_of(report.models, [](const ModelAudit& audit) { return audit.widths.has_value(); });
   if (swept) {
     write("_widths.csv",
           "/width_sweep/sweeps",
@@ -690,7 +687,7 @@ PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Pl
     tangent.swap(next);
     simulator.Step(x, force, next);
     if (simulator.stopped()) return {};
-    if (!std::all_of(next.begin(), next.end(), [](double value) { return std::isfinite(value); })) return {};
+    if (!std::ranges::all_of(next, [](double value) { return std::isfinite(value); })) return {};
     x.swap(next);
   }
 }
@@ -832,8 +829,8 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   if (request.options.surrogate) return;
   AddWrongSteps(request, audit, page);
   const Figure refinement = RefinementFigure(request.scene, audit);
-  const bool swept = std::any_of(
-      audit.models.begin(), audit.models.end(), [](const ModelAudit& model) { return model.widths.has_value(); });
+  const bool swept =
+      std::ranges::any_of(audit.models, [](const ModelAudit& model) { return model.widths.has_value(); });
   if (refinement.panels.empty() && !swept) return;
   page->AddHeading("Errors by step and width");
   if (!refinement.panels.empty()) {

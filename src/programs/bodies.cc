@@ -180,7 +180,7 @@ class BodiesReader final : internal::SceneReader {
   std::vector<int> CoordinatesOf(int body, std::initializer_list<int> components) const {
     std::vector<int> coordinates;
     for (const int component : components) {
-      const auto found = std::find(names_.begin(), names_.end(), rigid_.bodies[body].name + kComponents[component]);
+      const auto found = std::ranges::find(names_, rigid_.bodies[body].name + kComponents[component]);
       coordinates.push_back(found == names_.end() ? -1 : static_cast<int>(found - names_.begin()));
     }
     return coordinates;
@@ -239,8 +239,7 @@ class BodiesReader final : internal::SceneReader {
           item, {"none", "control", "position", "velocity", "restitution", "friction", "gravity.x", "gravity.y"});
       if (choice == 0 && items.size() > 1) FailExpected(item, "no none beside others");
       if (choice >= 4) free->parameters.push_back(choice - 4);
-      if (choice == 1 &&
-          !std::any_of(rigid_.bodies.begin(), rigid_.bodies.end(), [](const auto& b) { return b.pushed; })) {
+      if (choice == 1 && !std::ranges::any_of(rigid_.bodies, &RigidBody2D::pushed)) {
         Fail(item, "found control, but no body is controlled");
       }
       if (choice == 1) free->control = true;

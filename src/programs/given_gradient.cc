@@ -61,7 +61,7 @@ void ReadInterval(Json list, const std::string& key, const Reader& reader, const
   const std::vector<int>& turned = scene.control.turned;
   std::vector<std::optional<double>> torques(turned.size());
   for (size_t c = 0; list.is_array() && c < std::min<size_t>(list.size(), scene.num_controlled()); ++c) {
-    const auto at = std::find(turned.begin(), turned.end(), scene.control.bodies[c]);
+    const auto at = std::ranges::find(turned, scene.control.bodies[c]);
     if (at == turned.end() || !list[c].is_array() || list[c].size() != 3 || !list[c][2].is_number()) continue;
     torques[at - turned.begin()] = list[c][2].get<double>();
     list[c].erase(2);
@@ -114,8 +114,7 @@ bool HasNumber(const GivenGradient& given, const Scene& scene) {
     }
   }
   const auto in_any = [&](const auto& rows) {
-    return std::any_of(
-        rows.begin(), rows.end(), [&](const auto& row) { return std::any_of(row.begin(), row.end(), has_value); });
+    return std::ranges::any_of(rows, [&](const auto& row) { return std::ranges::any_of(row, has_value); });
   };
   return in_any(given.control) || in_any(given.torque);
 }

@@ -24,7 +24,7 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
     modes.push_back(system.ModeName(mode));
     states.push_back(NumbersOf(state));
     // The control of the interval that begins at or before the time; of the last one at the end.
-    const std::ptrdiff_t begun = std::upper_bound(begins.begin(), begins.end(), time) - begins.begin();
+    const std::ptrdiff_t begun = std::ranges::upper_bound(begins, time) - begins.begin();
     const std::ptrdiff_t row = std::max<std::ptrdiff_t>(begun - 1, 0) * system.num_controls();
     const double* control = input.control.empty() ? no_control.data() : &input.control[row];
     Json& values = guards.emplace_back(Json::array());

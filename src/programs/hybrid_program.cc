@@ -66,7 +66,7 @@ void ReadSet(HybridProblem* problem) {
   std::vector<std::string> names;
   for (const auto& [name, place] : places) names.push_back(name);
   for (const auto& [name, value] : ReadAssignments("set", FLAGS_set, names)) {
-    *std::find_if(places.begin(), places.end(), [&](const auto& one) { return one.first == name; })->second = value;
+    *std::ranges::find_if(places, [&](const auto& one) { return one.first == name; })->second = value;
   }
 }
 
@@ -103,8 +103,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   if (FLAGS_solver.empty()) {
     // Least squares where it applies; constraints and bounds are for phases.
     for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd", "ceres_phases"}) {
-      const auto entry = std::find_if(
-          HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
+      const auto entry = std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
       if (entry != HybridSolvers().end() && entry->why_not(problem).empty()) return {name};
     }
     return {};

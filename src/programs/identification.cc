@@ -507,7 +507,7 @@ double ReadNumber(const std::string& text, const std::string& where) {
 }  // namespace
 
 std::optional<double> KnownLaw::At(double at) const {
-  const auto above = std::lower_bound(speed.begin(), speed.end(), at);
+  const auto above = std::ranges::lower_bound(speed, at);
   if (above == speed.end() || at < speed.front()) return std::nullopt;
   const auto i = std::max<std::ptrdiff_t>(1, above - speed.begin());
   const double share = (at - speed[i - 1]) / (speed[i] - speed[i - 1]);
@@ -612,8 +612,7 @@ class NpzReader {
     }
     const auto* names = std::get_if<std::vector<std::string>>(&array->data);
     if (names == nullptr) Fail("body: expected names or int64 indices");
-    const auto found = std::find_if(
-        scene_.bodies.begin(), scene_.bodies.end(), [&](const Body& body) { return body.name == (*names)[row]; });
+    const auto found = std::ranges::find(scene_.bodies, (*names)[row], &Body::name);
     if (found == scene_.bodies.end()) Fail("body of row " + std::to_string(row) + ": found '" + (*names)[row] + "'");
     return static_cast<int>(found - scene_.bodies.begin());
   }

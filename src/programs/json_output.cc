@@ -66,7 +66,7 @@ Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
     forces.reserve(scene.num_controlled());
     for (int c = 0; c < scene.num_controlled(); ++c) {
       const double* row = &rows[begin + c * columns];
-      const bool turns = std::find(turned.begin(), turned.end(), scene.control.bodies[c]) != turned.end();
+      const bool turns = std::ranges::find(turned, scene.control.bodies[c]) != turned.end();
       Json::array_t force(turns ? 3 : 2);
       std::copy_n(row, force.size(), force.begin());
       forces.emplace_back(std::move(force));
@@ -216,7 +216,7 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
     const size_t equals = head.header.find('=');
     std::string path = head.header.substr(equals == std::string::npos ? 0 : equals + 1);
     head.header.resize(std::min(equals, head.header.size()));
-    std::replace(path.begin(), path.end(), ' ', '_');
+    std::ranges::replace(path, ' ', '_');
     of_parent.push_back(path.starts_with('^'));
     of_each.push_back(path.ends_with("[]"));
     if (of_parent.back()) path.erase(0, 1);

@@ -157,7 +157,7 @@ class Way {
       simulator_->Step(x_, force_, next_);
     }
     if (simulator_->stopped()) return false;  // a state that was asked for may be none
-    return std::all_of(next_.begin(), next_.end(), [](double value) { return std::isfinite(value); });
+    return std::ranges::all_of(next_, [](double value) { return std::isfinite(value); });
   }
 
  private:
@@ -245,11 +245,7 @@ class TouchCollector {
   std::map<ContactKey, size_t> last_;
 };
 
-void SortTouches(Motion* motion) {
-  std::stable_sort(motion->touches.begin(), motion->touches.end(), [](const TouchSpan& l, const TouchSpan& r) {
-    return l.begin < r.begin;
-  });
-}
+void SortTouches(Motion* motion) { std::ranges::stable_sort(motion->touches, {}, &TouchSpan::begin); }
 
 // Intervals of equal length that follow each other.
 struct Group {

@@ -50,8 +50,7 @@ struct Board {
     for (const Entry& entry : entries) {
       if (entry.started && !entry.done) at_work.push_back(&entry);
     }
-    std::stable_sort(
-        at_work.begin(), at_work.end(), [](const Entry* a, const Entry* b) { return a->start < b->start; });
+    std::ranges::stable_sort(at_work, [](const Entry* a, const Entry* b) { return a->start < b->start; });
     std::string text;
     for (size_t i = 0; i < at_work.size() && i < kMostNames; ++i) {
       const Entry& entry = *at_work[i];
@@ -110,9 +109,7 @@ JobsEnd Run(const std::vector<std::string>& names, int threads, Progress* progre
     }
   }
 
-  const auto num_done = [&] {
-    return std::count_if(board->entries.begin(), board->entries.end(), [](const auto& entry) { return entry.done; });
-  };
+  const auto num_done = [&] { return std::ranges::count(board->entries, true, &Board::Entry::done); };
   Clock::time_point give_up = Clock::time_point::max();
   int64_t reported = 0;
   while (board->threads > 0 && Clock::now() < give_up) {

@@ -178,7 +178,7 @@ void CheckFlagNames(int argc, char** argv, const Program& program) {
     name.erase(0, name[1] == '-' ? 2 : 1);
     const bool has_value = name.find('=') != std::string::npos;
     name = name.substr(0, name.find('='));
-    std::replace(name.begin(), name.end(), '-', '_');
+    std::ranges::replace(name, '-', '_');
     if (name == "undefok") return;
     gflags::CommandLineFlagInfo info;
     const bool known = gflags::GetCommandLineFlagInfo(name.c_str(), &info);
@@ -206,7 +206,7 @@ std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& f
     const size_t equals = item.find('=');
     if (equals == std::string::npos) throw InputError(place + "expected name=value");
     const std::string name = item.substr(0, equals), text = item.substr(equals + 1);
-    if (std::find(names.begin(), names.end(), name) == names.end()) {
+    if (std::ranges::find(names, name) == names.end()) {
       throw InputError(place + "'" + name + "' is unknown; expected some of " + Joined(names) +
                        Suggestion(name, names));
     }
@@ -225,11 +225,11 @@ std::vector<std::string> ReadNames(const std::string& flag, const std::string& l
   if (list == "all") return known;
   std::vector<std::string> names;
   for (const std::string& name : SplitAtCommas(list)) {
-    if (std::find(known.begin(), known.end(), name) == known.end()) {
+    if (std::ranges::find(known, name) == known.end()) {
       throw InputError("--" + flag + "=" + list + ": '" + name + "' is unknown; expected " + expected + Joined(known) +
                        Suggestion(name, known));
     }
-    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+    if (std::ranges::find(names, name) == names.end()) names.push_back(name);
   }
   if (names.empty()) throw InputError("--" + flag + " is empty; expected some of " + Joined(known));
   return names;
@@ -283,7 +283,7 @@ std::vector<std::string> ReadContacts(const std::string& value) {
       throw InputError("--contact=" + value + ": " + wrong +
                        (known ? "" : Suggestion(name, NameList(AllContactModels()))));
     }
-    if (std::find(contacts.begin(), contacts.end(), contact) == contacts.end()) contacts.push_back(contact);
+    if (std::ranges::find(contacts, contact) == contacts.end()) contacts.push_back(contact);
   }
   if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
   return contacts;

@@ -71,7 +71,7 @@ std::string NameOf(std::string_view flag) {
 
 bool Takes(const Program& program, std::string_view name) {
   const std::vector<std::string> names = FlagNames(program);
-  return std::find(names.begin(), names.end(), name) != names.end();
+  return std::ranges::find(names, name) != names.end();
 }
 
 std::optional<gflags::CommandLineFlagInfo> InfoOf(const std::string& name) {
@@ -190,8 +190,7 @@ const std::vector<Program>& AllPrograms() {
 
 const Program& FindProgram(std::string_view name) {
   const std::vector<Program>& programs = AllPrograms();
-  const auto found =
-      std::find_if(programs.begin(), programs.end(), [&](const Program& program) { return program.name == name; });
+  const auto found = std::ranges::find(programs, name, &Program::name);
   CHECK(found != programs.end()) << name;
   return *found;
 }

@@ -241,7 +241,7 @@ class Reader {
   // The number of a disc or, from num_discs() on, of a wall.
   size_t NumberOf(const std::string& name, const std::string& key) const {
     const auto find = [&](const auto& list) {
-      return std::find_if(list.begin(), list.end(), [&](const auto& item) { return item.name == name; }) - list.begin();
+      return std::ranges::find_if(list, [&](const auto& item) { return item.name == name; }) - list.begin();
     };
     const size_t disc = find(file_.drawn.discs), wall = find(file_.drawn.walls);
     if (disc < num_discs()) return disc;
@@ -401,11 +401,9 @@ class Reader {
            "as many as states, found " + std::to_string(motion.times.size()) + " and " + std::to_string(rows));
     }
     const auto finite = [](double time) { return std::isfinite(time); };
-    if (!std::all_of(motion.times.begin(), motion.times.end(), finite)) Fail(place + "times", "finite numbers");
-    if (!std::is_sorted(motion.times.begin(), motion.times.end())) Fail(place + "times", "times that do not fall");
-    std::stable_sort(motion.touches.begin(), motion.touches.end(), [](const ReplayTouch& l, const ReplayTouch& r) {
-      return l.begin < r.begin;
-    });
+    if (!std::ranges::all_of(motion.times, finite)) Fail(place + "times", "finite numbers");
+    if (!std::ranges::is_sorted(motion.times)) Fail(place + "times", "times that do not fall");
+    std::ranges::stable_sort(motion.touches, {}, &ReplayTouch::begin);
     file_.drawn.motions.push_back(std::move(motion));
     file_.models.push_back(model);
   }
@@ -432,7 +430,7 @@ void SetStyles(std::vector<ReplayMotion>* motions, std::vector<std::string> mode
   for (size_t i = 0; i < motions->size(); ++i) {
     const bool taken =
         models[i].empty() || std::find(models.begin(), models.begin() + i, models[i]) != models.begin() + i;
-    while (taken && std::find(models.begin(), models.end(), ModelStyles()[next].model) != models.end() &&
+    while (taken && std::ranges::find(models, ModelStyles()[next].model) != models.end() &&
            next + 1 < ModelStyles().size()) {
       ++next;
     }
@@ -494,7 +492,7 @@ Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Sce
       replay.targets = file.drawn.targets;
     }
     const auto same = [](const ReplayDisc& l, const ReplayDisc& r) { return l.name == r.name && l.radius == r.radius; };
-    if (!std::equal(replay.discs.begin(), replay.discs.end(), file.drawn.discs.begin(), file.drawn.discs.end(), same)) {
+    if (!std::ranges::equal(replay.discs, file.drawn.discs, same)) {
       throw InputError(path + ": its discs are not those of " + paths[0]);
     }
     for (size_t i = 0; i < file.drawn.motions.size(); ++i) {

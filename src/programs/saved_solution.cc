@@ -40,7 +40,7 @@ class Reader {
   // A null is a number that was not finite.
   static bool IsVector(const Json& item, size_t size) {
     const auto is_number = [](const Json& number) { return number.is_number(); };
-    return item.is_array() && item.size() == size && std::all_of(item.begin(), item.end(), is_number);
+    return item.is_array() && item.size() == size && std::ranges::all_of(item, is_number);
   }
 
   // The numbers of [[x, y], ...], `rows` of them.
@@ -66,7 +66,7 @@ class Reader {
     std::vector<double> numbers;
     for (size_t c = 0; c < rows; ++c) {
       const std::vector<int>& turned = scene_.control.turned;
-      const bool turns = std::find(turned.begin(), turned.end(), scene_.control.bodies[c]) != turned.end();
+      const bool turns = std::ranges::find(turned, scene_.control.bodies[c]) != turned.end();
       if (!IsVector(list[c], turns ? 3 : 2)) {
         Fail(key + "[" + std::to_string(c) + "]",
              turns ? "[x, y, torque] of finite numbers" : "[x, y] of finite numbers");
@@ -127,7 +127,7 @@ class Reader {
     const auto spins = run.find("angular_velocity");
     if (spins == run.end() || !scene_.Spins()) return;
     const bool fits = spins->is_array() && spins->size() == scene_.bodies.size() &&
-                      std::all_of(spins->begin(), spins->end(), [](const Json& item) { return item.is_number(); });
+                      std::ranges::all_of(*spins, [](const Json& item) { return item.is_number(); });
     if (!fits) Fail("angular_velocity", "a list of " + std::to_string(scene_.num_bodies()) + " finite numbers");
     SetAngularVelocities(spins->get<std::vector<double>>());
   }
@@ -167,7 +167,7 @@ class Reader {
       }
       const std::vector<double> numbers = Numbers(initial->second, "initial_state");
       solution_.initial_state = InitialState(scene_);
-      std::copy(numbers.begin(), numbers.end(), solution_.initial_state.begin());
+      std::ranges::copy(numbers, solution_.initial_state.begin());
     }
     const auto rotation = arrays->find("initial_rotation");
     if (rotation == arrays->end() || !scene_.Spins()) return;
@@ -191,7 +191,7 @@ class Reader {
   void CheckFinite() const {
     const auto check = [&](const std::vector<double>& numbers, const char* key) {
       const auto bad = [](double value) { return !std::isfinite(value); };
-      if (std::any_of(numbers.begin(), numbers.end(), bad)) Fail(key, "finite numbers");
+      if (std::ranges::any_of(numbers, bad)) Fail(key, "finite numbers");
     };
     check(solution_.control, "control");
     check(solution_.durations, "durations");
@@ -213,7 +213,7 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
   if (solution.initial_state.empty()) return;
   for (int i = 0; i < scene->num_bodies(); ++i) {
     Body& body = scene->bodies[i];
-    const bool is_free = std::find(scene->free.begin(), scene->free.end(), i) != scene->free.end();
+    const bool is_free = std::ranges::find(scene->free, i) != scene->free.end();
     const double* x = &solution.initial_state[4 * i];
     const auto check = [&](const char* what, double difference, double size) {
       if (!(difference > kSameStart * (1 + size))) return;
@@ -228,7 +228,7 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
     take(Vec2d(x[2], x[3]), "velocity", is_free && scene->optimize == Optimize::kVelocity, &body.velocity);
     if (!body.Spins()) continue;
     const double spin = solution.initial_state[4 * scene->bodies.size() + kSpin * i + 1];
-    if (std::find(scene->free_spin.begin(), scene->free_spin.end(), i) != scene->free_spin.end()) {
+    if (std::ranges::find(scene->free_spin, i) != scene->free_spin.end()) {
       body.angular_velocity = spin;
     } else {
       check("angular velocity", std::abs(spin - body.angular_velocity), std::abs(body.angular_velocity));

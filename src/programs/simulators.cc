@@ -60,8 +60,8 @@ std::string NameFrom(const std::string& command) {
   for (std::string word; words >> word;) {
     if (!word.starts_with("-")) last = std::filesystem::path(word).filename();
   }
-  std::replace_if(
-      last.begin(), last.end(), [](char c) { return !IsOfName(c); }, '_');
+  std::ranges::replace_if(
+      last, [](char c) { return !IsOfName(c); }, '_');
   return last.empty() ? "simulator" : last;
 }
 

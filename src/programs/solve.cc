@@ -84,7 +84,7 @@ std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
     const SolveReport& report = run.report;
     if (report.termination != Termination::kNotApplicable) continue;
     const std::string contact = LabelOf(report.contact, report.surrogate);
-    const auto same = std::find_if(of_contacts.begin(), of_contacts.end(), [&](const Refusal& other) {
+    const auto same = std::ranges::find_if(of_contacts, [&](const Refusal& other) {
       return other.contacts[0] == contact && other.reason == report.reason;
     });
     if (same == of_contacts.end()) {
@@ -94,9 +94,8 @@ std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
     }
   }
   for (const Refusal& one : of_contacts) {
-    const auto same = std::find_if(refusals.begin(), refusals.end(), [&](const Refusal& other) {
-      return other.solvers == one.solvers && other.reason == one.reason;
-    });
+    const auto same = std::ranges::find_if(
+        refusals, [&](const Refusal& other) { return other.solvers == one.solvers && other.reason == one.reason; });
     if (same == refusals.end()) {
       refusals.push_back(one);
     } else {
@@ -115,7 +114,7 @@ SolvedRuns SolveAll(const Request& request) {
   std::vector<Task> tasks;
   std::vector<std::string> names;
   const auto is_exact = [](const std::string& contact) { return FindContactModel(contact)->event_driven; };
-  const bool any_exact = std::any_of(request.contacts.begin(), request.contacts.end(), is_exact);
+  const bool any_exact = std::ranges::any_of(request.contacts, is_exact);
   for (const std::string& contact : request.contacts) {
     for (const std::string& solver : request.solvers) {
       if (FindSolver(solver)->exact_only && any_exact && !is_exact(contact)) continue;
@@ -225,9 +224,8 @@ std::string RemarkOn(const SolvedRun& run) {
 
 int SolveExitCode(const SolvedRuns& solved) {
   const std::vector<SolvedRun>& runs = solved.runs;
-  const bool none = std::all_of(runs.begin(), runs.end(), [](const SolvedRun& run) {
-    return run.report.termination == Termination::kNotApplicable;
-  });
+  const bool none = std::ranges::all_of(
+      runs, [](const SolvedRun& run) { return run.report.termination == Termination::kNotApplicable; });
   if (!runs.empty() && none && !solved.interrupted) {
     std::cerr << "error: " << runs[0].report.contact << " with " << runs[0].report.solver << ": "
               << runs[0].report.reason << std::endl;

@@ -375,7 +375,7 @@ struct RunStyle {
 RunStyle StyleOfRun(const Request& request, const SolveReport& report) {
   const ModelStyle& style = StyleOf(report.contact);
   if (request.solvers.size() < 2) return {std::string(style.colour), style.dash};
-  const auto at = std::find(request.solvers.begin(), request.solvers.end(), report.solver);
+  const auto at = std::ranges::find(request.solvers, report.solver);
   return {std::string(style.colour), static_cast<Dash>((at - request.solvers.begin()) % kNumDashes)};
 }
 
@@ -387,7 +387,7 @@ std::vector<const SolvedRun*> RankedRuns(const SolvedRuns& solved) {
   }
   const auto loss = [](const SolvedRun* run) { return run->exact.ok ? run->exact.loss : HUGE_VAL; };
   const auto rank = [&](const SolvedRun* run) { return std::pair(run->report.final_violation > kFeasible, loss(run)); };
-  std::stable_sort(runs.begin(), runs.end(), [&](const SolvedRun* l, const SolvedRun* r) { return rank(l) < rank(r); });
+  std::ranges::stable_sort(runs, [&](const SolvedRun* l, const SolvedRun* r) { return rank(l) < rank(r); });
   return runs;
 }
 
@@ -404,11 +404,10 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
           {words.empty() ? "not certified" : words, "verdict of its certificate", good ? Tone::kGood : Tone::kWarning});
     }
   }
-  const auto failed = std::count_if(
-      solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
-  const auto refused = std::count_if(solved.runs.begin(), solved.runs.end(), [](const SolvedRun& run) {
-    return run.report.termination == Termination::kNotApplicable;
-  });
+  const auto failed =
+      std::ranges::count_if(solved.runs, [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
+  const auto refused = std::ranges::count_if(
+      solved.runs, [](const SolvedRun& run) { return run.report.termination == Termination::kNotApplicable; });
   const auto taken = static_cast<std::ptrdiff_t>(solved.runs.size()) - refused;
   const std::string what = request.solvers.empty() ? "completed simulations" : "successful runs";
   tiles.push_back({std::to_string(taken - failed) + " of " + std::to_string(taken),
@@ -536,7 +535,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
     page->AddPlot("controls",
                   "Forces and torques over time. Dotted: impacts of the first motion with exact impact times.");
   }
-  if (std::any_of(runs.begin(), runs.end(), [](const SolvedRun* run) { return run->report.losses.size() > 1; })) {
+  if (std::ranges::any_of(runs, [](const SolvedRun* run) { return run->report.losses.size() > 1; })) {
     page->AddHeading("Learning curves");
     page->AddPlot("learning_curves",
                   "The loss that each solver minimizes: that under its contact model, which equals the exact loss only "
@@ -561,7 +560,7 @@ void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
 double LargestDefect(const SolveReport& report) {
   if (report.defects.empty()) return 0;
   const std::vector<double>& last = report.defects.back();
-  return *std::max_element(last.begin(), last.end());
+  return *std::ranges::max_element(last);
 }
 
 SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,

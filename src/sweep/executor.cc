@@ -127,7 +127,7 @@ std::string WorkerPool::Reap(Worker* worker) {
 }
 
 void WorkerPool::Start(int64_t task) {
-  const auto worker = std::find_if(workers_.begin(), workers_.end(), [](const Worker& w) { return !w.busy; });
+  const auto worker = std::ranges::find(workers_, false, &Worker::busy);
   CHECK(worker != workers_.end());
   worker->busy = true;
   worker->task = task;
@@ -230,8 +230,8 @@ constexpr std::chrono::seconds kSlow(5);
 
 // "point 3 (stiffness=100, contact=ncp, solver=gd) for 12 s", of the one that was started first if that is long ago.
 std::string SlowestOf(const SweepStudy& study, const std::map<int64_t, Clock::time_point>& at_work) {
-  const auto first = std::min_element(
-      at_work.begin(), at_work.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
+  const auto first =
+      std::ranges::min_element(at_work, [](const auto& a, const auto& b) { return a.second < b.second; });
   if (first == at_work.end()) return "";
   const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(Clock::now() - first->second);
   if (seconds < kSlow) return "";

@@ -106,7 +106,7 @@ class Results {
   std::string Over(const std::string& which, const std::vector<std::string>& shown) const {
     std::string others;
     for (const std::string& option : varied_) {
-      if (std::find(shown.begin(), shown.end(), option) != shown.end()) continue;
+      if (std::ranges::find(shown, option) != shown.end()) continue;
       others += (others.empty() ? "" : ", ") + option;
     }
     return others.empty() ? "" : ", " + which + " over " + others;
@@ -165,7 +165,7 @@ Series CurveSeries(const Method& method, const Curve& curve, const std::vector<s
   }
   Series series = Series::ForModel(method.contact, x, y);
   series.label = Label(method);
-  const size_t solver = std::find(solvers.begin(), solvers.end(), method.solver) - solvers.begin();
+  const size_t solver = std::ranges::find(solvers, method.solver) - solvers.begin();
   if (solvers.size() > 1) series.dash = static_cast<Dash>(solver % kNumDashes);
   return series;
 }
@@ -173,7 +173,7 @@ Series CurveSeries(const Method& method, const Curve& curve, const std::vector<s
 std::vector<std::string> Solvers(const std::map<Method, Curve>& curves) {
   std::vector<std::string> solvers;
   for (const auto& [method, curve] : curves) {
-    if (std::find(solvers.begin(), solvers.end(), method.solver) == solvers.end()) solvers.push_back(method.solver);
+    if (std::ranges::find(solvers, method.solver) == solvers.end()) solvers.push_back(method.solver);
   }
   return solvers;
 }
@@ -311,7 +311,7 @@ struct MapAxis {
   }
   Axis ToAxis() const { return {.label = AxisLabel(option), .log = log, .min = edges.front(), .max = edges.back()}; }
   size_t Index(double value) const {
-    return static_cast<size_t>(std::lower_bound(values.begin(), values.end(), value) - values.begin());
+    return static_cast<size_t>(std::ranges::lower_bound(values, value) - values.begin());
   }
 };
 
@@ -381,8 +381,8 @@ std::vector<SweepFigure> MakeSweepFigures(const SweepStudy& study, const std::ve
   const std::vector<std::string>& varied = results.varied();
   std::vector<SweepFigure> figures;
   for (const std::string& option : varied) figures.push_back(LossFigure(results, option));
-  const bool dt_varied = std::find(varied.begin(), varied.end(), "steps") != varied.end() ||
-                         std::find(varied.begin(), varied.end(), "duration") != varied.end();
+  const bool dt_varied =
+      std::ranges::find(varied, "steps") != varied.end() || std::ranges::find(varied, "duration") != varied.end();
   if (dt_varied && results.Has("relative_error")) figures.push_back(GradientErrorFigure(results));
   for (size_t i = 0; i < varied.size(); ++i) {
     for (size_t j = i + 1; j < varied.size(); ++j) {

@@ -348,8 +348,7 @@ void MpiCluster::Send(int rank, int tag, std::string bytes) {
 void MpiCluster::SayAlive(int rank) {
   ForgetSent();
   // What has not been taken yet will do.
-  const bool waits =
-      std::any_of(outgoing_.begin(), outgoing_.end(), [&](const Outgoing& message) { return message.rank == rank; });
+  const bool waits = std::ranges::find(outgoing_, rank, &Outgoing::rank) != outgoing_.end();
   if (!waits) Send(rank, kAlive, "");
 }
 

@@ -103,15 +103,12 @@ constexpr BodyOption kBodyNumbers[] = {
 };
 
 const NumberOption* FindNumber(const std::string& name) {
-  const auto* found = std::find_if(
-      std::begin(kNumbers), std::end(kNumbers), [&](const NumberOption& option) { return name == option.name; });
+  const auto* found = std::ranges::find(kNumbers, name, &NumberOption::name);
   return found == std::end(kNumbers) ? nullptr : found;
 }
 
 const BodyOption* FindBodyNumber(const std::string& field) {
-  const auto* found = std::find_if(std::begin(kBodyNumbers), std::end(kBodyNumbers), [&](const BodyOption& option) {
-    return field == option.field;
-  });
+  const auto* found = std::ranges::find(kBodyNumbers, field, &BodyOption::field);
   return found == std::end(kBodyNumbers) ? nullptr : found;
 }
 
@@ -135,7 +132,7 @@ std::optional<BodyField> FindBodyField(const std::string& name, const Scene& sce
 
 // Where a body stands in a list of controlled ones; -1 if it does not.
 int FindIn(const std::vector<int>& bodies, int body) {
-  const auto found = std::find(bodies.begin(), bodies.end(), body);
+  const auto found = std::ranges::find(bodies, body);
   return found == bodies.end() ? -1 : static_cast<int>(found - bodies.begin());
 }
 
@@ -171,7 +168,7 @@ std::optional<SweepOptionKind> FindProgramOption(const std::string& name) {
   if (kept_program->feedback && (name == "feedback_samples" || name == "feedback_seed")) return kInteger;
   if (kept_program->feedback && name == "feedback_scale") return kReal;
   const std::vector<std::string>& names = kept_program->names;
-  const bool known = name == "learning_rate" || std::find(names.begin(), names.end(), name) != names.end();
+  const bool known = name == "learning_rate" || std::ranges::find(names, name) != names.end();
   return known ? std::optional(kReal) : std::nullopt;
 }
 

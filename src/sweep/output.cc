@@ -15,14 +15,12 @@ namespace {
 constexpr size_t kMostReasons = 10;
 
 int64_t CountStatus(const std::vector<StoredPoint>& points, PointStatus status) {
-  return std::count_if(
-      points.begin(), points.end(), [&](const StoredPoint& point) { return point.result.status == status; });
+  return std::ranges::count_if(points, [&](const StoredPoint& point) { return point.result.status == status; });
 }
 
 // What is text in no row is a column of numbers.
 bool IsTextColumn(const std::vector<StoredPoint>& points, size_t column) {
-  return std::any_of(
-      points.begin(), points.end(), [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
+  return std::ranges::any_of(points, [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
 }
 
 NpyArray ColumnArray(const std::vector<StoredPoint>& points, size_t column) {
@@ -59,7 +57,7 @@ std::vector<Reason> Reasons(const std::vector<StoredPoint>& points) {
     reason.text = text.empty() ? "no reason given" : text;
     reasons.push_back(reason);
   }
-  std::sort(reasons.begin(), reasons.end(), [](const Reason& a, const Reason& b) {
+  std::ranges::sort(reasons, [](const Reason& a, const Reason& b) {
     return a.count != b.count ? a.count > b.count : a.first->point < b.first->point;
   });
   return reasons;
@@ -169,7 +167,7 @@ class Solved {
     for (const auto& [key, tally] : tallies_) {
       const auto& [kind, contact, solver] = key;
       std::vector<double> seconds = tally.seconds;
-      std::sort(seconds.begin(), seconds.end());
+      std::ranges::sort(seconds);
       table.AddRow({kind < kNumControlKinds ? std::string(kControlKinds[kind]) : "all",
                     contact,
                     solver,

@@ -41,7 +41,7 @@ std::string ReadValue(const std::string& option, const std::string& text, const 
     *value = text;
     if (option == "contact") return WhatIsWrongWith(text);
     const std::vector<std::string> words = SweepWords(option);
-    return std::find(words.begin(), words.end(), text) != words.end() ? "" : found + "one of " + Joined(words);
+    return std::ranges::find(words, text) != words.end() ? "" : found + "one of " + Joined(words);
   }
   const std::optional<double> number = ReadNumber(text);
   if (!number) return found + "a number";

@@ -19,9 +19,8 @@ namespace {
 constexpr int64_t kMostPoints = 100'000'000;
 
 bool Has(const std::vector<SweepBlock>& blocks, const std::string& option) {
-  return std::any_of(blocks.begin(), blocks.end(), [&](const SweepBlock& block) {
-    return std::find(block.options.begin(), block.options.end(), option) != block.options.end();
-  });
+  return std::ranges::any_of(
+      blocks, [&](const SweepBlock& block) { return std::ranges::find(block.options, option) != block.options.end(); });
 }
 
 SweepBlock WordBlock(const std::string& option, const std::vector<std::string>& words) {
@@ -57,10 +56,10 @@ bool IsBiasedContact(const std::string& contact) {
 
 // Whether any contact model of the blocks has options that bias its derivative.
 bool AnyContactIsBiased(const std::vector<SweepBlock>& blocks) {
-  return std::any_of(blocks.begin(), blocks.end(), [](const SweepBlock& block) {
-    const auto contact = std::find(block.options.begin(), block.options.end(), "contact");
+  return std::ranges::any_of(blocks, [](const SweepBlock& block) {
+    const auto contact = std::ranges::find(block.options, "contact");
     if (contact == block.options.end()) return false;
-    return std::any_of(block.rows.begin(), block.rows.end(), [&](const SweepRow& row) {
+    return std::ranges::any_of(block.rows, [&](const SweepRow& row) {
       return IsBiasedContact(row[contact - block.options.begin()].get<std::string>());
     });
   });
@@ -96,18 +95,18 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   columns_ = options_;
   for (const std::string& result : ResultColumns(*this)) {
     // An option may bear the name of a result.
-    const bool taken = std::find(options_.begin(), options_.end(), result) != options_.end();
+    const bool taken = std::ranges::find(options_, result) != options_.end();
     columns_.push_back(taken ? result + "_done" : result);
   }
 }
 
 bool SweepStudy::IsBiased(int64_t point) const {
-  const size_t contact = std::find(options_.begin(), options_.end(), "contact") - options_.begin();
+  const size_t contact = std::ranges::find(options_, "contact") - options_.begin();
   return request_.options.surrogate || IsBiasedContact(Values(point)[contact].get<std::string>());
 }
 
 std::optional<size_t> SweepStudy::FindColumn(const std::string& name) const {
-  const auto found = std::find(columns_.begin(), columns_.end(), name);
+  const auto found = std::ranges::find(columns_, name);
   return found == columns_.end() ? std::nullopt : std::optional<size_t>(found - columns_.begin());
 }
 

@@ -90,7 +90,7 @@ std::vector<std::string> ShardStores(const std::string& directory) {
   for (const auto& entry : std::filesystem::directory_iterator(directory)) {
     if (std::regex_match(entry.path().filename().string(), name)) paths.push_back(entry.path().string());
   }
-  std::sort(paths.begin(), paths.end());
+  std::ranges::sort(paths);
   return paths;
 }
 
@@ -120,7 +120,7 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   if (!figures.empty()) page.AddHeading("Figures");
   for (const SweepFigure& figure : figures) {
     std::string caption = figure.name;
-    std::replace(caption.begin(), caption.end(), '_', ' ');
+    std::ranges::replace(caption, '_', ' ');
     page.AddFigure(figure.figure, caption);
   }
   const std::vector<StoredPoint> first(points.begin(), points.begin() + std::min(points.size(), kMostRowsInReport));
@@ -175,11 +175,10 @@ int Report(const SweepStudy& study, const SweepStore& store, Shard shard) {
   WriteResults(study, points, BaseName(shard));
   const int64_t wanted = (study.size() - shard.index + shard.count) / shard.count;
   const int64_t missing = wanted - static_cast<int64_t>(points.size());
-  const bool some_done = std::any_of(
-      points.begin(), points.end(), [](const StoredPoint& p) { return p.result.status == PointStatus::kComputed; });
-  if (missing > 0 || std::any_of(points.begin(), points.end(), [](const StoredPoint& p) {
-        return p.result.status != PointStatus::kComputed;
-      })) {
+  const bool some_done =
+      std::ranges::any_of(points, [](const StoredPoint& p) { return p.result.status == PointStatus::kComputed; });
+  if (missing > 0 ||
+      std::ranges::any_of(points, [](const StoredPoint& p) { return p.result.status != PointStatus::kComputed; })) {
     std::cerr << Summary(study, points);
   }
   if (missing > 0 && InterruptGuard::Interrupted()) std::cerr << "interrupted; ";
