@@ -31,9 +31,10 @@ void RunSolver(Experiment* experiment, size_t which) {
   }
 }
 
-}  // namespace
-
+// "1e2" for 100, as in the names of the stiffness experiment.
 std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std::lround(std::log10(stiffness))); }
+
+}  // namespace
 
 const SolvedRun* Experiment::Find(const std::string& solver) const {
   for (const SolvedRun& run : runs) {
@@ -141,6 +142,22 @@ NpyArray LossArray(const SolveReport& report) {
   return {{static_cast<int64_t>(losses.size())}, losses};
 }
 
+// The positions of the first disc under one iterate: before each step, and after the last but for the Brax models,
+// whose files have only those before. T x 2.
+std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z) {
+  SingleShooting shooting(MakeSimulator(experiment.contact, experiment.scene, experiment.precision));
+  double loss = 0;
+  if (!shooting.Evaluate(z, &loss, nullptr)) return {};
+  const Simulator& simulator = shooting.simulator();
+  const int last = simulator.num_steps() - (simulator.traits().grid_steps > 1 ? 1 : 0);
+  std::vector<double> positions, x(simulator.state_size());
+  for (int k = 0; k <= last; ++k) {
+    simulator.GetState(k, x);
+    positions.insert(positions.end(), {x[0], x[1]});
+  }
+  return positions;
+}
+
 void WriteVelocityRun(const Experiment& experiment, const SolveReport& report, const std::string& path) {
   std::vector<double> velocities;
   for (const std::vector<double>& z : report.iterates) velocities.insert(velocities.end(), z.begin(), z.end());
@@ -163,20 +180,6 @@ std::string StiffnessName(double stiffness) {
 }
 
 }  // namespace
-
-std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z) {
-  SingleShooting shooting(MakeSimulator(experiment.contact, experiment.scene, experiment.precision));
-  double loss = 0;
-  if (!shooting.Evaluate(z, &loss, nullptr)) return {};
-  const Simulator& simulator = shooting.simulator();
-  const int last = simulator.num_steps() - (simulator.traits().grid_steps > 1 ? 1 : 0);
-  std::vector<double> positions, x(simulator.state_size());
-  for (int k = 0; k <= last; ++k) {
-    simulator.GetState(k, x);
-    positions.insert(positions.end(), {x[0], x[1]});
-  }
-  return positions;
-}
 
 void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir) {
   const std::string results = output_dir + "/results";

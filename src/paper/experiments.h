@@ -64,16 +64,9 @@ class Experiments {
   std::map<std::string, int> index_;
 };
 
-// "1e2" for 100, as in the names of the stiffness experiment.
-std::string StiffnessSuffix(double stiffness);
-
 // Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
 // below `output_dir`. Throws InputError if a file cannot be written.
 void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);
-
-// The positions of the first disc under one iterate: before each step, and after the last but for the Brax models,
-// whose files have only those before. T x 2.
-std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z);
 
 // CPU time of this thread, s, which what else the machine does disturbs little.
 inline double ThreadTime() {

@@ -208,25 +208,20 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   OrOutputError(page.Write(output_dir + "/report.html"));
 }
 
-std::vector<std::string> AllContacts() {
-  std::vector<std::string> contacts;
-  for (const ModelTraits& traits : AllContactModels()) contacts.emplace_back(traits.name);
-  return contacts;
-}
-
 FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<SimulatorCommand> simulators) {
   return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
                            {"Task 2: ground and wall", experiments.scene("ground_wall")},
                            {"Task 3: two balls", experiments.scene("two_balls")}},
-                          AllContacts(),
+                          NameList(AllContactModels()),
                           std::move(simulators));
 }
 
 DescentAudit AuditDescents(const Experiments& experiments, const SolverComparison& comparison) {
   DescentAudit descents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
-                        AllContacts(),
+                        NameList(AllContactModels()),
                         {comparison.slow().begin(), comparison.slow().end()});
-  for (const std::string& contact : AllContacts()) descents.Know(1, contact, comparison.IteratesOf(contact));
+  for (const std::string& contact : NameList(AllContactModels()))
+    descents.Know(1, contact, comparison.IteratesOf(contact));
   return descents;
 }
 
@@ -300,7 +295,7 @@ int Reproduce(const std::vector<std::string>& arguments) {
     write_tables({formulations->ToTable()});
     descents = AuditDescents(experiments, comparison);
     if (!descents->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-    fits.emplace(AllContacts());
+    fits.emplace(NameList(AllContactModels()));
     if (!fits->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
     write_tables({fits->ToTable()});
     if (!RunStage("a law of impact", [&] { law = LearnALaw(); })) return kAnswerFailed;

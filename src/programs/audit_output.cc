@@ -142,85 +142,6 @@ Table VerdictTable(const AuditReport& report) {
   return table;
 }
 
-Table EntryTable(const Scene& scene, const AuditReport& report) {
-  Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
-  for (const ModelAudit& audit : report.models) {
-    if (!audit.refinement || !audit.refinement->ok()) continue;
-    const int intervals = audit.refinement->intervals;
-    for (const QuantityStudy& study : audit.refinement->quantities) {
-      const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
-      // The scene's own steps need not be a multiple of the intervals of control.
-      std::vector<double> own;
-      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
-        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
-      }
-      for (size_t i = 0; i < names.size(); ++i) {
-        const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
-        table.AddRow({audit.gradient.contact,
-                      QuantityToString(study.quantity),
-                      names[i],
-                      study.exact[i],
-                      own.empty() ? Cell() : Cell(own[i]),
-                      study.finest[i],
-                      flips ? "yes" : "no"});
-      }
-    }
-  }
-  return table;
-}
-
-Table SurrogateTable(const Scene& scene, const AuditReport& report) {
-  Table table(ColumnsOf("contact; surrogate; biased; quantity; entry; value; standard error; exact"));
-  for (const ModelAudit& audit : report.models) {
-    const ModelGradient& gradient = audit.gradient;
-    if (!gradient.ok() || !gradient.surrogate) continue;
-    for (const Quantity quantity : kShown) {
-      if (quantity == Quantity::kControl && scene.num_controlled() == 0) continue;
-      const int intervals = gradient.num_steps;
-      const std::vector<std::string> names = EntryNames(scene, quantity, intervals);
-      const std::vector<double> values = EntriesOf(scene, gradient, quantity, intervals);
-      std::vector<double> errors, exact;
-      if (!gradient.initial_error.empty()) {
-        errors = EntriesOf(scene, StandardErrorsOf(gradient), quantity, intervals);
-      }
-      if (report.reference && report.reference->num_steps % intervals == 0) {
-        exact = EntriesOf(scene, *report.reference, quantity, intervals);
-      }
-      for (size_t i = 0; i < names.size(); ++i) {
-        table.AddRow({gradient.contact,
-                      SurrogateToString(gradient.surrogate->kind),
-                      "yes",
-                      QuantityToString(quantity),
-                      names[i],
-                      values[i],
-                      errors.empty() ? Cell() : Cell(errors[i]),
-                      exact.empty() ? Cell() : Cell(exact[i])});
-      }
-    }
-  }
-  return table;
-}
-
-Table RefinementTable(const AuditReport& report) {
-  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
-  for (const ModelAudit& audit : report.models) {
-    if (!audit.refinement) continue;
-    for (const QuantityStudy& study : audit.refinement->quantities) {
-      for (const RefinementLevel& level : study.levels) {
-        table.AddRow({audit.gradient.contact,
-                      QuantityToString(study.quantity),
-                      VerdictToString(study.verdict),
-                      study.order,
-                      level.steps,
-                      level.error,
-                      level.smallest,
-                      level.largest});
-      }
-    }
-  }
-  return table;
-}
-
 Table BlackBoxTable(const AuditReport& report) {
   Table table(ColumnsOf(
       "simulator; reports; bits; motion; e:3; keep:3; feed:3; e, finer:3; keep, finer:3; feed, finer:3; gradient"));
@@ -481,6 +402,88 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
 
 namespace {
 
+// Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
+Table EntryTable(const Scene& scene, const AuditReport& report) {
+  Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement || !audit.refinement->ok()) continue;
+    const int intervals = audit.refinement->intervals;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
+      // The scene's own steps need not be a multiple of the intervals of control.
+      std::vector<double> own;
+      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
+        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      names[i],
+                      study.exact[i],
+                      own.empty() ? Cell() : Cell(own[i]),
+                      study.finest[i],
+                      flips ? "yes" : "no"});
+      }
+    }
+  }
+  return table;
+}
+
+// Every entry of the surrogates beside the exact gradient, one row an entry and model.
+Table SurrogateTable(const Scene& scene, const AuditReport& report) {
+  Table table(ColumnsOf("contact; surrogate; biased; quantity; entry; value; standard error; exact"));
+  for (const ModelAudit& audit : report.models) {
+    const ModelGradient& gradient = audit.gradient;
+    if (!gradient.ok() || !gradient.surrogate) continue;
+    for (const Quantity quantity : kShown) {
+      if (quantity == Quantity::kControl && scene.num_controlled() == 0) continue;
+      const int intervals = gradient.num_steps;
+      const std::vector<std::string> names = EntryNames(scene, quantity, intervals);
+      const std::vector<double> values = EntriesOf(scene, gradient, quantity, intervals);
+      std::vector<double> errors, exact;
+      if (!gradient.initial_error.empty()) {
+        errors = EntriesOf(scene, StandardErrorsOf(gradient), quantity, intervals);
+      }
+      if (report.reference && report.reference->num_steps % intervals == 0) {
+        exact = EntriesOf(scene, *report.reference, quantity, intervals);
+      }
+      for (size_t i = 0; i < names.size(); ++i) {
+        table.AddRow({gradient.contact,
+                      SurrogateToString(gradient.surrogate->kind),
+                      "yes",
+                      QuantityToString(quantity),
+                      names[i],
+                      values[i],
+                      errors.empty() ? Cell() : Cell(errors[i]),
+                      exact.empty() ? Cell() : Cell(exact[i])});
+      }
+    }
+  }
+  return table;
+}
+
+// Error by level of refinement.
+Table RefinementTable(const AuditReport& report) {
+  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
+  for (const ModelAudit& audit : report.models) {
+    if (!audit.refinement) continue;
+    for (const QuantityStudy& study : audit.refinement->quantities) {
+      for (const RefinementLevel& level : study.levels) {
+        table.AddRow({audit.gradient.contact,
+                      QuantityToString(study.quantity),
+                      VerdictToString(study.verdict),
+                      study.order,
+                      level.steps,
+                      level.error,
+                      level.smallest,
+                      level.largest});
+      }
+    }
+  }
+  return table;
+}
+
 // Errors of right gradients are rounding; below this line of the figure they would squeeze all others.
 constexpr double kLowestError = 1e-7;
 
@@ -545,8 +548,8 @@ std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, 
   return EntriesOf(scene, *report.reference, sweep.quantity, 1)[at - names.begin()];
 }
 
-}  // namespace
-
+// Error against the step, log-log: one panel for each of position, velocity and control, one line a model, whose label
+// has the order by position.
 Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
   Figure figure;
   figure.title = scene.name + ": error against the exact gradient (order by position)";
@@ -559,6 +562,8 @@ Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
   return figure;
 }
 
+// Slope against width: for each of position, velocity and control the entry on which differences speak most against a
+// model. Level lines are the exact values.
 Figure WidthFigure(const Scene& scene, const AuditReport& report) {
   Figure figure;
   figure.title = scene.name + ": differences of the loss, from narrower to wider than a step";
@@ -592,6 +597,12 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
   return figure;
 }
 
+bool HasWidths(const AuditReport& report) {
+  return std::ranges::any_of(report.models, [](const ModelAudit& audit) { return audit.widths.has_value(); });
+}
+
+}  // namespace
+
 void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document) {
   if (request.output_dir.empty()) return;
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
@@ -616,8 +627,7 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
         "finer=finer_rebound; concentration; concentration, finer=finer_concentration; onset order; position from "
         "position; velocity from position, times step=velocity_from_position; evidence=words");
   WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
-  const bool swept =
-      std::ranges::any_of(report.models, [](const ModelAudit& audit) { return audit.widths.has_value(); });
+  const bool swept = HasWidths(report);
   if (swept) {
     write("_widths.csv",
           "/width_sweep/sweeps",
@@ -692,11 +702,6 @@ PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Pl
   }
 }
 
-Series Line(const PerturbedFlow& flow, const std::vector<double>& values, const std::string& colour, Dash dash,
-            double width) {
-  return {.label = "", .x = flow.times, .y = values, .colour = colour, .dash = dash, .width = width};
-}
-
 }  // namespace
 
 PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error) {
@@ -722,20 +727,6 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
     std::copy_n(&x[i * size], std::min(size, exact_size), &y[i * exact_size]);
   PerturbedFlows flows{Follow(*simulator, x, place, begin, end), Follow(*exact, y, place, begin, end)};
   return flows.model.times.empty() || flows.exact.times.empty() ? PerturbedFlows() : flows;
-}
-
-Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error) {
-  const PerturbedFlows flows = PerturbAtContact(scene, contact, error);
-  Panel panel{.title = contact.name() + ": " + error.a + " displaced, at " + error.b,
-              .x = {.label = "time (s)"},
-              .y = {.label = "displacement along the normal"}};
-  const std::string colour = ColourOf(contact.name());
-  for (const auto& [flow, ink, dash] : {std::tuple(&flows.exact, std::string("#000000"), Dash::kDashed),
-                                        std::tuple(&flows.model, colour, Dash::kSolid)}) {
-    panel.series.push_back(Line(*flow, flow->first, ink, dash, 2.5));
-    if (!flow->second.empty()) panel.series.push_back(Line(*flow, flow->second, ink, dash, 1));
-  }
-  return panel;
 }
 
 // ---- Page
@@ -789,6 +780,26 @@ void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
                   "correct gradient.");
 }
 
+Series Line(const PerturbedFlow& flow, const std::vector<double>& values, const std::string& colour, Dash dash,
+            double width) {
+  return {.label = "", .x = flow.times, .y = values, .colour = colour, .dash = dash, .width = width};
+}
+
+// The flows of PerturbAtContact() over time.
+Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error) {
+  const PerturbedFlows flows = PerturbAtContact(scene, contact, error);
+  Panel panel{.title = contact.name() + ": " + error.a + " displaced, at " + error.b,
+              .x = {.label = "time (s)"},
+              .y = {.label = "displacement along the normal"}};
+  const std::string colour = ColourOf(contact.name());
+  for (const auto& [flow, ink, dash] : {std::tuple(&flows.exact, std::string("#000000"), Dash::kDashed),
+                                        std::tuple(&flows.model, colour, Dash::kSolid)}) {
+    panel.series.push_back(Line(*flow, flow->first, ink, dash, 2.5));
+    if (!flow->second.empty()) panel.series.push_back(Line(*flow, flow->second, ink, dash, 1));
+  }
+  return panel;
+}
+
 // What each wrong model says of the first contact that makes it so, with the step in the replay.
 void AddWrongSteps(const Request& request, const AuditReport& audit, Page* page) {
   std::vector<Page::Moment> moments;
@@ -829,8 +840,7 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   if (request.options.surrogate) return;
   AddWrongSteps(request, audit, page);
   const Figure refinement = RefinementFigure(request.scene, audit);
-  const bool swept =
-      std::ranges::any_of(audit.models, [](const ModelAudit& model) { return model.widths.has_value(); });
+  const bool swept = HasWidths(audit);
   if (refinement.panels.empty() && !swept) return;
   page->AddHeading("Errors by step and width");
   if (!refinement.panels.empty()) {

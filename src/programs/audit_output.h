@@ -3,7 +3,6 @@
 
 #include <vector>
 
-#include "output/figure.h"
 #include "output/table.h"
 #include "programs/program.h"
 #include "saltus/audit/attribution.h"
@@ -21,15 +20,6 @@ Table GradientTable(const Request& request, const AuditReport& report);
 // Verdicts, and for wrong models the first wrong step and why. Toned.
 Table VerdictTable(const AuditReport& report);
 
-// Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
-Table EntryTable(const Scene& scene, const AuditReport& report);
-
-// Every entry of the surrogates beside the exact gradient, one row an entry and model.
-Table SurrogateTable(const Scene& scene, const AuditReport& report);
-
-// Error by level of refinement.
-Table RefinementTable(const AuditReport& report);
-
 // What final states tell of black boxes, one row each.
 Table BlackBoxTable(const AuditReport& report);
 
@@ -38,14 +28,6 @@ Table PlateauTable(const AuditReport& report);
 
 // A given gradient, entry by entry.
 Table GivenTable(const std::vector<GivenEntry>& entries);
-
-// Error against the step, log-log: one panel for each of position, velocity and control, one line a model, whose label
-// has the order by position.
-Figure RefinementFigure(const Scene& scene, const AuditReport& report);
-
-// Slope against width: for each of position, velocity and control the entry on which differences speak most against a
-// model. Level lines are the exact values.
-Figure WidthFigure(const Scene& scene, const AuditReport& report);
 
 // Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_refinement.{svg,png}, and with a width sweep
 // <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
@@ -65,9 +47,6 @@ struct PerturbedFlows {
 
 // Of the scene's own initial state and control. Nothing in either if the rollout fails, or the steps of `event` do.
 PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error);
-
-// Both, over time.
-Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const ContactError& error);
 
 class Page;
 

@@ -276,14 +276,16 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   return out;
 }
 
+namespace {
+
+// The root mean square of the final error, of the runs or to first order; positions in m, velocities in m/s, angles in
+// rad together.
 double FinalError(const FeedbackStudy& study, const MonteCarlo& runs) {
   if (runs.counted < 2) return std::nan("");
   return std::sqrt(runs.covariance.trace() + (runs.mean - study.planned).squaredNorm());
 }
 
 double FinalError(const Covariance& covariance) { return std::sqrt(covariance.nodes.back().trace()); }
-
-namespace {
 
 Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, bool states) {
   const Covariance& covariance = loop.covariance;

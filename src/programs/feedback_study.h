@@ -50,20 +50,15 @@ FeedbackStudy StudyFeedback(const Scene& scene, const std::vector<double>& initi
 FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& input, const FeedbackOptions& options,
                             int threads);
 
-// The root mean square of the final error, of the runs or to first order; positions in m, velocities in m/s, angles in
-// rad together.
-double FinalError(const FeedbackStudy& study, const MonteCarlo& runs);
-double FinalError(const Covariance& covariance);
-
 // With `states`, also the costs to go and the covariances at all nodes.
 Json FeedbackToJson(const FeedbackStudy& study, bool states);
 
 using NamedStudies = std::vector<std::pair<std::string, const FeedbackStudy*>>;
 // One row for each loop of each study.
 Table FeedbackTable(const NamedStudies& studies);
-// What the table shows, in a sentence without its full stop.
 // Table and warnings on standard output, with `name` before the caption.
 void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies);
+// What the table shows, in a sentence without its full stop.
 std::string FeedbackCaption(const FeedbackOptions& options);
 // The warnings of the studies.
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies);

@@ -60,6 +60,17 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
   (*motion)["guards"] = std::move(guards);
 }
 
+// {"initial", "control", "parameters", "duration"}.
+Json HybridGradientToJson(const HybridInput& input, const HybridSystem& system, const HybridGradient& gradient) {
+  std::vector<double> control = gradient.control, parameters = gradient.parameters;
+  control.resize(static_cast<std::size_t>(input.num_intervals) * system.num_controls());
+  parameters.resize(system.num_parameters());
+  return {{"initial", gradient.initial},
+          {"control", RowsToJson(control, system.num_controls())},
+          {"parameters", parameters},
+          {"duration", gradient.duration}};
+}
+
 }  // namespace
 
 Json HybridSystemToJson(const HybridSystem& system) {
@@ -106,16 +117,6 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   }
   if (states) AddSamples(simulator, input, ok, &motion);
   return motion;
-}
-
-Json HybridGradientToJson(const HybridInput& input, const HybridSystem& system, const HybridGradient& gradient) {
-  std::vector<double> control = gradient.control, parameters = gradient.parameters;
-  control.resize(static_cast<std::size_t>(input.num_intervals) * system.num_controls());
-  parameters.resize(system.num_parameters());
-  return {{"initial", gradient.initial},
-          {"control", RowsToJson(control, system.num_controls())},
-          {"parameters", parameters},
-          {"duration", gradient.duration}};
 }
 
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {

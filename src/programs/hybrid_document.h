@@ -22,9 +22,6 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 // event.
 Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states);
 
-// {"initial", "control", "parameters", "duration"}.
-Json HybridGradientToJson(const HybridInput& input, const HybridSystem& system, const HybridGradient& gradient);
-
 // The loss at the guess and its gradient by all that the motion depends on: {"loss", "gradient"}, or {"failed"} with
 // the reason. `motion`, if given, becomes that of the guess.
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion = nullptr);

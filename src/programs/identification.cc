@@ -487,10 +487,6 @@ std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, c
   return Expected("affine or profile, which maybe has :N");
 }
 
-std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path, const Scene& scene) {
-  return path.ends_with(".npz") ? LoadRecordingNpz(path, scene) : LoadRecording(path, scene);
-}
-
 // ---- A law that is known
 
 namespace {
@@ -635,7 +631,8 @@ std::variant<Recording, RecordingError> RecordingFromArrays(const NpzArrays& arr
   }
 }
 
-std::variant<Recording, RecordingError> LoadRecordingNpz(const std::string& path, const Scene& scene) {
+std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path, const Scene& scene) {
+  if (!path.ends_with(".npz")) return LoadRecording(path, scene);
   const StatusOr<NpzArrays> arrays = ReadNpz(path);
   if (!arrays.ok()) return RecordingError{path, 0, arrays.status().message()};
   return RecordingFromArrays(*arrays, path, scene);

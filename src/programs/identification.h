@@ -47,9 +47,6 @@ KnownLaw ReadKnownLaw(const std::string& path);
 std::variant<Recording, RecordingError> RecordingFromArrays(const NpzArrays& arrays, const std::string& name,
                                                             const Scene& scene);
 
-// Those of a file.
-std::variant<Recording, RecordingError> LoadRecordingNpz(const std::string& path, const Scene& scene);
-
 // Fits of the same recordings, by contact model.
 struct Identified {
   std::vector<Recording> recordings;

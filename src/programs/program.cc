@@ -19,10 +19,10 @@
 #include <iostream>
 #include <new>
 #include <sstream>
-#include <thread>
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/parallel_for.h"
 #include "base/suggestion.h"
 #include "output/table.h"
 #include "programs/feedback_study.h"
@@ -97,7 +97,6 @@ constexpr std::size_t kReserve = std::size_t{32} << 20;  // of the address space
 
 std::atomic<void*> reserve{nullptr};
 std::atomic<bool> holds{false};
-int code_of_end = 1;
 
 void OnNoMemory() {
   void* held = reserve.exchange(nullptr);
@@ -114,28 +113,19 @@ void OnNoMemory() {
     std::cout.flush();
     std::fflush(stdout);
     for (const char* text : {"error: ", kMemoryRanOut, "\n"}) (void)!write(STDERR_FILENO, text, std::strlen(text));
-    _exit(code_of_end);
+    _exit(kAnswerFailed);
   } catch (...) {
   }
   std::abort();
 }
 
-}  // namespace
-
-void HoldMemoryBack(int exit_code) {
-  code_of_end = exit_code;
+// Where std::bad_alloc cannot get out, the program says kMemoryRanOut and ends as it would have with it caught in main.
+void HoldMemoryBack() {
   holds = true;
   HoldMemoryBackAgain();
   std::set_new_handler(OnNoMemory);
   std::set_terminate(OnTerminate);
 }
-
-void HoldMemoryBackAgain() {
-  if (!holds || reserve != nullptr) return;
-  std::free(reserve.exchange(std::malloc(kReserve)));
-}
-
-namespace {
 
 constexpr size_t kMostFlagBytes = 1 << 20;
 constexpr int kDeepestFlagFile = 16;
@@ -189,7 +179,24 @@ void CheckFlagNames(int argc, char** argv, const Program& program) {
   if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
 }
 
+// Whatever way a flag was given: what the program would ignore is an error. To be called once flags are read.
+void RefuseFlagsOfOthers(const Program& program) {
+  for (const Program& other : AllPrograms()) {
+    for (const std::string& name : FlagNames(other)) {
+      gflags::CommandLineFlagInfo info;
+      if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
+      const std::string why = WhyNoFlagOf(program, name);
+      if (!why.empty()) throw InputError(why);
+    }
+  }
+}
+
 }  // namespace
+
+void HoldMemoryBackAgain() {
+  if (!holds || reserve != nullptr) return;
+  std::free(reserve.exchange(std::malloc(kReserve)));
+}
 
 std::vector<std::string> SplitAtCommas(const std::string& list) {
   std::vector<std::string> items;
@@ -235,22 +242,6 @@ std::vector<std::string> ReadNames(const std::string& flag, const std::string& l
   return names;
 }
 
-void CheckCommandLine(int argc, char** argv, const Program& program) {
-  CheckFlagFiles(argc, argv);
-  CheckFlagNames(argc, argv, program);
-}
-
-void RefuseFlagsOfOthers(const Program& program) {
-  for (const Program& other : AllPrograms()) {
-    for (const std::string& name : FlagNames(other)) {
-      gflags::CommandLineFlagInfo info;
-      if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
-      const std::string why = WhyNoFlagOf(program, name);
-      if (!why.empty()) throw InputError(why);
-    }
-  }
-}
-
 namespace {
 
 template <typename Entries>
@@ -270,11 +261,8 @@ void PrintModels() {
 
 // A comma-separated list of contact models with their options.
 std::vector<std::string> ReadContacts(const std::string& value) {
+  if (value == "all") return NameList(AllContactModels());
   std::vector<std::string> contacts;
-  if (value == "all") {
-    for (const ModelTraits& model : AllContactModels()) contacts.emplace_back(model.name);
-    return contacts;
-  }
   for (const std::string& contact : SplitAtCommas(value)) {
     const std::string wrong = WhatIsWrongWith(contact);
     if (!wrong.empty()) {
@@ -404,7 +392,7 @@ int RunBody(const std::function<int()>& body) {
 
 int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
   OccupyStandardStreams();
-  HoldMemoryBack(kAnswerFailed);
+  HoldMemoryBack();
   std::signal(SIGXFSZ, SIG_IGN);  // a file that becomes too large is an error like others of writing
   google::InitGoogleLogging(argv[0]);
   FLAGS_logtostderr = true;
@@ -415,7 +403,8 @@ int RunMain(int argc, char** argv, const Program& program, const std::function<i
   gflags::SetVersionString(SALTUS_VERSION);
   google::gflags_exitfunc = [](int code) { std::exit(code == 0 ? kDone : kWrongInput); };
   const int code = RunBody([&] {
-    CheckCommandLine(argc, argv, program);
+    CheckFlagFiles(argc, argv);
+    CheckFlagNames(argc, argv, program);
     gflags::ParseCommandLineNonHelpFlags(&argc, &argv, true);
     RefuseFlagsOfOthers(program);
     if (FLAGS_h || FLAGS_help || FLAGS_helpshort) {
@@ -488,8 +477,7 @@ SearchOptions SearchFromFlags() {
 
 int ThreadsFromFlags() {
   if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
-  if (FLAGS_threads > 0) return FLAGS_threads;
-  return std::max(1u, std::thread::hardware_concurrency());
+  return NumThreads(FLAGS_threads);
 }
 
 ProgressMode ProgressFromFlags() {

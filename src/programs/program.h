@@ -21,15 +21,12 @@
 
 namespace saltus {
 
-// What is said then.
+// What is said when memory runs out.
 inline constexpr char kMemoryRanOut[] = "memory ran out";
 
-// From now on some memory is held back. The first allocation that fails gives it back and throws std::bad_alloc, so
-// that there is memory to take down what was built: destructors of JSON documents allocate. Where the exception cannot
-// get out the program says kMemoryRanOut and ends with `exit_code`, as it would have with the exception caught in main.
-void HoldMemoryBack(int exit_code);
-
-// Holds memory back again after it ran out, if there is any by now.
+// RunMain holds some memory back. The first allocation that fails gives it back and throws std::bad_alloc, so that
+// there is memory to take down what was built: destructors of JSON documents allocate. Holds memory back again after it
+// ran out, if there is any by now.
 void HoldMemoryBackAgain();
 
 // The items of a comma-separated list; none of an empty one.
@@ -61,13 +58,6 @@ std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& f
 std::vector<std::string> ReadNames(const std::string& flag, const std::string& list,
                                    const std::vector<std::string>& known,
                                    const std::string& expected = "'all' or some of ");
-
-// Throws InputError for a flag that the program does not have, and for flag files that cannot be read.
-void CheckCommandLine(int argc, char** argv, const Program& program);
-
-// Whatever way a flag was given: what the program would ignore is an error. To be called once flags are read. Throws
-// InputError.
-void RefuseFlagsOfOthers(const Program& program);
 
 // Exit codes, as promised to scripts.
 inline constexpr int kDone = 0;

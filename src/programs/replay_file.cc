@@ -463,23 +463,8 @@ void Thin(size_t most_rows, size_t width, ReplayMotion* motion) {
                     " state";
 }
 
-int WriteReplay() {
-  const std::vector<std::string>& paths = FilesGiven();
-  if (paths.empty()) throw InputError("expected a file to replay; -h describes the formats");
-  std::optional<Scene> scene;
-  if (!FLAGS_scene.empty()) scene = LoadScene(FLAGS_scene);
-  const Replay replay = ReadReplay(paths, scene);
-  std::string names;
-  for (const std::string& path : paths) names += (names.empty() ? "" : ", ") + StemOf(path);
-  Page page(names);
-  page.AddReplay(replay, "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
-  OrOutputError(page.Write(FLAGS_output));
-  std::cout << FLAGS_output << std::endl;
-  return kDone;
-}
-
-}  // namespace
-
+// The motions in some files, whose discs must be the same. Bodies and planes are those of `scene`, if one is given, or
+// else what the first file says of them. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene) {
   Replay replay;
   std::vector<std::string> models;
@@ -508,6 +493,23 @@ Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Sce
   SetStyles(&replay.motions, std::move(models));
   return replay;
 }
+
+int WriteReplay() {
+  const std::vector<std::string>& paths = FilesGiven();
+  if (paths.empty()) throw InputError("expected a file to replay; -h describes the formats");
+  std::optional<Scene> scene;
+  if (!FLAGS_scene.empty()) scene = LoadScene(FLAGS_scene);
+  const Replay replay = ReadReplay(paths, scene);
+  std::string names;
+  for (const std::string& path : paths) names += (names.empty() ? "" : ", ") + StemOf(path);
+  Page page(names);
+  page.AddReplay(replay, "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
+  OrOutputError(page.Write(FLAGS_output));
+  std::cout << FLAGS_output << std::endl;
+  return kDone;
+}
+
+}  // namespace
 
 int ReplayMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_replay"), WriteReplay); }
 

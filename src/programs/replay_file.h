@@ -33,8 +33,4 @@ struct ReplayFile {
 // `drawn` stands in for what the file says of bodies.
 ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn);
 
-// The motions in some files, whose discs must be the same. Bodies and planes are those of `scene`, if one is given, or
-// else what the first file says of them. Throws InputError with file and key.
-Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene);
-
 }  // namespace saltus

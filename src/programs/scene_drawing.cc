@@ -42,8 +42,7 @@ Outline OutlineOf(const Pocket& pocket) {
   return OutlineOf(EdgeArc{pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
 }
 
-}  // namespace
-
+// In the order of the scene; arcs as chords, two degrees each at most.
 std::vector<Outline> OutlinesOf(const Scene& scene) {
   std::vector<Outline> outlines;
   for (const EdgeSegment& segment : scene.segments) outlines.push_back(OutlineOf(segment));
@@ -52,6 +51,8 @@ std::vector<Outline> OutlinesOf(const Scene& scene) {
   for (const Pocket& pocket : scene.pockets) outlines.push_back(OutlineOf(pocket));
   return outlines;
 }
+
+}  // namespace
 
 Panel ScenePanel(const Scene& scene, const std::string& title) {
   Panel panel{.title = title, .x = {.label = "x (m)"}, .y = {.label = "y (m)"}, .equal_aspect = true};

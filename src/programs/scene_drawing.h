@@ -11,9 +11,6 @@
 
 namespace saltus {
 
-// In the order of the scene; arcs as chords, two degrees each at most.
-std::vector<Outline> OutlinesOf(const Scene& scene);
-
 // Discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);
 

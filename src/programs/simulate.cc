@@ -2,7 +2,6 @@
 #include <gflags/gflags.h>
 
 #include <iostream>
-#include <sstream>
 #include <string>
 
 #include "blackbox/speaker.h"
@@ -19,8 +18,7 @@ namespace {
 Offer ReadOffer() {
   Offer offer{false, false, false};
   if (FLAGS_offer == "none") return offer;
-  std::stringstream list(FLAGS_offer);
-  for (std::string name; std::getline(list, name, ',');) {
+  for (const std::string& name : SplitAtCommas(FLAGS_offer)) {
     bool* given = name == "gradient" ? &offer.gradient : name == "step" ? &offer.step : &offer.states;
     if (given == &offer.states && name != "states") {
       throw InputError("--offer=" + FLAGS_offer + ": found '" + name + "', expected gradient, step, states or none");

@@ -80,8 +80,7 @@ std::shared_ptr<BlackBox> OpenedOnce(const std::string& contact) {
   return box;
 }
 
-}  // namespace
-
+// "[NAME=]COMMAND"; without a name, one made of the last word of the command that is no flag. Throws InputError.
 SimulatorCommand ParseSimulator(const std::string& text) {
   const std::size_t equals = text.find('=');
   const bool named = equals != std::string::npos && equals > 0 &&
@@ -94,6 +93,8 @@ SimulatorCommand ParseSimulator(const std::string& text) {
   }
   return simulator;
 }
+
+}  // namespace
 
 std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments) {
   if (!(FLAGS_simulate_seconds > 0) || !std::isfinite(FLAGS_simulate_seconds)) {

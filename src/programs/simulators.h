@@ -22,9 +22,6 @@ struct SimulatorCommand {
 // InputError.
 std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments);
 
-// "[NAME=]COMMAND"; without a name, one made of the last word of the command that is no flag. Throws InputError.
-SimulatorCommand ParseSimulator(const std::string& text);
-
 // For programs to which a simulator is one more value of --contact: keeps them for the functions below, and returns
 // their names. To be called once.
 std::vector<std::string> KeepSimulators(std::vector<SimulatorCommand> simulators);

@@ -52,8 +52,8 @@ std::string MeaningOfStationary(const Certificate& certificate) {
   return "";
 }
 
-}  // namespace
-
+// What the conditions of the certificate are off by, relative: under its verdict, the worst of them. Nothing if there
+// is nothing to certify.
 std::optional<double> ResidualOf(const Certificate& certificate) {
   switch (certificate.verdict) {
     case kStationaryOnGrid:
@@ -76,6 +76,7 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
   return std::nullopt;
 }
 
+// What the verdict says of the control, in a sentence or two.
 std::string MeaningOf(const Certificate& certificate) {
   switch (certificate.verdict) {
     case kNotStationary:
@@ -98,6 +99,8 @@ std::string MeaningOf(const Certificate& certificate) {
           : "other sequences of impacts may be better";
   return MeaningOfStationary(certificate) + "; " + searched;
 }
+
+}  // namespace
 
 Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
   Table table(ColumnsOf("contact; solver; parameter; given:8; found:8; derivative of exact loss:3"), 3);
@@ -163,6 +166,26 @@ Json StatesToJson(const Motion& motion, size_t bodies) {
     states.push_back(StateToJson(&motion.states[k * bodies * kState], rotations, bodies));
   }
   return states;
+}
+
+// A solution's motion under its own contact model or, if `exact`, under exact dynamics.
+Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options) {
+  const MotionInput input = InputOf(report);
+  MotionOptions own = options;
+  own.precision = request.precision;
+  own.stop = InterruptGuard::GraceIsOver;
+  const Scene scene = WithDesign(request.scene, report.parameters);
+  return exact ? SimulateExactMotion(scene, input, own) : SimulateMotion(scene, report.contact, input, own);
+}
+
+// The ends of the control intervals of a solution, from 0 on, s: the nodes of its own model's motion.
+std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {
+  std::vector<double> nodes = {0};
+  for (const double length : report.durations) nodes.push_back(nodes.back() + length);
+  if (!report.durations.empty()) return nodes;
+  const int steps = scene.steps / FindContactModel(report.contact)->grid_steps;
+  for (int k = 1; k <= steps; ++k) nodes.push_back(k * (scene.duration / steps));
+  return nodes;
 }
 
 // Of the run's own model at the nodes of its control, and of exact dynamics.
@@ -270,6 +293,11 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   return arrays;
 }
 
+// <scene>_<contact>_<solver>.npz
+std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
+  return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
+}
+
 void WriteSolution(const Request& request, const SolvedRun& run) {
   const std::string path = request.output_dir + "/" + SolutionFileName(request.scene, run.report);
   const auto write = [&](const Motions* motions) { OrOutputError(WriteNpz(path, ArraysOf(request, run, motions))); };
@@ -284,8 +312,8 @@ void WriteSolution(const Request& request, const SolvedRun& run) {
   throw std::bad_alloc();
 }
 
-}  // namespace
-
+// Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
+// "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
 void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   const size_t bodies = request.scene.bodies.size();
   if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
@@ -302,6 +330,8 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   add("exact_", motions.exact);
 }
 
+// Adds what is needed to draw states: "bodies" with names and radii, "planes", and the walls that end, if there are
+// any, by their keys in scene files.
 void AddDrawn(const Scene& scene, Json* document) {
   const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
   Json& bodies = list("bodies");
@@ -335,9 +365,12 @@ void AddDrawn(const Scene& scene, Json* document) {
   }
 }
 
+// "contact solver", or the contact model alone where nothing was solved.
 std::string LabelOfRun(const SolveReport& report) {
   return LabelOf(report.contact, report.surrogate) + (report.solver == kNoSolver ? "" : " " + report.solver);
 }
+
+}  // namespace
 
 NamedStudies StudiesOf(const SolvedRuns& solved) {
   NamedStudies studies;
@@ -345,10 +378,6 @@ NamedStudies StudiesOf(const SolvedRuns& solved) {
     if (run.feedback) studies.emplace_back(LabelOfRun(run.report), &*run.feedback);
   }
   return studies;
-}
-
-std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
-  return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
 }
 
 void WriteSolutions(const Request& request, const SolvedRuns& solved) {
@@ -563,17 +592,6 @@ double LargestDefect(const SolveReport& report) {
   return *std::ranges::max_element(last);
 }
 
-SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,
-                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep) {
-  SolvedRun run;
-  run.report = Solve(solver, {scene, contact, precision}, options);
-  const SolveReport& report = run.report;
-  if (report.losses.empty()) return run;
-  keep(run);
-  CheckRun(scene, contact, precision, &run);
-  return run;
-}
-
 bool IsConvergence(const SolveReport& report) {
   return report.termination == Termination::kConverged && report.solver != kNoSolver;
 }
@@ -732,14 +750,20 @@ void FindFinalState(const Scene& scene, const Contact& contact, Precision precis
 
 }  // namespace
 
-void CheckRun(const Scene& given, const Contact& contact, Precision precision, SolvedRun* run) {
-  const Scene scene = WithDesign(given, run->report.parameters);
-  CheckExactly(scene, run);
-  if (IsExact(contact) && run->exact.ok) {
-    run->final_state = run->exact.end;
+SolvedRun SolveAndCheck(const Scene& given, const std::string& solver, const Contact& contact, Precision precision,
+                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep) {
+  SolvedRun run;
+  run.report = Solve(solver, {given, contact, precision}, options);
+  if (run.report.losses.empty()) return run;
+  keep(run);
+  const Scene scene = WithDesign(given, run.report.parameters);
+  CheckExactly(scene, &run);
+  if (IsExact(contact) && run.exact.ok) {
+    run.final_state = run.exact.end;
   } else {
-    FindFinalState(scene, contact, precision, run);
+    FindFinalState(scene, contact, precision, &run);
   }
+  return run;
 }
 
 SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
@@ -775,24 +799,6 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
   report.initial_loss = report.final_loss = *outcome->loss;
   report.termination = Termination::kConverged;
   return run;
-}
-
-Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options) {
-  const MotionInput input = InputOf(report);
-  MotionOptions own = options;
-  own.precision = request.precision;
-  own.stop = InterruptGuard::GraceIsOver;
-  const Scene scene = WithDesign(request.scene, report.parameters);
-  return exact ? SimulateExactMotion(scene, input, own) : SimulateMotion(scene, report.contact, input, own);
-}
-
-std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {
-  std::vector<double> nodes = {0};
-  for (const double length : report.durations) nodes.push_back(nodes.back() + length);
-  if (!report.durations.empty()) return nodes;
-  const int steps = scene.steps / FindContactModel(report.contact)->grid_steps;
-  for (int k = 1; k <= steps; ++k) nodes.push_back(k * (scene.duration / steps));
-  return nodes;
 }
 
 }  // namespace saltus

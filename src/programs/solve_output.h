@@ -45,46 +45,17 @@ double LargestDefect(const SolveReport& report);
 
 Json SolveToJson(const Request& request, const SolvedRuns& solved);
 
-// Fills all that follows from the report's initial state and control: the exact run, the certificate, final_state.
-void CheckRun(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run);
-
 // The start of the scene under a contact model, with nothing changed: solver "none", its loss as `final_loss`, and no
 // losses on the way. kFailed if the rollout fails, kNotApplicable if the model cannot take the scene.
 SolvedRun SimulateOnly(const Request& request, const std::string& contact);
-
-// A solution's motion under its own contact model or, if `exact`, under exact dynamics.
-Motion MotionOf(const Request& request, const SolveReport& report, bool exact, const MotionOptions& options = {});
-
-// The ends of the control intervals of a solution, from 0 on, s: the nodes of its own model's motion.
-std::vector<double> NodesOf(const Scene& scene, const SolveReport& report);
-
-// What the conditions of the certificate are off by, relative: under its verdict, the worst of them. Nothing if there
-// is nothing to certify.
-std::optional<double> ResidualOf(const Certificate& certificate);
-
-// What the verdict says of the control, in a sentence or two.
-std::string MeaningOf(const Certificate& certificate);
 
 // One row for each design parameter of each run: its values in the scene and in the solution.
 Table DesignTable(const Scene& scene, const SolvedRuns& solved);
 // One row a run with a certificate: verdict, residual, smallest curvature and what they mean.
 Table CertificateTable(const SolvedRuns& solved);
 
-// Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
-// "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
-void AddStates(const Request& request, const SolvedRun& run, Json* item);
-
-// Adds what is needed to draw states: "bodies" with names and radii, "planes", and the walls that end, if there are
-// any, by their keys in scene files.
-void AddDrawn(const Scene& scene, Json* document);
-
-// "contact solver", or the contact model alone where nothing was solved.
-std::string LabelOfRun(const SolveReport& report);
 // Those of the runs that have one, by the label of the run.
 NamedStudies StudiesOf(const SolvedRuns& solved);
-
-// <scene>_<contact>_<solver>.npz
-std::string SolutionFileName(const Scene& scene, const SolveReport& report);
 
 // Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
 void WriteSolutions(const Request& request, const SolvedRuns& solved);
