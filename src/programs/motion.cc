@@ -1,7 +1,5 @@
 #include "programs/motion.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -43,58 +41,68 @@ Scene PartOf(const Scene& scene, const std::vector<int>& discs) {
   return part;
 }
 
-}  // namespace
+// Simulates only the discs that touch something, and lets all others fly: of a thousand discs few meet in a step. Discs
+// that do not touch do not change each other's motion, so that states are those of the whole scene.
+class ExactFlight {
+ public:
+  // The exact model takes `scene`, which is in its natural units and outlives the object.
+  explicit ExactFlight(const Scene& scene) : scene_(scene) {}
 
-ExactFlight::ExactFlight(const Contact& model, const Scene& scene) : model_(model), scene_(scene) {}
-
-void ExactFlight::SetTouching(const std::vector<char>& touches) {
-  CHECK_EQ(touches.size(), scene_.bodies.size());
-  discs_.clear();
-  for (int i = 0; i < scene_.num_bodies(); ++i) {
-    if (touches[i]) discs_.push_back(i);
-  }
-  part_ = PartOf(scene_, discs_);
-}
-
-std::vector<double> ExactFlight::Fly(std::span<const double> x, std::span<const double> force, double time) const {
-  Scene part = part_;
-  part.duration = time;
-  std::vector<double> next(x.begin(), x.end());
-  if (!WhyNotApplicable(model_, part).empty()) return next;
-  const std::unique_ptr<Simulator> simulator = MakeSimulator(model_, part, Precision::kDouble);
-  const std::size_t size = simulator->body_size();
-  std::vector<double> from, pushes;
-  for (const int disc : discs_) {
-    from.insert(from.end(), &x[disc * size], &x[disc * size] + size);
-    pushes.insert(pushes.end(), &force[2 * disc], &force[2 * disc] + 2);
-  }
-  std::vector<double> to(from.size());
-  simulator->Step(from, pushes, to);
-  for (int i = 0, flown = 0; i < scene_.num_bodies(); ++i) {
-    const std::span<double> state = std::span(next).subspan(i * size, size);
-    if (flown < part.num_bodies() && discs_[flown] == i) {
-      std::ranges::copy(std::span(to).subspan(flown++ * size, size), state.begin());
-    } else {
-      FlyFreely(i, force, time, state);
+  // Which discs touch anything in the flights that follow; all others must not.
+  void SetTouching(const std::vector<char>& touches) {
+    discs_.clear();
+    for (int i = 0; i < scene_.num_bodies(); ++i) {
+      if (touches[i]) discs_.push_back(i);
     }
+    part_ = PartOf(scene_, discs_);
   }
-  return next;
-}
 
-void ExactFlight::FlyFreely(int disc, std::span<const double> force, double time, std::span<double> state) const {
-  const Body& body = scene_.bodies[disc];
-  if (body.fixed) return;
-  for (int j = 0; j < 2; ++j) {
-    const double acceleration = force[2 * disc + j] * (1 / body.mass) + scene_.gravity[j];
-    state[j] += time * (state[2 + j] + (0.5 * time) * acceleration);
-    state[2 + j] += time * acceleration;
+  // The state (simulator.h) after `time` from state x under `force` (B x 2, on every disc). That is x if the time is
+  // too short for numbers; not a number where the simulation fails.
+  std::vector<double> Fly(std::span<const double> x, std::span<const double> force, double time) const {
+    Scene part = part_;
+    part.duration = time;
+    std::vector<double> next(x.begin(), x.end());
+    if (!WhyNotApplicable(model_, part).empty()) return next;
+    const std::unique_ptr<Simulator> simulator = MakeSimulator(model_, part, Precision::kDouble);
+    const std::size_t size = simulator->body_size();
+    std::vector<double> from, pushes;
+    for (const int disc : discs_) {
+      from.insert(from.end(), &x[disc * size], &x[disc * size] + size);
+      pushes.insert(pushes.end(), &force[2 * disc], &force[2 * disc] + 2);
+    }
+    std::vector<double> to(from.size());
+    simulator->Step(from, pushes, to);
+    for (int i = 0, flown = 0; i < scene_.num_bodies(); ++i) {
+      const std::span<double> state = std::span(next).subspan(i * size, size);
+      if (flown < part.num_bodies() && discs_[flown] == i) {
+        std::ranges::copy(std::span(to).subspan(flown++ * size, size), state.begin());
+      } else {
+        FlyFreely(i, force, time, state);
+      }
+    }
+    return next;
   }
-  if (state.size() > 4) state[4] += time * state[5];
-}
+
+ private:
+  void FlyFreely(int disc, std::span<const double> force, double time, std::span<double> state) const {
+    const Body& body = scene_.bodies[disc];
+    if (body.fixed) return;
+    for (int j = 0; j < 2; ++j) {
+      const double acceleration = force[2 * disc + j] * (1 / body.mass) + scene_.gravity[j];
+      state[j] += time * (state[2 + j] + (0.5 * time) * acceleration);
+      state[2 + j] += time * acceleration;
+    }
+    if (state.size() > 4) state[4] += time * state[5];
+  }
+
+  const Contact model_{ExactModel()->name};
+  const Scene& scene_;
+  Scene part_;              // has the discs that touch
+  std::vector<int> discs_;  // these
+};
 
 // ---- Motions
-
-namespace {
 
 constexpr double kJustAfter = 1e-6;   // of a step: when velocities after an impact are looked at
 constexpr double kOneInstant = 1e-9;  // of a step, or of the whole: what is nearer to each other is drawn as one
@@ -269,7 +277,7 @@ class ExactMotion {
       : scene_(scene),
         options_(options),
         size_(InitialSize(scene) / scene.num_bodies()),
-        flight_(ExactModel()->name, scene),
+        flight_(scene),
         recorder_(scene, options, nodes, &motion_),
         touches_(&motion_, kOneInstant * scene.duration) {
     motion_.arcs = recorder_.whole();
