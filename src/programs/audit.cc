@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <functional>
 #include <iostream>
 #include <memory>
 #include <new>
@@ -30,13 +31,34 @@ DEFINE_string(given, "", "JSON file with an externally computed gradient to audi
 namespace saltus {
 namespace {
 
-// An audit that has nothing to say but why.
-ModelAudit WithoutGradient(const std::string& contact, const std::string& reason) {
-  ModelAudit audit;
-  audit.gradient.contact = contact;
-  audit.gradient.reason = reason;
-  audit.interrupted = reason == kStopped;
-  return audit;
+// Runs the audits of models, or of black boxes, as jobs, and adds those that were begun to the report. `audit` makes
+// the i-th with options that report what it is at; whatever it uses it must own.
+void AddAudits(const std::vector<std::string>& names, bool black_boxes, int threads, const AuditOptions& options,
+               Progress* progress, const std::function<ModelAudit(int i, const AuditOptions& options)>& audit,
+               AuditReport* report) {
+  // What is known of one that has no gradient: why.
+  const auto without_gradient = [names, black_boxes](std::size_t i, const std::string& reason) {
+    ModelAudit none;
+    none.gradient.contact = names[i];
+    none.gradient.reason = reason;
+    none.interrupted = reason == kStopped;
+    if (black_boxes) none.black_box.emplace();
+    return none;
+  };
+  const auto audits = ComputeAll<ModelAudit>(
+      names, threads, progress, [options, audit, without_gradient](int i, const SayNote& say, const auto&) {
+        AuditOptions own = options;
+        own.status = say;
+        try {
+          return audit(i, own);
+        } catch (const std::bad_alloc&) {
+          HoldMemoryBackAgain();
+          return without_gradient(i, kMemoryRanOut);
+        }
+      });
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    if (audits.started[i]) report->models.push_back(audits.results[i].value_or(without_gradient(i, kStopped)));
+  }
 }
 
 // The exact gradient, as a job like the others: it may take long too.
@@ -54,17 +76,6 @@ struct GivenAudit {
   std::string name;
   std::vector<GivenEntry> entries;
 };
-
-std::optional<GivenGradient> ReadGiven(const Request& request) {
-  if (FLAGS_given.empty()) return std::nullopt;
-  return ReadGivenGradient(FLAGS_given, request.scene);
-}
-
-std::optional<GivenAudit> AuditGiven(const Request& request, const std::optional<GivenGradient>& given,
-                                     const AuditReport& report) {
-  if (!given || !report.reference) return std::nullopt;
-  return GivenAudit{given->name, JudgeGiven(request.scene, *given, *report.reference)};
-}
 
 Json GivenToJson(const GivenAudit& audit) {
   Json entries = Json::array();
@@ -95,36 +106,6 @@ std::string WhyNotJudged(OneSided::Side side) {
   return "the exact one does not exist";
 }
 
-// One after the other, each with copies on all threads.
-void AuditSimulators(const Request& request, const std::vector<SimulatorCommand>& simulators,
-                     const AuditOptions& options, Progress* progress, AuditReport* report) {
-  std::vector<std::string> names;
-  for (const SimulatorCommand& simulator : simulators) names.push_back(simulator.name);
-  const auto audits = ComputeAll<ModelAudit>(
-      names,
-      1,
-      progress,
-      [request, simulators, reference = report->reference, options](int i, const SayNote& say, const auto&) {
-        AuditOptions own = options;
-        own.status = say;
-        try {
-          return AuditBlackBox(
-              OpenSimulator(simulators[i], request.threads), request.scene, reference, own, {FLAGS_audit_seconds});
-        } catch (const std::bad_alloc&) {
-          HoldMemoryBackAgain();
-          ModelAudit audit = WithoutGradient(simulators[i].name, kMemoryRanOut);
-          audit.black_box.emplace();
-          return audit;
-        }
-      });
-  for (std::size_t i = 0; i < audits.results.size(); ++i) {
-    if (!audits.started[i]) continue;
-    ModelAudit stopped = WithoutGradient(names[i], kStopped);
-    stopped.black_box.emplace();
-    report->models.push_back(audits.results[i].value_or(std::move(stopped)));
-  }
-}
-
 }  // namespace
 
 AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
@@ -150,26 +131,31 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
   if (needs_reference && !report.reference && !InterruptGuard::Interrupted()) {
     throw InputError("--given: the scene has no exact gradient to compare with");
   }
-  const auto audits = ComputeAll<ModelAudit>(
+  AddAudits(
       request.contacts,
+      /*black_boxes=*/false,
       request.threads,
+      options,
       &progress,
-      [request, reference = report.reference, options, at_work](int i, const SayNote& say, const auto&) {
-        AuditOptions own = options;
-        own.status = say;
+      [request, reference = report.reference, at_work](int i, const AuditOptions& own) {
         const std::shared_ptr<void> done(nullptr, [at_work](void*) { --*at_work; });
-        try {
-          return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
-        } catch (const std::bad_alloc&) {
-          HoldMemoryBackAgain();
-          return WithoutGradient(request.contacts[i], kMemoryRanOut);
-        }
-      });
-  for (size_t i = 0; i < audits.results.size(); ++i) {
-    if (!audits.started[i]) continue;
-    report.models.push_back(audits.results[i].value_or(WithoutGradient(request.contacts[i], kStopped)));
-  }
-  AuditSimulators(request, simulators, options, &progress, &report);
+        return AuditModel(request.contacts[i], request.scene, request.precision, reference, own);
+      },
+      &report);
+  // One after the other, each with copies on all threads.
+  std::vector<std::string> names;
+  for (const SimulatorCommand& simulator : simulators) names.push_back(simulator.name);
+  AddAudits(
+      names,
+      /*black_boxes=*/true,
+      1,
+      options,
+      &progress,
+      [request, simulators, reference = report.reference](int i, const AuditOptions& own) {
+        return AuditBlackBox(
+            OpenSimulator(simulators[i], request.threads), request.scene, reference, own, {FLAGS_audit_seconds});
+      },
+      &report);
   return report;
 }
 
@@ -255,10 +241,14 @@ int AuditMain(int argc, char** argv) {
     if (!simulators.empty() && request.options.surrogate) {
       throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");
     }
-    const std::optional<GivenGradient> gradient = ReadGiven(request);
+    std::optional<GivenGradient> gradient;
+    if (!FLAGS_given.empty()) gradient = ReadGivenGradient(FLAGS_given, request.scene);
     const InterruptGuard guard;
     const AuditReport report = RunAudit(request, gradient.has_value(), simulators);
-    const std::optional<GivenAudit> given = AuditGiven(request, gradient, report);
+    std::optional<GivenAudit> given;
+    if (gradient && report.reference) {
+      given = {gradient->name, JudgeGiven(request.scene, *gradient, *report.reference)};
+    }
     std::optional<Json> made;
     const auto document = [&]() -> const Json& {
       if (made) return *made;
