@@ -10,14 +10,10 @@
 namespace saltus {
 namespace {
 
-// Reads lists of [x, y] and complains with the path of the key.
-class Reader {
+// Reads lists of [x, y].
+class GradientReader : public InputReader {
  public:
-  explicit Reader(std::string path) : path_(std::move(path)) {}
-
-  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
-    throw InputError(path_ + ": " + key + ": expected " + expected);
-  }
+  using InputReader::InputReader;
 
   std::vector<std::optional<Vec2d>> Vectors(const Json& list, const std::string& key, size_t most) const {
     if (!list.is_array() || list.size() > most)
@@ -35,9 +31,6 @@ class Reader {
     }
     return vectors;
   }
-
- private:
-  std::string path_;
 };
 
 Json ReadObject(const std::string& path) {
@@ -49,7 +42,7 @@ Json ReadObject(const std::string& path) {
 }
 
 // Into how many intervals the control is cut, from the model that the gradient is of.
-void ReadContact(const Json& contact, const Reader& reader, const Scene& scene, GivenGradient* given) {
+void ReadContact(const Json& contact, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
   if (!contact.is_string()) reader.Fail("contact", "a string");
   given->name = contact.get<std::string>();
   const ModelTraits* traits = FindContactModel(given->name);
@@ -57,7 +50,8 @@ void ReadContact(const Json& contact, const Reader& reader, const Scene& scene, 
 }
 
 // One of the control: [x, y], or of a disc that is turned [x, y, torque] too.
-void ReadInterval(Json list, const std::string& key, const Reader& reader, const Scene& scene, GivenGradient* given) {
+void ReadInterval(Json list, const std::string& key, const GradientReader& reader, const Scene& scene,
+                  GivenGradient* given) {
   const std::vector<int>& turned = scene.control.turned;
   std::vector<std::optional<double>> torques(turned.size());
   for (size_t c = 0; list.is_array() && c < std::min<size_t>(list.size(), scene.num_controlled()); ++c) {
@@ -70,7 +64,7 @@ void ReadInterval(Json list, const std::string& key, const Reader& reader, const
   given->torque.push_back(std::move(torques));
 }
 
-void ReadGradient(const Json& document, const Reader& reader, const Scene& scene, GivenGradient* given) {
+void ReadGradient(const Json& document, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
   if (const auto intervals = document.find("intervals"); intervals != document.end()) {
     const int64_t count = intervals->is_number_integer() ? intervals->get<int64_t>() : 0;
     if (count < 1 || count > scene.steps || scene.steps % count != 0) {
@@ -122,7 +116,7 @@ bool HasNumber(const GivenGradient& given, const Scene& scene) {
 }  // namespace
 
 GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene) {
-  const Reader reader(path);
+  const GradientReader reader(path);
   const Json document = ReadObject(path);
   GivenGradient given;
   given.name = path;

@@ -26,4 +26,13 @@ Json ParseJson(const std::string& text, const std::string& where, const std::str
   }
 }
 
+void InputReader::Fail(const std::string& key, const std::string& expected) const {
+  throw InputError(where_ + ": " + key + ": expected " + expected);
+}
+
+std::vector<double> InputReader::Numbers(const NpyArray& array, const std::string& key) const {
+  if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
+  Fail(key, "numbers");
+}
+
 }  // namespace saltus

@@ -1,8 +1,11 @@
-// JSON that users hand to the programs.
+// JSON and NPZ files that users hand to the programs.
 #pragma once
 
 #include <string>
+#include <utility>
+#include <vector>
 
+#include "output/npz.h"
 #include "programs/json_output.h"
 
 namespace saltus {
@@ -10,5 +13,23 @@ namespace saltus {
 // The document in `text`. What is none is an InputError that begins with `where` and names the line and column, and
 // `expected`, such as "a JSON object".
 Json ParseJson(const std::string& text, const std::string& where, const std::string& expected);
+
+// What readers of such files share: they say where a file is wrong.
+class InputReader {
+ public:
+  // Errors begin with `where`.
+  explicit InputReader(std::string where) : where_(std::move(where)) {}
+
+  const std::string& where() const { return where_; }
+
+  // Throws InputError: what is under `key` is not what was expected.
+  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const;
+
+  // The numbers of an array, which fails if it has text.
+  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const;
+
+ private:
+  std::string where_;
+};
 
 }  // namespace saltus

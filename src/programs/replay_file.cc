@@ -33,14 +33,15 @@ bool IsExact(const std::string& contact) {
   return model != nullptr && model->event_driven;
 }
 
-class Reader {
+class ReplayReader : InputReader {
  public:
-  Reader(std::string path, const std::optional<Replay>& drawn) : path_(std::move(path)), given_(drawn.has_value()) {
+  ReplayReader(const std::string& path, const std::optional<Replay>& drawn)
+      : InputReader(path), given_(drawn.has_value()) {
     if (drawn) file_.drawn = *drawn;
   }
 
   ReplayFile Read() {
-    const StatusOr<std::string> bytes = ReadFile(path_);
+    const StatusOr<std::string> bytes = ReadFile(where());
     if (!bytes.ok()) throw InputError(bytes.status().message());
     if (bytes->starts_with("PK")) {
       ReadArrays();
@@ -54,10 +55,6 @@ class Reader {
   }
 
  private:
-  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
-    throw InputError(path_ + ": " + key + ": expected " + expected);
-  }
-
   size_t num_discs() const { return file_.drawn.discs.size(); }
 
   double NumberIn(const Json& value, const std::string& key) const {
@@ -65,7 +62,7 @@ class Reader {
     return value.get<double>();
   }
 
-  std::array<double, 2> PairIn(const Json& value, const std::string& key) const {
+  Vec2d VectorIn(const Json& value, const std::string& key) const {
     if (!value.is_array() || value.size() != 2) Fail(key, "[x, y]");
     return {NumberIn(value[0], key), NumberIn(value[1], key)};
   }
@@ -95,11 +92,6 @@ class Reader {
               fixed != body.end() && fixed->is_boolean() && fixed->get<bool>(),
               key);
     }
-  }
-
-  Vec2d VectorIn(const Json& value, const std::string& key) const {
-    const std::array<double, 2> pair = PairIn(value, key);
-    return {pair[0], pair[1]};
   }
 
   // Calls read(item, key, name) for each of the list `list`, whose items must have all of `keys`.
@@ -159,12 +151,12 @@ class Reader {
               walls.pockets.push_back(
                   {name, VectorIn(pocket["position"], key + ".position"), NumberIn(pocket["radius"], key + ".radius")});
             });
-    if (const auto error = ValidateStructure(walls)) throw InputError(path_ + ": " + error->ToString());
+    if (const auto error = ValidateStructure(walls)) throw InputError(where() + ": " + error->ToString());
     AddWalls(walls, &file_.drawn);
   }
 
   void ReadDocument(const std::string& text) {
-    Json document = ParseJson(text, path_, "an NPZ file or a JSON object");
+    Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (!document.is_object()) Fail("the document", "an object");
     if (!given_) {
@@ -180,23 +172,33 @@ class Reader {
     }
   }
 
+  // Adds the motion under the contact model and the exact one, as far as `source` has them: under a model that is exact
+  // both are the same, and one will do. Calls read(prefix, motion) for each, whose keys begin with the prefix.
+  template <typename Source, typename Read>
+  void ReadMotions(const Source& source, const std::string& contact, const std::string& label, const std::string& place,
+                   const Read& read) {
+    for (const std::string prefix : {"", "exact_"}) {
+      if (!source.contains(prefix + "states")) continue;
+      if (prefix.empty() && IsExact(contact) && source.contains("exact_states")) continue;
+      if (!source.contains(prefix + "times")) Fail(place + prefix + "times", "one number for each of the states");
+      ReplayMotion motion;
+      motion.arcs = !prefix.empty();
+      motion.label = label + (motion.arcs && !IsExact(contact) ? ", exact" : "");
+      read(prefix, &motion);
+      Add(std::move(motion), contact, place + prefix);
+    }
+  }
+
   void ReadRun(const Json& run, const std::string& place) {
     const std::string contact = TextIn(run, "contact", ""), solver = TextIn(run, "solver", "");
     const std::string label = contact + (solver.empty() || solver == kNoSolver ? "" : " " + solver);
-    for (const std::string prefix : {"", "exact_"}) {
-      if (!run.contains(prefix + "states")) continue;
-      if (prefix.empty() && IsExact(contact) && run.contains("exact_states")) continue;
-      ReplayMotion motion;
-      motion.arcs = !prefix.empty();
-      motion.label = label.empty() ? TextIn(run, "name", "states") : label;
-      if (motion.arcs && !IsExact(contact)) motion.label += ", exact";
+    const auto read = [&](const std::string& prefix, ReplayMotion* motion) {
       const std::string key = place + prefix;
-      if (!run.contains(prefix + "times")) Fail(key + "times", "one number for each of the states");
-      for (const Json& time : run[prefix + "times"]) motion.times.push_back(NumberIn(time, key + "times"));
-      ReadStates(run[prefix + "states"], key + "states", &motion);
-      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &motion);
-      Add(std::move(motion), contact, key);
-    }
+      for (const Json& time : run[prefix + "times"]) motion->times.push_back(NumberIn(time, key + "times"));
+      ReadStates(run[prefix + "states"], key + "states", motion);
+      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", motion);
+    };
+    ReadMotions(run, contact, label.empty() ? TextIn(run, "name", "states") : label, place, read);
   }
 
   void ReadStates(const Json& states, const std::string& key, ReplayMotion* motion) {
@@ -262,7 +264,10 @@ class Reader {
       read.begin = read.end = NumberIn(touch["begin"], key + ".begin");
       if (touch.contains("end")) read.end = NumberIn(touch["end"], key + ".end");
       CheckTouch(read, key + ".end");
-      if (touch.contains("impulse")) read.impulse = PairIn(touch["impulse"], key + ".impulse");
+      if (touch.contains("impulse")) {
+        const Vec2d impulse = VectorIn(touch["impulse"], key + ".impulse");
+        read.impulse = {impulse[0], impulse[1]};
+      }
       motion->touches.push_back(read);
     }
   }
@@ -272,11 +277,6 @@ class Reader {
     if (touch.end < touch.begin) {
       Fail(key, "a time from its begin on, " + ToText(touch.begin) + ", found " + ToText(touch.end));
     }
-  }
-
-  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
-    if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
-    Fail(key, "numbers");
   }
 
   std::vector<std::string> Texts(const NpzArrays& arrays, const std::string& key) const {
@@ -290,7 +290,7 @@ class Reader {
   void ReadArrayBodies(const NpzArrays& arrays) {
     const std::vector<std::string> text = Texts(arrays, "scene"), names = Texts(arrays, "name");
     if (!text.empty()) {
-      std::variant<Scene, SceneFileError> scene = ParseScene(text[0], path_ + ": scene");
+      std::variant<Scene, SceneFileError> scene = ParseScene(text[0], where() + ": scene");
       if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
       scene_ = std::get<Scene>(std::move(scene));
       file_.drawn = ReplayOf(*scene_);
@@ -305,28 +305,20 @@ class Reader {
   }
 
   void ReadArrays() {
-    const StatusOr<NpzArrays> read = ReadNpz(path_);
+    const StatusOr<NpzArrays> read = ReadNpz(where());
     if (!read.ok()) throw InputError(read.status().message());
     const NpzArrays& arrays = *read;
     if (!given_) ReadArrayBodies(arrays);
     const std::vector<std::string> contact = Texts(arrays, "contact"), solver = Texts(arrays, "solver");
     const std::string model = contact.empty() ? "" : contact[0];
-    for (const std::string prefix : {"", "exact_"}) {
-      const auto states = arrays.find(prefix + "states"), times = arrays.find(prefix + "times");
-      if (states == arrays.end()) continue;
-      if (prefix.empty() && IsExact(model) && arrays.contains("exact_states")) continue;
-      if (times == arrays.end()) Fail(prefix + "times", "one number for each of the states");
-      ReplayMotion motion;
-      motion.arcs = !prefix.empty();
-      motion.label = model.empty() ? "states" : model;
-      if (!solver.empty() && solver[0] != kNoSolver) motion.label += " " + solver[0];
-      if (motion.arcs && !IsExact(model)) motion.label += ", exact";
-      motion.times = Numbers(times->second, prefix + "times");
-      ReadStateArray(states->second, prefix + "states", &motion);
-      ReadTouchArrays(arrays, prefix, &motion);
-      ReadControl(arrays, &motion);
-      Add(std::move(motion), model, prefix);
-    }
+    std::string label = model.empty() ? "states" : model;
+    if (!solver.empty() && solver[0] != kNoSolver) label += " " + solver[0];
+    ReadMotions(arrays, model, label, "", [&](const std::string& prefix, ReplayMotion* motion) {
+      motion->times = Numbers(arrays.at(prefix + "times"), prefix + "times");
+      ReadStateArray(arrays.at(prefix + "states"), prefix + "states", motion);
+      ReadTouchArrays(arrays, prefix, motion);
+      ReadControl(arrays, motion);
+    });
   }
 
   // Drawn only where it is said which discs it is of: in files with the whole scene.
@@ -408,7 +400,6 @@ class Reader {
     file_.models.push_back(model);
   }
 
-  std::string path_;
   bool given_;
   std::optional<Scene> scene_;  // in the file
   ReplayFile file_;
@@ -417,7 +408,7 @@ class Reader {
 }  // namespace
 
 ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn) {
-  return Reader(path, drawn).Read();
+  return ReplayReader(path, drawn).Read();
 }
 
 namespace {

@@ -15,10 +15,10 @@ namespace {
 
 constexpr double kSameStart = 1e-6;  // relative: a start that was rounded to float
 
-class Reader {
+class SolutionReader : InputReader {
  public:
-  Reader(std::string flag, std::string path, const Scene& scene)
-      : flag_(std::move(flag)), path_(std::move(path)), scene_(scene) {}
+  SolutionReader(const std::string& flag, const std::string& path, const Scene& scene)
+      : InputReader(flag + ": " + path), flag_(flag), path_(path), scene_(scene) {}
 
   SavedSolution Read() {
     const StatusOr<std::string> bytes = ReadFile(path_);
@@ -33,10 +33,6 @@ class Reader {
   }
 
  private:
-  [[noreturn]] void Fail(const std::string& key, const std::string& expected) const {
-    throw InputError(flag_ + ": " + path_ + ": " + key + ": expected " + expected);
-  }
-
   // A null is a number that was not finite.
   static bool IsVector(const Json& item, size_t size) {
     const auto is_number = [](const Json& number) { return number.is_number(); };
@@ -80,13 +76,13 @@ class Reader {
   // From rows; also what is wrong with them.
   void SetControl(const std::vector<double>& rows) {
     if (const std::string why = WhyNoControl(scene_, rows); !why.empty()) {
-      throw InputError(flag_ + ": " + path_ + ": control: " + why);
+      throw InputError(where() + ": control: " + why);
     }
     solution_.control = ControlOfRows(scene_, rows);
   }
 
   void ReadJson(const std::string& text) {
-    Json document = ParseJson(text, flag_ + ": " + path_, "an NPZ file or a JSON object");
+    Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (document.is_object() && document.contains("runs")) {
       const Json runs = document["runs"];
@@ -137,11 +133,6 @@ class Reader {
     if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
     const size_t moves = 4 * scene_.bodies.size();
     for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[moves + kSpin * i + 1] = numbers[i];
-  }
-
-  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const {
-    if (std::optional<std::vector<double>> numbers = NumbersOf(array)) return *std::move(numbers);
-    Fail(key, "numbers");
   }
 
   void ReadArrays() {
@@ -198,7 +189,7 @@ class Reader {
     check(solution_.initial_state, "initial state");
   }
 
-  std::string flag_, path_;
+  const std::string &flag_, &path_;
   const Scene& scene_;
   SavedSolution solution_;
 };
@@ -206,7 +197,7 @@ class Reader {
 }  // namespace
 
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene) {
-  return Reader(flag, path, scene).Read();
+  return SolutionReader(flag, path, scene).Read();
 }
 
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene) {
