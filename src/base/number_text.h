@@ -2,7 +2,12 @@
 #pragma once
 
 #include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <optional>
 #include <string>
+#include <string_view>
 
 namespace saltus {
 
@@ -10,6 +15,22 @@ namespace saltus {
 inline std::string ToText(double value) {
   char text[32];
   return {text, std::to_chars(text, text + sizeof(text), value).ptr};
+}
+
+// The number with so many significant digits.
+inline double RoundedTo(int digits, double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.*g", digits, value);
+  return std::strtod(text, nullptr);
+}
+
+// The number that the whole text is. Nothing if it is none, or none that is finite and that a Number holds.
+template <typename Number>
+std::optional<Number> FromText(std::string_view text) {
+  Number number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(number)) return std::nullopt;
+  return number;
 }
 
 }  // namespace saltus

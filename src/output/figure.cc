@@ -19,6 +19,7 @@
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/number_text.h"
 #include "output/table.h"
 
 extern char** environ;
@@ -443,9 +444,7 @@ class ScriptWriter {
 
 // ---- JSON
 
-Json RoundedToJson(double value) {
-  return std::isfinite(value) ? Json(std::strtod(Format("%.6g", value).c_str(), nullptr)) : Json();
-}
+Json RoundedToJson(double value) { return std::isfinite(value) ? Json(RoundedTo(6, value)) : Json(); }
 
 Json RoundedToJson(const std::vector<double>& values) {
   Json list = Json::array();

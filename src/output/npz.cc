@@ -16,6 +16,7 @@
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -204,12 +205,8 @@ StatusOr<NpyArray> DecodeData(std::vector<int64_t> shape, std::string_view bytes
 }
 
 StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& descriptor, std::string_view bytes) {
-  const std::string digits = descriptor.substr(kNpyTextType.size());
-  int width = 0;
-  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), width);
-  if (error != std::errc() || end != digits.data() + digits.size() || width <= 0) {
-    return Status::Error("NPY type '" + descriptor + "' not understood");
-  }
+  const int width = FromText<int>(descriptor.substr(kNpyTextType.size())).value_or(0);
+  if (width <= 0) return Status::Error("NPY type '" + descriptor + "' not understood");
   std::optional<std::vector<std::string>> texts = DecodeNpyText({width, std::string(bytes)});
   const std::optional<int64_t> count = Count(shape);
   if (!texts || !count || texts->size() != static_cast<uint64_t>(*count)) {

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
+#include "base/number_text.h"
+
 namespace saltus {
 namespace {
 
@@ -106,11 +108,7 @@ double SizeOf(const Replay& replay) {
   return size > 0 ? size : 1;
 }
 
-double Rounded(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", std::isfinite(value) ? value : 0.0);
-  return std::strtod(text, nullptr);
-}
+double Rounded(double value) { return std::isfinite(value) ? RoundedTo(6, value) : 0; }
 
 Json TouchesToJson(const ReplayMotion& motion) {
   Json list = Json::array();

@@ -10,8 +10,9 @@
 #include <charconv>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <optional>
+
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -107,9 +108,7 @@ std::string Cell::Exact() const {
   if (const auto* text = std::get_if<std::string>(&value_)) return *text;
   if (const auto* whole = std::get_if<int64_t>(&value_)) return std::to_string(*whole);
   const double* number = std::get_if<double>(&value_);
-  if (number == nullptr) return "";
-  std::array<char, 64> buffer;
-  return std::string(buffer.data(), std::to_chars(buffer.data(), buffer.data() + buffer.size(), *number).ptr);
+  return number == nullptr ? "" : ToText(*number);
 }
 
 std::vector<Column> ColumnsOf(std::string_view text) {
@@ -320,11 +319,8 @@ bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 
 std::optional<size_t> ColumnsFromEnvironment() {
   const char* value = std::getenv("COLUMNS");
   if (value == nullptr) return std::nullopt;
-  size_t columns = 0;
-  const char* end = value + std::strlen(value);
-  const auto [last, error] = std::from_chars(value, end, columns);
-  if (error != std::errc() || last != end || columns == 0) return std::nullopt;
-  return columns;
+  const std::optional<size_t> columns = FromText<size_t>(value);
+  return columns.value_or(0) > 0 ? columns : std::nullopt;
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <map>
 
 #include "base/csv.h"
+#include "base/number_text.h"
 #include "exact/closed_forms.h"
 #include "exact/two_disc_optimum.h"
 
@@ -12,11 +13,8 @@ namespace saltus {
 namespace {
 
 double ToNumber(const std::string& text, const std::string& where) {
-  try {
-    return std::stod(text);
-  } catch (const std::exception&) {
-    throw InputError(where + ": '" + text + "' is not a number");
-  }
+  if (const std::optional<double> number = FromText<double>(text)) return *number;
+  throw InputError(where + ": '" + text + "' is not a number");
 }
 
 // Where a quantity such as "dloss/dp2_x" sits in a gradient: body (from 0), entry of [p_x p_y v_x v_y], or force.

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "base/csv.h"
+#include "base/number_text.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
@@ -492,12 +493,8 @@ std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, c
 namespace {
 
 double ReadNumber(const std::string& text, const std::string& where) {
-  double value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
-    throw InputError(where + ": found '" + text + "', expected a finite number");
-  }
-  return value;
+  if (const std::optional<double> value = FromText<double>(text)) return *value;
+  throw InputError(where + ": found '" + text + "', expected a finite number");
 }
 
 }  // namespace

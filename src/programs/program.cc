@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
-#include <charconv>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -22,6 +21,7 @@
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/number_text.h"
 #include "base/parallel_for.h"
 #include "base/suggestion.h"
 #include "output/table.h"
@@ -217,12 +217,9 @@ std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& f
       throw InputError(place + "'" + name + "' is unknown; expected some of " + Joined(names) +
                        Suggestion(name, names));
     }
-    double value = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-    if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
-      throw InputError(place + "found '" + text + "', expected a finite number");
-    }
-    pairs.emplace_back(name, value);
+    const std::optional<double> value = FromText<double>(text);
+    if (!value) throw InputError(place + "found '" + text + "', expected a finite number");
+    pairs.emplace_back(name, *value);
   }
   return pairs;
 }

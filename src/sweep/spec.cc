@@ -1,14 +1,11 @@
 #include "sweep/spec.h"
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <set>
 
 #include "base/csv.h"
+#include "base/number_text.h"
 #include "output/table.h"
 #include "saltus/simulate/registry.h"
 
@@ -20,17 +17,7 @@ constexpr double kLargestInteger = 1e9;     // that an int holds
 
 std::optional<double> ReadNumber(std::string_view text) {
   if (text.starts_with('+')) text.remove_prefix(1);
-  double value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) return std::nullopt;
-  return value;
-}
-
-// To 15 digits: what rounding makes of a power of ten within a logarithmic range is that power again.
-double Rounded(double value) {
-  std::array<char, 32> text;
-  std::snprintf(text.data(), text.size(), "%.15g", value);
-  return std::strtod(text.data(), nullptr);
+  return FromText<double>(text);
 }
 
 // Why a text is no value of an option, as "found 'x', expected y", or nothing after filling in `value`.
@@ -228,7 +215,8 @@ class SpecParser {
     const bool whole = FindSweepOption(block->options[0], scene_) == SweepOptionKind::kInteger;
     for (int i = 0; i < count; ++i) {
       const double t = count > 1 ? i / (count - 1.0) : 0.0;
-      double value = Rounded(log ? first * std::pow(last / first, t) : first + t * (last - first));
+      // What rounding makes of a power of ten within a logarithmic range is that power again.
+      double value = RoundedTo(15, log ? first * std::pow(last / first, t) : first + t * (last - first));
       if (i > 0 && i + 1 == count) value = last;  // not what rounding makes of it
       if (whole) value = std::round(value);
       if (whole && std::abs(value) > kLargestInteger) FailAt(place.place, place.text, "a range within 1e9");

@@ -1,7 +1,7 @@
 // `saltus_sweep`: many points of some options, on all cores and many machines, with every finished point kept.
 #include <gflags/gflags.h>
 
-#include <charconv>
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <iostream>
@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "base/interrupt.h"
+#include "base/number_text.h"
 #include "output/table.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
@@ -43,16 +44,12 @@ constexpr size_t kMostRowsInReport = 500;
 
 Shard ReadShard(const std::string& text) {
   if (text.empty()) return {};
-  Shard shard;
-  const char* end = text.data() + text.size();
-  const auto [slash, error] = std::from_chars(text.data(), end, shard.index);
-  bool ok = error == std::errc() && slash != end && *slash == '/';
-  if (ok) {
-    const auto [last, count_error] = std::from_chars(slash + 1, end, shard.count);
-    ok = count_error == std::errc() && last == end && 1 <= shard.index && shard.index <= shard.count;
+  const size_t slash = std::min(text.find('/'), text.size() - 1);  // without one nothing is left for the count
+  const std::optional<int> index = FromText<int>(text.substr(0, slash)), count = FromText<int>(text.substr(slash + 1));
+  if (!index || !count || *index < 1 || *index > *count) {
+    throw InputError("--shard=" + text + "; expected i/n with i in 1..n, such as 2/8");
   }
-  if (!ok) throw InputError("--shard=" + text + "; expected i/n with i in 1..n, such as 2/8");
-  return shard;
+  return {*index, *count};
 }
 
 void CheckFlags() {
