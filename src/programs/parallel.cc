@@ -90,9 +90,11 @@ void Work(Board* board) {
   board->changed.notify_all();
 }
 
-// Leaves in `thrown` what a job has thrown.
-JobsEnd Run(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job,
-            std::exception_ptr* thrown) {
+}  // namespace
+
+bool AskedToStop() { return InterruptGuard::Interrupted(); }
+
+JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
   progress->UnitsDiffer();  // the gradient of one model and the audit of another, or solvers of seconds and of minutes
   const auto board = std::make_shared<Board>();
   board->job = job;
@@ -124,7 +126,7 @@ JobsEnd Run(const std::vector<std::string>& names, int threads, Progress* progre
   end.complete = done == static_cast<int64_t>(names.size());
   const std::string at_work = board->AtWork();
   end.abandoned = board->threads > 0;
-  *thrown = board->thrown;
+  end.thrown = board->thrown;
   lock.unlock();
   for (std::thread& worker : workers) {
     if (end.abandoned) {
@@ -142,23 +144,11 @@ JobsEnd Run(const std::vector<std::string>& names, int threads, Progress* progre
   return end;
 }
 
-}  // namespace
-
-bool AskedToStop() { return InterruptGuard::Interrupted(); }
-
-JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
-  std::exception_ptr thrown;
-  const JobsEnd end = Run(names, threads, progress, job, &thrown);
-  if (thrown) std::rethrow_exception(thrown);
-  return end;
-}
-
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
-  std::exception_ptr thrown;
-  const JobsEnd end = Run(names, threads, progress, job, &thrown);
+  const JobsEnd end = RunJobsOrAbandon(names, threads, progress, job);
   // Before an exception takes down the frames whose objects the abandoned jobs use.
   if (end.abandoned) EndProgram(kAnswerFailed);
-  if (thrown) std::rethrow_exception(thrown);
+  if (end.thrown) std::rethrow_exception(end.thrown);
   return end.complete;
 }
 

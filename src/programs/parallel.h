@@ -1,6 +1,7 @@
 // Independent jobs on all cores, with progress, that an interrupt ends within a second.
 #pragma once
 
+#include <exception>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -24,17 +25,17 @@ struct JobsEnd {
   std::vector<char> started;  // of each job
   bool complete = false;      // all are done
   bool abandoned = false;     // some are at work still, and go on until the process ends
+  std::exception_ptr thrown;  // by the first job that has thrown, if any has
 };
 
 // Calls job(i) for i = 0..names.size()-1 on `threads` threads, each once, until interrupted. Which jobs are at work
 // stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
 // ask AskedToStop(), have 0.7 s to come back before the program goes on without them. What they use must therefore not
-// go away; RunMain ends the process without waiting for them. What a job throws is thrown here, when the others are
-// done.
+// go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 // The same for jobs that use what does go away: if they do not come back, the process ends here, with the exit code of
-// a failed answer, whatever another job has thrown. True if all are done.
+// a failed answer, whatever another job has thrown. Throws what a job has thrown. True if all are done.
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 template <typename Result>
@@ -45,7 +46,7 @@ struct JobResults {
 };
 
 // Results of jobs: compute(i, say, keep) returns one, and may call keep() before with what is to stand if it does not
-// come back. Whatever it uses it must own.
+// come back. Whatever it uses it must own. Throws what a job has thrown.
 template <typename Result>
 JobResults<Result> ComputeAll(const std::vector<std::string>& names, int threads, Progress* progress,
                               std::function<Result(int, const SayNote&, const std::function<void(Result)>&)> compute) {
@@ -64,6 +65,7 @@ JobResults<Result> ComputeAll(const std::vector<std::string>& names, int threads
         };
         keep(compute(i, say, keep));
       });
+  if (end.thrown) std::rethrow_exception(end.thrown);
   const std::lock_guard lock(slots->mutex);
   slots->taken = true;
   return {std::move(slots->results), end.started, end.complete};
