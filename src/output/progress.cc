@@ -96,13 +96,6 @@ Progress::~Progress() { Finish(); }
 
 double Progress::Seconds() const { return std::chrono::duration<double>(clock_() - start_).count(); }
 
-void Progress::Update(int64_t done, std::string_view note) {
-  const std::lock_guard lock(mutex_);
-  if (done > state_.done) state_.last_done = Seconds();
-  state_.done = done;
-  Report(note);
-}
-
 void Progress::Advance(int64_t units, std::string_view note) {
   const std::lock_guard lock(mutex_);
   if (units > 0) state_.last_done = Seconds();

@@ -52,10 +52,7 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
 
-  // `done` units are finished; `note` says what is being worked on.
-  void Update(int64_t done, std::string_view note = "");
-
-  // So many more units are finished.
+  // So many more units are finished; `note` says what is being worked on.
   void Advance(int64_t units = 1, std::string_view note = "");
 
   // Some units take far longer than others: nothing is said of the time left.

@@ -79,7 +79,7 @@ TEST_F(ProgressTest, PlainWritesALineEveryFiveSecondsAndOneAtTheEnd) {
     Progress progress(ProgressMode::kPlain, sink_, "audit", 12, clock_.Reader());
     for (int i = 1; i <= 12; ++i) {
       clock_.Wait(1.0);
-      progress.Update(i, i % 2 == 0 ? "even" : "odd");
+      progress.Advance(1, i % 2 == 0 ? "even" : "odd");
     }
   }
   EXPECT_EQ(Written(),
@@ -91,9 +91,9 @@ TEST_F(ProgressTest, PlainWritesALineEveryFiveSecondsAndOneAtTheEnd) {
 TEST_F(ProgressTest, AutoIsPlainOnAFileAndSaysIfItStoppedEarly) {
   Progress progress(ProgressMode::kAuto, sink_, "audit", 10, clock_.Reader());
   clock_.Wait(1.0);
-  progress.Update(5);
+  progress.Advance(5);
   progress.Finish();
-  progress.Update(6);
+  progress.Advance();
   progress.Finish();
   EXPECT_EQ(Written(), "audit: 5/10  50%  5/s  0:01  stopped\n");
 }
@@ -128,7 +128,7 @@ TEST_F(ProgressTest, NoneWritesNothing) {
   {
     Progress progress(ProgressMode::kNone, sink_, "audit", 10, clock_.Reader());
     clock_.Wait(100.0);
-    progress.Update(5);
+    progress.Advance(5);
   }
   EXPECT_EQ(Written(), "");
 }
@@ -157,11 +157,11 @@ TEST(ProgressTerminalTest, RedrawsOneLine) {
   FakeClock clock;
   {
     Progress progress(ProgressMode::kAuto, sink, "sweep", 100, clock.Reader());
-    progress.Update(1);  // too early to be drawn
+    progress.Advance();  // too early to be drawn
     clock.Wait(1.0);
-    progress.Update(50, "half");
+    progress.Advance(49, "half");
     clock.Wait(1.0);
-    progress.Update(100);
+    progress.Advance(50);
   }
   std::fclose(sink);
   std::string text;
