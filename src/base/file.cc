@@ -91,15 +91,20 @@ bool WriteAll(int file, std::string_view contents, const Stop& stop) {
   return true;
 }
 
+// Closes the file. Whether that and the writing before succeeded; else errno tells of the first that failed.
+bool CloseWritten(int file, bool written) {
+  const int error = errno;
+  const bool closed = close(file) == 0;
+  if (!written) errno = error;
+  return written && closed;
+}
+
 Status Replace(const std::string& path, const std::string& target, const struct stat* old, std::string_view contents) {
   std::string temporary;
   const int file = OpenTemporary(FolderOf(target), &temporary);
   if (file < 0) return SystemError(path, "cannot write");
   const bool written = WriteAll(file, contents, nullptr) && (old == nullptr || fchmod(file, old->st_mode & 0777) == 0);
-  const int error = errno;
-  const bool closed = close(file) == 0;
-  if (!written) errno = error;
-  if (written && closed && std::rename(temporary.c_str(), target.c_str()) == 0) return Status();
+  if (CloseWritten(file, written) && std::rename(temporary.c_str(), target.c_str()) == 0) return Status();
   const Status failed = SystemError(path, "cannot write");
   unlink(temporary.c_str());
   return failed;
@@ -119,11 +124,7 @@ int OpenToWrite(const std::string& path, const Stop& stop) {
 Status WriteThrough(const std::string& path, std::string_view contents, const Stop& stop) {
   const int file = OpenToWrite(path, stop);
   if (file < 0) return SystemError(path, "cannot write");
-  const bool written = WriteAll(file, contents, stop);
-  const int error = errno;
-  const bool closed = close(file) == 0;
-  if (!written) errno = error;
-  return written && closed ? Status() : SystemError(path, "cannot write");
+  return CloseWritten(file, WriteAll(file, contents, stop)) ? Status() : SystemError(path, "cannot write");
 }
 
 }  // namespace
