@@ -90,11 +90,8 @@ std::string Explanation(const gflags::CommandLineFlagInfo& info) {
 
 // "a, b and c".
 std::string Join(const std::vector<std::string>& words) {
-  std::string text;
-  for (size_t i = 0; i < words.size(); ++i) {
-    text += (i == 0 ? "" : i + 1 == words.size() ? " and " : ", ") + words[i];
-  }
-  return text;
+  if (words.size() < 2) return Joined(words);
+  return Joined({words.begin(), words.end() - 1}) + " and " + words.back();
 }
 
 std::vector<Program> MakePrograms() {
