@@ -241,9 +241,8 @@ int Main(int argc, char** argv) {
     std::ifstream file(argv[i]);
     report.Add(Json::parse(file));
   }
-  for (const Status& status :
-       {WriteFile(directory + "/bench.md", report.Markdown()),
-        WriteFigure(report.GrowthFigure(), directory + "/bench.svg", directory + "/bench.png")}) {
+  for (const Status& status : {WriteFile(directory + "/bench.md", report.Markdown()),
+                               WriteFigure(report.GrowthFigure(), directory + "/bench")}) {
     if (status.ok()) continue;
     std::fprintf(stderr, "error: %s\n", status.message().c_str());
     return 1;

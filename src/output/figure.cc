@@ -427,9 +427,7 @@ class ScriptWriter {
   }
 
   void Plot(const std::vector<std::string>& plots) {
-    std::string command = "plot ";
-    for (const std::string& plot : plots) command += (&plot == &plots[0] ? "" : ", ") + plot;
-    Line(command);
+    Line("plot " + Joined(plots));
     // What belongs to this plot must not be drawn again with the next.
     Line("unset object");
     Line("unset arrow");
@@ -512,13 +510,11 @@ StatusOr<std::string> RenderFigure(const Figure& figure, FigureFormat format, co
   return RunGnuplot(gnuplot, ScriptWriter(figure, format).Write());
 }
 
-Status WriteFigure(const Figure& figure, const std::string& svg_path, const std::string& png_path) {
-  for (const auto& [path, format] :
-       {std::pair(&svg_path, FigureFormat::kSvg), std::pair(&png_path, FigureFormat::kPng)}) {
-    if (path->empty()) continue;
+Status WriteFigure(const Figure& figure, const std::string& path) {
+  for (const auto& [suffix, format] : {std::pair(".svg", FigureFormat::kSvg), std::pair(".png", FigureFormat::kPng)}) {
     const StatusOr<std::string> bytes = RenderFigure(figure, format);
     if (!bytes.ok()) return bytes.status();
-    const Status written = WriteFile(*path, *bytes, InterruptGuard::Interrupted);
+    const Status written = WriteFile(path + suffix, *bytes, InterruptGuard::Interrupted);
     if (!written.ok()) return written;
   }
   return Status();

@@ -110,8 +110,8 @@ struct Figure {
 enum class FigureFormat { kSvg, kPng };
 StatusOr<std::string> RenderFigure(const Figure& figure, FigureFormat format, const std::string& gnuplot = "gnuplot");
 
-// Writes both; an empty path means neither is wanted there.
-Status WriteFigure(const Figure& figure, const std::string& svg_path, const std::string& png_path);
+// Writes <path>.svg and <path>.png.
+Status WriteFigure(const Figure& figure, const std::string& path);
 
 // As the viewer of pages (page/plot.js) reads it, numbers with six significant digits.
 nlohmann::ordered_json FigureToJson(const Figure& figure);

@@ -576,7 +576,7 @@ void WriteTextFile(const std::string& path, const std::string& text) {
 }
 
 void WriteFigureFiles(const Figure& figure, const std::string& path) {
-  const Status status = WriteFigure(figure, path + ".svg", path + ".png");
+  const Status status = WriteFigure(figure, path);
   if (!InterruptGuard::GraceIsOver()) OrOutputError(status);
 }
 

@@ -143,7 +143,7 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
   const std::vector<SweepFigure> figures = MakeSweepFigures(study, points);
   for (const SweepFigure& figure : figures) {
     const std::string path = directory + "/" + base + "." + figure.name;
-    const Status status = WriteFigure(figure.figure, path + ".svg", path + ".png");
+    const Status status = WriteFigure(figure.figure, path);
     // The results stand without figures: gnuplot may be missing.
     if (!status.ok()) std::cerr << "no figure " << path << ": " << status.message() << std::endl;
   }
