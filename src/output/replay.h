@@ -56,11 +56,11 @@ struct ReplayMotion {
   std::vector<double> states;       // times.size() x discs x 4: p_x p_y v_x v_y
   std::vector<double> angles = {};  // times.size() x discs, rad; empty if no disc turns
   bool arcs = false;                // positions in between are cubics by velocities, not straight lines
-  std::vector<ReplayTouch> touches;
-  std::vector<int> pushed;      // discs with a force on them
-  std::vector<double> control;  // K x pushed x 2, N
-  std::vector<double> torques;  // K x pushed, N m; empty if no disc is turned
-  std::vector<double> ends;     // of the K intervals, s
+  std::vector<ReplayTouch> touches = {};
+  std::vector<int> pushed = {};      // discs with a force on them
+  std::vector<double> control = {};  // K x pushed x 2, N
+  std::vector<double> torques = {};  // K x pushed, N m; empty if no disc is turned
+  std::vector<double> ends = {};     // of the K intervals, s
   std::vector<ReplaySpread> spreads = {};
 };
 

@@ -128,12 +128,7 @@ ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const Moti
                       .dash = style.dash,
                       .times = motion.times,
                       .states = motion.states,
-                      .arcs = motion.arcs,
-                      .touches = {},
-                      .pushed = {},
-                      .control = {},
-                      .torques = {},
-                      .ends = {}};
+                      .arcs = motion.arcs};
   for (size_t i = 0; i < motion.rotations.size(); i += 2) replay.angles.push_back(motion.rotations[i]);
   for (const TouchSpan& touch : motion.touches) {
     replay.touches.push_back(
