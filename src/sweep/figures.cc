@@ -132,19 +132,21 @@ std::string Label(const Method& method) {
   return method.solver.empty() ? method.contact : method.contact + ", " + method.solver;
 }
 
-// Curves of every method: the smallest y (or the largest) over all rows with the same x.
-using Curve = std::map<double, double>;
-template <typename X, typename Better>
-std::map<Method, Curve> Curves(const Results& results, const X& x_of, const std::string& y_column,
-                               const Better& better) {
-  std::map<Method, Curve> curves;
+using Curve = std::map<double, double>;                   // by x
+using Map = std::map<std::pair<size_t, size_t>, double>;  // by indices of x and y
+
+// Curves or maps of every method: the smallest number (or the largest) over all rows at the same place.
+template <typename Places, typename PlaceOf, typename Better>
+std::map<Method, Places> BestOf(const Results& results, const PlaceOf& place_of, const std::string& column,
+                                const Better& better) {
+  std::map<Method, Places> all;
   for (size_t row = 0; row < results.size(); ++row) {
-    const double y = results.Number(row, y_column);
-    if (!std::isfinite(y)) continue;
-    const auto [at, inserted] = curves[MethodOf(results, row)].try_emplace(x_of(row), y);
-    if (!inserted && better(y, at->second)) at->second = y;
+    const double number = results.Number(row, column);
+    if (!std::isfinite(number)) continue;
+    const auto [at, inserted] = all[MethodOf(results, row)].try_emplace(place_of(row), number);
+    if (!inserted && better(number, at->second)) at->second = number;
   }
-  return curves;
+  return all;
 }
 
 struct Extent {
@@ -209,7 +211,7 @@ std::vector<LossColumn> LossColumns(const SweepStudy& study) {
 SweepFigure LossFigure(const Results& results, const std::string& option) {
   Figure figure{.legend = Legend::kBelow};
   for (const LossColumn& loss : LossColumns(results.study())) {
-    const auto curves = Curves(
+    const auto curves = BestOf<Curve>(
         results, [&](size_t row) { return results.Number(row, option); }, loss.column, std::less<>());
     figure.panels.push_back(CurvePanel(curves, AxisLabel(option), loss.label));
   }
@@ -242,7 +244,7 @@ SweepFigure GradientErrorFigure(const Results& results) {
     const double steps = results.Has("steps") ? results.Number(row, "steps") : scene.steps;
     return (results.Has("duration") ? results.Number(row, "duration") : scene.duration) / steps;
   };
-  const std::map<Method, Curve> curves = Curves(results, dt, "relative_error", std::greater<>());
+  const std::map<Method, Curve> curves = BestOf<Curve>(results, dt, "relative_error", std::greater<>());
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
   for (Series& series : panel.series) series.label += ": " + OrderLabel(series);
@@ -315,21 +317,6 @@ struct MapAxis {
   }
 };
 
-using Map = std::map<std::pair<size_t, size_t>, double>;  // by indices of x and y
-
-std::map<Method, Map> LossMaps(const Results& results, const MapAxis& x, const MapAxis& y, const std::string& column) {
-  std::map<Method, Map> maps;
-  for (size_t row = 0; row < results.size(); ++row) {
-    const double loss = results.Number(row, column);
-    if (!std::isfinite(loss)) continue;
-    const std::pair<size_t, size_t> cell = {x.Index(results.Number(row, x.option)),
-                                            y.Index(results.Number(row, y.option))};
-    const auto [at, inserted] = maps[MethodOf(results, row)].try_emplace(cell, loss);
-    if (!inserted) at->second = std::min(at->second, loss);
-  }
-  return maps;
-}
-
 Panel MapPanel(const Method& method, const Map& map, const MapAxis& x, const MapAxis& y, const ColourScale& scale) {
   Panel panel{.title = Label(method), .x = x.ToAxis(), .y = y.ToAxis()};
   for (const auto& [cell, loss] : map) {
@@ -343,7 +330,10 @@ Panel MapPanel(const Method& method, const Map& map, const MapAxis& x, const Map
 std::optional<SweepFigure> MapFigure(const Results& results, const std::string& option_x, const std::string& option_y) {
   const MapAxis x(results, option_x), y(results, option_y);
   const LossColumn loss = LossColumns(results.study()).back();
-  const std::map<Method, Map> maps = LossMaps(results, x, y, loss.column);
+  const auto cell_of = [&](size_t row) {
+    return std::pair(x.Index(results.Number(row, option_x)), y.Index(results.Number(row, option_y)));
+  };
+  const auto maps = BestOf<Map>(results, cell_of, loss.column, std::less<>());
   Extent extent;
   size_t most = 0;
   for (const auto& [method, map] : maps) {

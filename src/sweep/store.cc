@@ -85,11 +85,9 @@ Status SweepStore::OpenDatabase(const std::string& path) {
   sqlite3_busy_timeout(database, kBusyMilliseconds);
   // Exclusive before the log is first used: the log then needs no memory shared between processes, which network file
   // systems do not have.
-  Status status = Execute("PRAGMA locking_mode = EXCLUSIVE");
-  if (status.ok()) status = Execute("PRAGMA journal_mode = WAL");
-  if (status.ok()) status = Execute("PRAGMA synchronous = NORMAL");
-  if (status.ok()) status = Execute("BEGIN IMMEDIATE; COMMIT");
-  return status;
+  return Execute(
+      "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; "
+      "COMMIT");
 }
 
 Status SweepStore::CheckStudy() {
@@ -111,14 +109,12 @@ Status SweepStore::CreateTables() {
   std::string columns;
   for (const std::string& column : study_->columns()) columns += ", " + QuoteName(column);
   // Columns without a type keep every value as it is. All or nothing: whoever finds tables finds all of them.
-  Status status = Execute("BEGIN IMMEDIATE");
-  if (status.ok()) status = Execute(std::string("PRAGMA application_id = ") + kApplicationId);
-  if (status.ok()) status = Execute("CREATE TABLE study (key TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID");
-  if (status.ok()) status = Execute("CREATE TABLE runs (run INTEGER PRIMARY KEY, started TEXT, host TEXT)");
-  if (status.ok()) {
-    status = Execute("CREATE TABLE points (point INTEGER PRIMARY KEY, run INTEGER NOT NULL, status TEXT NOT NULL" +
-                     columns + ")");
-  }
+  const Status status =
+      Execute(std::string("BEGIN IMMEDIATE; PRAGMA application_id = ") + kApplicationId +
+              "; CREATE TABLE study (key TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;"
+              "CREATE TABLE runs (run INTEGER PRIMARY KEY, started TEXT, host TEXT);"
+              "CREATE TABLE points (point INTEGER PRIMARY KEY, run INTEGER NOT NULL, status TEXT NOT NULL" +
+              columns + ")");
   if (!status.ok()) return status;
   const Statement insert = Prepare("INSERT INTO study VALUES ('description', ?1)");
   if (!insert || !Bind(insert.get(), 1, study_->Description()) || sqlite3_step(insert.get()) != SQLITE_DONE) {

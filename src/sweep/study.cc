@@ -139,13 +139,7 @@ Request SweepStudy::At(int64_t point) const {
 
 std::string SweepStudy::Description() const {
   Json blocks = Json::array();
-  for (const SweepBlock& block : blocks_) {
-    Json rows = Json::array();
-    for (const SweepRow& row : block.rows) {
-      rows.push_back(row);
-    }
-    blocks.push_back({{"options", block.options}, {"rows", std::move(rows)}});
-  }
+  for (const SweepBlock& block : blocks_) blocks.push_back({{"options", block.options}, {"rows", block.rows}});
   Json description = {{"version", SALTUS_VERSION},
                       {"scene", Lines(WriteScene(request_.scene))},
                       {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
