@@ -113,19 +113,15 @@ PaperFigure DescentAudit::ToFigure() const {
   Figure figure{.columns = 3, .width = 1500, .legend = Legend::kBelow};
   for (size_t number = 0; number < tasks_.size(); ++number) {
     const Task& task = tasks_[number];
-    Panel angle, loss, own;
-    angle.title = task.title + ": angle to the exact gradient";
-    angle.y = {.label = "angle (degrees)", .min = 0.0, .max = 180.0};
-    angle.reference_lines.push_back({.value = kAhead, .label = "beyond, a step climbs"});
-    loss.title = task.title + ": exact loss";
-    loss.y.label = "exact loss";
-    own.title = task.title + ": loss under the model";
-    own.y.label = "loss under the model";
-    loss.y.log = own.y.log = true;
-    for (Panel* panel : {&angle, &loss, &own}) {
-      panel->x.label = "iteration, from 1";
-      panel->x.log = true;
-    }
+    const Axis iteration{.label = "iteration, from 1", .log = true};
+    Panel angle{.title = task.title + ": angle to the exact gradient",
+                .x = iteration,
+                .y = {.label = "angle (degrees)", .min = 0.0, .max = 180.0},
+                .reference_lines = {{.value = kAhead, .label = "beyond, a step climbs"}}};
+    Panel loss{.title = task.title + ": exact loss", .x = iteration, .y = {.label = "exact loss", .log = true}};
+    Panel own{.title = task.title + ": loss under the model",
+              .x = iteration,
+              .y = {.label = "loss under the model", .log = true}};
     for (const Descent& descent : descents_) {
       if (descent.task != number) continue;
       angle.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.angles));

@@ -97,13 +97,8 @@ PaperFigure Trajectories(const Experiments& experiments) {
 }
 
 PaperFigure GroundWallLearning(const Experiments& experiments, double friction) {
-  Panel loss, velocity;
-  loss.title = "Loss";
-  loss.x.label = velocity.x.label = "gradient-descent iteration";
-  loss.y.label = "loss (m²)";
-  loss.y.log = true;
-  velocity.title = "Horizontal velocity";
-  velocity.y.label = "initial horizontal velocity (m/s)";
+  Panel loss{.title = "Loss", .x = {.label = "gradient-descent iteration"}, .y = {.label = "loss (m²)", .log = true}};
+  Panel velocity{.title = "Horizontal velocity", .x = loss.x, .y = {.label = "initial horizontal velocity (m/s)"}};
   ForEachModel(experiments, "ground_wall", friction, [&](const Experiment& experiment, const SolveReport& report) {
     loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
     std::vector<double> x;
@@ -121,13 +116,10 @@ PaperFigure GroundWallLearning(const Experiments& experiments, double friction) 
 
 PaperFigure TwoBallsLearning(const Experiments& experiments) {
   const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact);
-  Panel loss, control;
-  loss.title = "Loss";
-  loss.x.label = "gradient-descent iteration";
-  loss.y.label = "loss (m², effort included)";
-  control.title = "Learned force";
-  control.x.label = "time (s)";
-  control.y.label = "horizontal force on the striker (N)";
+  Panel loss{
+      .title = "Loss", .x = {.label = "gradient-descent iteration"}, .y = {.label = "loss (m², effort included)"}};
+  Panel control{
+      .title = "Learned force", .x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   ForEachModel(experiments, "two_balls", 0, [&](const Experiment& experiment, const SolveReport& report) {
     loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
     std::vector<double> force;

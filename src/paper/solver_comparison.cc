@@ -12,6 +12,7 @@
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -28,12 +29,6 @@ constexpr double kNearOptimum = 0.01;
 const std::set<std::string>& GeneralSolvers() {
   static const std::set<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting"};
   return solvers;
-}
-
-// Not a number of what has none.
-double OpenDefect(const SolveReport& report) {
-  if (report.defects.empty()) return std::numeric_limits<double>::quiet_NaN();
-  return *std::ranges::max_element(report.defects.back());
 }
 
 SolvedRun Planned(const std::string& contact, const std::string& solver) {
@@ -58,15 +53,13 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
   options.stop = AskedToStop;
   options.keep_iterates = run->report.solver == "gd";
-  run->report = Solve(run->report.solver, {scene, run->report.contact}, options);
+  *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
   SolveReport& report = run->report;
   std::vector<std::vector<double>> looked_at;
   for (const int k : DescentAudit::LookedAt()) {
     if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
   }
   report.iterates = std::move(looked_at);
-  if (report.losses.empty()) return;
-  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
 }
 
 Tone ToneOfGap(double gap) {
@@ -267,7 +260,7 @@ Table SolverComparison::StepShootingTable() const {
                   fine == nullptr ? Cell() : exact(fine),
                   fine == nullptr ? Cell() : Cell(TerminationToString(fine->report.termination)),
                   exact(lagrangian),
-                  OpenDefect(lagrangian->report),
+                  LargestDefect(lagrangian->report),
                   TerminationToString(lagrangian->report.termination)});
   }
   return table;
@@ -347,7 +340,7 @@ std::vector<std::string> SolverComparison::Findings() const {
         "Multiple shooting with open defects should not be trusted through a collision: the augmented Lagrangian ends "
         "at an exact loss of " +
         Format("%.4f", lagrangian->exact.loss) + ", its largest defect " +
-        Format("%.1g", OpenDefect(lagrangian->report)) +
+        Format("%.1g", LargestDefect(lagrangian->report)) +
         ". A feasible path (`ceres_shooting`: every iterate is a rollout) does not have this problem.");
   }
   if (!others_.runs.empty()) findings.push_back(FindingOnOthers());
@@ -417,16 +410,14 @@ PaperFigure SolverComparison::ControlProfiles() const {
   for (const SolvedRun& run : strike_.runs) {
     if (run.report.contact != exact_ || run.report.losses.empty()) continue;
     std::vector<double> x, y;
-    const size_t intervals = run.report.control.size() / 2;
+    const std::vector<double> lengths = LengthsOf({run.report.control, run.report.durations}, strike_.scene);
     double start = 0;
-    for (size_t k = 0; k < intervals; ++k) {
-      const double duration =
-          run.report.durations.empty() ? strike_.scene.duration / intervals : run.report.durations[k];
-      for (const double time : {start, start + duration}) {
+    for (size_t k = 0; k < lengths.size(); ++k) {
+      for (const double time : {start, start + lengths[k]}) {
         x.push_back(time);
         y.push_back(run.report.control[2 * k]);
       }
-      start += duration;
+      start += lengths[k];
     }
     panel.series.push_back(SolverSeries(run.report.solver, x, y));
   }

@@ -9,6 +9,7 @@
 #include "exact/two_disc_optimum.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -123,10 +124,7 @@ bool StrikeComparison::Run(int threads, ProgressMode mode) {
   Progress progress(mode, stderr, "solvers at the impact", entries_.size());
   return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     Entry& entry = entries_[i];
-    SolveReport& report = entry.run.report;
-    report = Solve(entry.solver, {entry.scene, ExactModel()->name}, entry.options);
-    if (report.losses.empty()) return;
-    entry.run.exact = SimulateExactly(entry.scene, report.initial_state, report.control, report.durations);
+    entry.run = SolveAndSimulate(entry.solver, {entry.scene, ExactModel()->name}, entry.options);
   });
 }
 
@@ -193,13 +191,12 @@ std::vector<PaperFigure> StrikeComparison::Figures() const {
         if (entry == nullptr || entry->run.exact.events.empty()) return;  // one that does not strike is another motion
         const SolveReport& report = entry->run.report;
         Series series{.label = label, .colour = colour, .dash = dash, .width = width};
-        const size_t intervals = report.control.size() / 2;
+        const std::vector<double> lengths = LengthsOf({report.control, report.durations}, entry->scene);
         double start = 0;
-        for (size_t k = 0; k < intervals; ++k) {
-          const double length = report.durations.empty() ? entry->scene.duration / intervals : report.durations[k];
-          series.x.push_back(start + 0.5 * length);
+        for (size_t k = 0; k < lengths.size(); ++k) {
+          series.x.push_back(start + 0.5 * lengths[k]);
           series.y.push_back(report.control[2 * k + axis]);
-          start += length;
+          start += lengths[k];
         }
         panel.series.push_back(std::move(series));
       };
