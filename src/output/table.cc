@@ -87,6 +87,15 @@ std::string CsvLine(const std::vector<std::string>& fields) {
   return line + '\n';
 }
 
+bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }
+
+std::optional<size_t> ColumnsFromEnvironment() {
+  const char* value = std::getenv("COLUMNS");
+  if (value == nullptr) return std::nullopt;
+  const std::optional<size_t> columns = FromText<size_t>(value);
+  return columns.value_or(0) > 0 ? columns : std::nullopt;
+}
+
 }  // namespace
 
 std::string_view ToneName(Tone tone) {
@@ -311,19 +320,6 @@ std::string Format(const char* format, double value) {
   std::snprintf(buffer, sizeof(buffer), format, value);
   return buffer;
 }
-
-namespace {
-
-bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }
-
-std::optional<size_t> ColumnsFromEnvironment() {
-  const char* value = std::getenv("COLUMNS");
-  if (value == nullptr) return std::nullopt;
-  const std::optional<size_t> columns = FromText<size_t>(value);
-  return columns.value_or(0) > 0 ? columns : std::nullopt;
-}
-
-}  // namespace
 
 TextLayout LayoutOfStandardOutput() {
   TextLayout layout;

@@ -190,6 +190,9 @@ PaperFigure SolverLearning(const Experiments& experiments) {
       figure};
 }
 
+// Of those, which disagree most tellingly, the others are a click away.
+constexpr const char* kShown[] = {"event", "direct_toi", "direct"};
+
 }  // namespace
 
 std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
@@ -200,13 +203,6 @@ std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
           StiffnessLearning(experiments),
           SolverLearning(experiments)};
 }
-
-namespace {
-
-// Of those, which disagree most tellingly, the others are a click away.
-constexpr const char* kShown[] = {"event", "direct_toi", "direct"};
-
-}  // namespace
 
 Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   const Scene& scene = experiments.scene(problem);

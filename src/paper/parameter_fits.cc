@@ -67,6 +67,29 @@ std::string WhyNot(const IdentifyReport& report) {
   return report.reason.empty() ? verdict : verdict + ": " + report.reason;
 }
 
+constexpr int kDrops = 4;
+constexpr int kUnits = 3;       // of the network
+constexpr double kFastest = 8;  // m/s, about
+
+std::vector<Recording> ReadDrops(const std::string& folder, const Scene& scene) {
+  std::vector<Recording> recordings;
+  for (int i = 1; i <= kDrops; ++i) {
+    auto loaded = LoadRecording(folder + "/drop_" + std::to_string(i) + ".csv", scene);
+    if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
+    recordings.push_back(std::get<Recording>(std::move(loaded)));
+  }
+  return recordings;
+}
+
+// Between the slowest and the fastest impact.
+double LargestError(const LearnedLaw& learned, const KnownLaw& truth) {
+  double largest = 0;
+  for (const LawPoint& at : learned.curve) {
+    if (const auto known = truth.At(at.speed)) largest = std::max(largest, std::abs(at.restitution - *known));
+  }
+  return largest;
+}
+
 }  // namespace
 
 ParameterFits::ParameterFits(const std::vector<std::string>& contacts) : truth_(TrueScene()) {
@@ -213,33 +236,6 @@ std::vector<std::string> ParameterFits::Findings() const {
           ". Under the others the motion is another one, or the fit ended elsewhere, which the stated confidence does "
           "not include."};
 }
-
-namespace {
-
-constexpr int kDrops = 4;
-constexpr int kUnits = 3;       // of the network
-constexpr double kFastest = 8;  // m/s, about
-
-std::vector<Recording> ReadDrops(const std::string& folder, const Scene& scene) {
-  std::vector<Recording> recordings;
-  for (int i = 1; i <= kDrops; ++i) {
-    auto loaded = LoadRecording(folder + "/drop_" + std::to_string(i) + ".csv", scene);
-    if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
-    recordings.push_back(std::get<Recording>(std::move(loaded)));
-  }
-  return recordings;
-}
-
-// Between the slowest and the fastest impact.
-double LargestError(const LearnedLaw& learned, const KnownLaw& truth) {
-  double largest = 0;
-  for (const LawPoint& at : learned.curve) {
-    if (const auto known = truth.At(at.speed)) largest = std::max(largest, std::abs(at.restitution - *known));
-  }
-  return largest;
-}
-
-}  // namespace
 
 std::optional<PaperFigure> LearnALaw() {
   const std::string folder = ShippedFile("problems/drops");

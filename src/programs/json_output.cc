@@ -35,26 +35,6 @@ Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   return item;
 }
 
-}  // namespace
-
-Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset) {
-  Json vectors = Json::array();
-  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
-    vectors.push_back({initial[i + offset], initial[i + offset + 1]});
-  }
-  return vectors;
-}
-
-Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry) {
-  Json rotations = Json::array();
-  for (size_t i = 4 * scene.bodies.size() + entry; i < initial.size(); i += kSpin) {
-    rotations.push_back(initial[i]);
-  }
-  return rotations;
-}
-
-namespace {
-
 // From rows (control_rows.h), of which a long horizon has millions.
 Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
   const std::vector<int>& turned = scene.control.turned;
@@ -76,7 +56,28 @@ Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
   return intervals;
 }
 
+// Of a black box nothing is known.
+bool IsBiased(const std::string& contact) {
+  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
+}
+
 }  // namespace
+
+Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset) {
+  Json vectors = Json::array();
+  for (size_t i = 0; i < 4 * scene.bodies.size(); i += 4) {
+    vectors.push_back({initial[i + offset], initial[i + offset + 1]});
+  }
+  return vectors;
+}
+
+Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry) {
+  Json rotations = Json::array();
+  for (size_t i = 4 * scene.bodies.size() + entry; i < initial.size(); i += kSpin) {
+    rotations.push_back(initial[i]);
+  }
+  return rotations;
+}
 
 Json ControlToJson(const Scene& scene, const std::vector<double>& control) {
   return RowsToJson(scene, RowsOfControl(scene, control));
@@ -255,15 +256,6 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
 void PrintJson(const Json& document, Precision precision) {
   std::cout << DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits) << std::endl;
 }
-
-namespace {
-
-// Of a black box nothing is known.
-bool IsBiased(const std::string& contact) {
-  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
-}
-
-}  // namespace
 
 std::string BiasedName(const Surrogate& surrogate) {
   return std::string(SurrogateToString(surrogate.kind)) + ", biased";

@@ -385,6 +385,8 @@ int RunBody(const std::function<int()>& body) {
   }
 }
 
+std::string PathOfReport(const Request& request) { return request.output_dir + "/report.html"; }
+
 }  // namespace
 
 int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
@@ -594,12 +596,6 @@ std::string FirstOf(const std::vector<std::string>& names) {
   if (names.size() <= kMost) return Joined(names);
   return Joined({names.begin(), names.begin() + kMost}) + " and " + std::to_string(names.size() - kMost) + " more";
 }
-
-namespace {
-
-std::string PathOfReport(const Request& request) { return request.output_dir + "/report.html"; }
-
-}  // namespace
 
 Page StartPage(const Scene& scene) {
   return Page(scene.name, std::to_string(scene.steps) + " steps over " + Cell(scene.duration).Display(6) + " s");

@@ -405,14 +405,6 @@ class ReplayReader : InputReader {
   ReplayFile file_;
 };
 
-}  // namespace
-
-ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn) {
-  return ReplayReader(path, drawn).Read();
-}
-
-namespace {
-
 std::string StemOf(const std::string& path) { return std::filesystem::path(path).stem().string(); }
 
 // A style for each motion: that of its contact model, unless another motion has it.
@@ -501,6 +493,10 @@ int WriteReplay() {
 }
 
 }  // namespace
+
+ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn) {
+  return ReplayReader(path, drawn).Read();
+}
 
 int ReplayMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_replay"), WriteReplay); }
 

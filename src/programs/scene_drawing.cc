@@ -15,14 +15,14 @@ namespace {
 
 constexpr double kChord = 2 * std::numbers::pi / 180;
 
-Outline OutlineOf(const EdgeSegment& segment) {
-  return {segment.name, {{segment.from[0], segment.from[1]}, {segment.to[0], segment.to[1]}}};
-}
+std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
+
+Outline OutlineOf(const EdgeSegment& segment) { return {segment.name, {Pair(segment.from), Pair(segment.to)}}; }
 
 Outline OutlineOf(const EdgePolygon& polygon) {
   const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
   Outline outline{polygon.name, {}, inside ? Outline::Solid::kInside : Outline::Solid::kOutside};
-  for (const Vec2d& point : polygon.points) outline.points.push_back({point[0], point[1]});
+  for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
   outline.points.push_back(outline.points.front());
   return outline;
 }
@@ -52,28 +52,6 @@ std::vector<Outline> OutlinesOf(const Scene& scene) {
   return outlines;
 }
 
-}  // namespace
-
-Panel ScenePanel(const Scene& scene, const std::string& title) {
-  Panel panel{.title = title, .x = {.label = "x (m)"}, .y = {.label = "y (m)"}, .equal_aspect = true};
-  for (const Body& body : scene.bodies) {
-    panel.circles.push_back({{body.position[0], body.position[1]}, body.radius, "#555555", 0.25});
-  }
-  for (const Plane& plane : scene.planes) {
-    panel.half_planes.push_back({{plane.point[0], plane.point[1]}, {plane.normal[0], plane.normal[1]}});
-  }
-  panel.outlines = OutlinesOf(scene);
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.component || term.quantity != TerminalTerm::Quantity::kPosition) continue;
-    panel.circles.push_back({{term.target[0], term.target[1]}, 0.03, "#000000", 1.0});
-  }
-  return panel;
-}
-
-namespace {
-
-std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
-
 ReplayWall ToReplayWall(const WallPart& part) {
   using Kind = ReplayWall::Kind;
   const Wall<double>& wall = part.wall;
@@ -84,6 +62,22 @@ ReplayWall ToReplayWall(const WallPart& part) {
 }
 
 }  // namespace
+
+Panel ScenePanel(const Scene& scene, const std::string& title) {
+  Panel panel{.title = title, .x = {.label = "x (m)"}, .y = {.label = "y (m)"}, .equal_aspect = true};
+  for (const Body& body : scene.bodies) {
+    panel.circles.push_back({Pair(body.position), body.radius, "#555555", 0.25});
+  }
+  for (const Plane& plane : scene.planes) {
+    panel.half_planes.push_back({Pair(plane.point), Pair(plane.normal)});
+  }
+  panel.outlines = OutlinesOf(scene);
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.component || term.quantity != TerminalTerm::Quantity::kPosition) continue;
+    panel.circles.push_back({Pair(term.target), 0.03, "#000000", 1.0});
+  }
+  return panel;
+}
 
 void AddWalls(const Scene& scene, Replay* replay) {
   for (const WallPart& part : WallPartsOf(scene)) replay->walls.push_back(ToReplayWall(part));

@@ -26,6 +26,53 @@ namespace {
 // A solver that looks at the clock itself returns what it has reached; only what does not is stopped from outside.
 constexpr double kGraceSeconds = 0.5;
 
+// Computes what it is asked for until its socket is closed. Never returns: this process has no other business.
+[[noreturn]] void Serve(int socket, pid_t parent, const WorkerPool::Work& work) {
+  // The parent decides what an interrupt means, and takes its workers with it when it dies.
+  std::signal(SIGINT, SIG_IGN);
+  std::signal(SIGTERM, SIG_IGN);
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (getppid() != parent) _exit(0);
+  int64_t task = 0;
+  while (recv(socket, &task, sizeof(task), 0) == sizeof(task)) {
+    const std::string answer = work(task);
+    CHECK_LE(answer.size(), WorkerPool::kLongestAnswer);
+    if (send(socket, answer.data(), answer.size(), MSG_NOSIGNAL) < 0) break;
+  }
+  _exit(0);
+}
+
+std::string HowItEnded(int status) {
+  if (WIFSIGNALED(status)) {
+    const int signal = WTERMSIG(status);
+    return "killed by signal " + std::to_string(signal) + " (" + strsignal(signal) + ")";
+  }
+  return "exit code " + std::to_string(WEXITSTATUS(status));
+}
+
+// Looked for instead of starting MPI and asking it: alone, a sweep needs nothing of it.
+bool StartedByMpi() {
+  for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"}) {
+    if (std::getenv(name) != nullptr) return true;
+  }
+  return false;
+}
+
+using Clock = std::chrono::steady_clock;
+
+constexpr std::chrono::milliseconds kLookForInterrupts(100);
+constexpr std::chrono::seconds kSlow(5);
+
+// "point 3 (stiffness=100, contact=ncp, solver=gd) for 12 s", of the one that was started first if that is long ago.
+std::string SlowestOf(const SweepStudy& study, const std::map<int64_t, Clock::time_point>& at_work) {
+  const auto first =
+      std::ranges::min_element(at_work, [](const auto& a, const auto& b) { return a.second < b.second; });
+  if (first == at_work.end()) return "";
+  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(Clock::now() - first->second);
+  if (seconds < kSlow) return "";
+  return PlaceOf(study, first->first) + " for " + std::to_string(seconds.count()) + " s";
+}
+
 }  // namespace
 
 LocalExecutor::LocalExecutor(const SweepStudy& study, int workers, double seconds)
@@ -51,34 +98,6 @@ PointResult LocalExecutor::ToPoint(const WorkerPool::Result& result) const {
   }
   return FailedPoint(study_, result.task, "its process died: " + result.text);
 }
-
-namespace {
-
-// Computes what it is asked for until its socket is closed. Never returns: this process has no other business.
-[[noreturn]] void Serve(int socket, pid_t parent, const WorkerPool::Work& work) {
-  // The parent decides what an interrupt means, and takes its workers with it when it dies.
-  std::signal(SIGINT, SIG_IGN);
-  std::signal(SIGTERM, SIG_IGN);
-  prctl(PR_SET_PDEATHSIG, SIGKILL);
-  if (getppid() != parent) _exit(0);
-  int64_t task = 0;
-  while (recv(socket, &task, sizeof(task), 0) == sizeof(task)) {
-    const std::string answer = work(task);
-    CHECK_LE(answer.size(), WorkerPool::kLongestAnswer);
-    if (send(socket, answer.data(), answer.size(), MSG_NOSIGNAL) < 0) break;
-  }
-  _exit(0);
-}
-
-std::string HowItEnded(int status) {
-  if (WIFSIGNALED(status)) {
-    const int signal = WTERMSIG(status);
-    return "killed by signal " + std::to_string(signal) + " (" + strsignal(signal) + ")";
-  }
-  return "exit code " + std::to_string(WEXITSTATUS(status));
-}
-
-}  // namespace
 
 WorkerPool::WorkerPool(int workers, double seconds, Work work) : seconds_(seconds), work_(std::move(work)) {
   CHECK_GT(workers, 0);
@@ -200,18 +219,6 @@ WorkerPool::Result WorkerPool::Finish(Worker* worker) {
   return result;
 }
 
-namespace {
-
-// Looked for instead of starting MPI and asking it: alone, a sweep needs nothing of it.
-bool StartedByMpi() {
-  for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"}) {
-    if (std::getenv(name) != nullptr) return true;
-  }
-  return false;
-}
-
-}  // namespace
-
 std::unique_ptr<SweepCluster> JoinCluster() {
   if (!StartedByMpi()) return nullptr;
 #if SALTUS_WITH_MPI
@@ -220,25 +227,6 @@ std::unique_ptr<SweepCluster> JoinCluster() {
   throw InputError("started as an MPI job, but built without MPI; expected a build with SALTUS_WITH_MPI=ON");
 #endif
 }
-
-namespace {
-
-using Clock = std::chrono::steady_clock;
-
-constexpr std::chrono::milliseconds kLookForInterrupts(100);
-constexpr std::chrono::seconds kSlow(5);
-
-// "point 3 (stiffness=100, contact=ncp, solver=gd) for 12 s", of the one that was started first if that is long ago.
-std::string SlowestOf(const SweepStudy& study, const std::map<int64_t, Clock::time_point>& at_work) {
-  const auto first =
-      std::ranges::min_element(at_work, [](const auto& a, const auto& b) { return a.second < b.second; });
-  if (first == at_work.end()) return "";
-  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(Clock::now() - first->second);
-  if (seconds < kSlow) return "";
-  return PlaceOf(study, first->first) + " for " + std::to_string(seconds.count()) + " s";
-}
-
-}  // namespace
 
 std::vector<int64_t> PendingPoints(const SweepStudy& study, Shard shard, const SweepStore& store,
                                    const std::function<void()>& tick) {
