@@ -58,7 +58,6 @@ std::vector<BoundedReference> ReadBoundedReferences(const std::string& path) {
     for (const Json& item : document["optima"]) {
       if (!item.contains("control") || !item.contains("force_unbounded")) continue;
       BoundedReference reference;
-      reference.name = item["name"];
       reference.target = item.contains("target_start") ? VectorOf(item["target_start"]) : Vec2d(-1, -1);
       if (item["control"].contains("max")) reference.max = item["control"]["max"].get<double>();
       if (item["control"].contains("max_norm")) reference.max_norm = item["control"]["max_norm"].get<double>();

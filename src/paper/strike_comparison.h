@@ -12,7 +12,6 @@ namespace saltus {
 
 // An optimum of data/constrained_references.json under a bound on the force.
 struct BoundedReference {
-  std::string name;
   Vec2d target = Vec2d::Zero();         // m, where the disc that is struck starts
   std::optional<double> max, max_norm;  // N
   double loss = 0, impact_time = 0;

@@ -121,7 +121,6 @@ class SweepCluster {
   virtual ~SweepCluster() = default;
 
   virtual int rank() const = 0;
-  virtual int size() const = 0;
   // How many of the ranks share this machine.
   virtual int ranks_here() const = 0;
 

@@ -113,7 +113,7 @@ class MpiCluster : public SweepCluster {
   ~MpiCluster() override;
 
   int rank() const override { return rank_; }
-  int size() const override { return size_; }
+  int size() const { return size_; }
   int ranks_here() const override { return ranks_here_; }
   void Tick() override;
   std::unique_ptr<SweepExecutor> Share(const SweepStudy& study, LocalExecutor* local) override;
