@@ -58,7 +58,7 @@ class SolverComparison {
     std::vector<SolvedRun> runs;  // contact models outermost; planned ones have names only
 
     const SolvedRun* Find(const std::string& contact, const std::string& solver) const;
-    // Of the best exact loss under a model (any, if empty), its gap to the optimum.
+    // Of the best exact loss by a general solver under a model, its gap to the optimum.
     double SmallestGap(const std::string& contact) const;
   };
 

@@ -9,7 +9,6 @@
 #include "output/table.h"
 #include "programs/feedback_study.h"
 #include "programs/json_output.h"
-#include "programs/motion.h"
 #include "programs/program.h"
 #include "saltus/optimality/certificate.h"
 
