@@ -17,6 +17,12 @@ inline std::string ToText(double value) {
   return {text, std::to_chars(text, text + sizeof(text), value).ptr};
 }
 
+// With so many significant digits, as printf's %g writes it.
+inline std::string ToText(double value, int digits) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof(text), value, std::chars_format::general, digits).ptr};
+}
+
 // The number with so many significant digits.
 inline double RoundedTo(int digits, double value) {
   char text[32];

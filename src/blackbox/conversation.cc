@@ -4,11 +4,11 @@
 
 #include <array>
 #include <cerrno>
-#include <cstdio>
 #include <cstring>
 #include <utility>
 
 #include "base/file.h"
+#include "base/number_text.h"
 #include "blackbox/protocol.h"
 
 namespace saltus {
@@ -48,9 +48,7 @@ void Conversation::Exchange(const OnLine& on_line) {
 void Conversation::CheckTime(double seconds) {
   if (!failure_.empty() || expected_.empty()) return;
   if (std::chrono::duration<double>(Clock::now() - last_).count() < seconds) return;
-  char time[32];
-  std::snprintf(time, sizeof time, "%g s", seconds);
-  Fail("silent for " + std::string(time) + (unread_.empty() ? "" : " after " + Excerpt(unread_)) +
+  Fail("silent for " + ToText(seconds, 6) + " s" + (unread_.empty() ? "" : " after " + Excerpt(unread_)) +
        ", expected a line in answer");
 }
 

@@ -4,11 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <numbers>
 #include <optional>
 #include <tuple>
 
+#include "base/number_text.h"
 #include "feedback/noisy_states.h"
 
 namespace saltus {
@@ -33,11 +33,10 @@ struct Pending {  // the event before the one that is looked at
 
 std::string Covariance::Warning(double small) const {
   if (!(change_probability > small)) return "";
-  char text[64];
-  std::snprintf(text, sizeof text, "up to %.2g", change_probability);
-  std::string warning = "the sequence of events changes with a probability of " + std::string(text);
-  std::snprintf(text, sizeof text, " at t = %.6g (probability %.2g)", risks.front().time, risks.front().probability);
-  return warning + ", most likely because " + risks.front().what + text + "; covariances are of first order";
+  const SequenceRisk& largest = risks.front();
+  return "the sequence of events changes with a probability of up to " + ToText(change_probability, 2) +
+         ", most likely because " + largest.what + " at t = " + ToText(largest.time, 6) + " (probability " +
+         ToText(largest.probability, 2) + "); covariances are of first order";
 }
 
 std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion) {
@@ -136,9 +135,8 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
              last->time,
              ProbabilityBelowZero(motion.end - last->time, std::sqrt(last->variance)));
   }
-  std::stable_sort(out.risks.begin(), out.risks.end(), [](const SequenceRisk& a, const SequenceRisk& b) {
-    return a.probability > b.probability;
-  });
+  std::ranges::stable_sort(out.risks,
+                           [](const SequenceRisk& a, const SequenceRisk& b) { return a.probability > b.probability; });
   return out;
 }
 

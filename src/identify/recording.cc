@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <sstream>
 #include <tuple>
 
 #include "base/csv.h"
 #include "base/file.h"
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -106,12 +106,7 @@ class Reader {
   std::optional<std::size_t> column_[kNumColumns];
 };
 
-std::string Text(double value) {
-  std::ostringstream text;
-  text.precision(12);
-  text << value;
-  return text.str();
-}
+std::string Text(double value) { return ToText(value, 12); }
 
 }  // namespace
 
@@ -144,9 +139,8 @@ std::optional<RecordingError> CheckRecording(const Scene& scene, Recording* reco
       return error(sample, "found one of sigma and sigma_v, expected both or none where there is a velocity");
     }
   }
-  std::stable_sort(samples.begin(), samples.end(), [](const Sample& a, const Sample& b) {
-    return std::tie(a.time, a.body) < std::tie(b.time, b.body);
-  });
+  std::ranges::stable_sort(
+      samples, [](const Sample& a, const Sample& b) { return std::tie(a.time, a.body) < std::tie(b.time, b.body); });
   for (std::size_t i = 1; i < samples.size(); ++i) {
     const Sample &before = samples[i - 1], &sample = samples[i];
     if (before.time != sample.time || before.body != sample.body) continue;

@@ -1,11 +1,11 @@
 #include "saltus/simulate/events.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <map>
 #include <set>
 #include <tuple>
 
+#include "base/number_text.h"
 #include "contact/event/event_ties.h"
 #include "saltus/scene/walls.h"
 
@@ -113,9 +113,7 @@ std::string TiesToString(const std::vector<Tie>& ties) {
   for (size_t i = 0; i < bodies.size(); ++i) {
     text += (i == 0 ? "" : i + 1 < bodies.size() ? ", " : " and ") + bodies[i];
   }
-  char time[32];
-  std::snprintf(time, sizeof time, "%.6g", ties[0].time);
-  text += std::string(" at ") + time + " s decides";
+  text += " at " + ToText(ties[0].time, 6) + " s decides";
   if (ties.size() > 1) text += ", and " + std::to_string(ties.size() - 1) + " more";
   return text;
 }

@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <sstream>
 #include <utility>
 #include <variant>
 
+#include "base/number_text.h"
 #include "scene/units.h"
 #include "simulate/converted_simulator.h"
 #include "simulate/registry_entry.h"
@@ -41,12 +41,6 @@ std::string Names(const auto& all) {
   return names;
 }
 
-std::string Number(double value) {
-  std::ostringstream text;
-  text << value;
-  return text.str();
-}
-
 // "option=value" of a model; or what is wrong with it.
 std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std::string_view text) {
   const std::string_view name = text.substr(0, text.find('='));
@@ -63,7 +57,8 @@ std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std
   const bool number = error == std::errc() && end == digits.data() + digits.size();
   if (!number || !(value >= option->low && value <= option->high) || (option->whole && value != std::floor(value))) {
     return "found '" + std::string(text) + "', expected " + std::string(name) + "= and a " +
-           (option->whole ? "whole number" : "number") + " in " + Number(option->low) + ".." + Number(option->high);
+           (option->whole ? "whole number" : "number") + " in " + ToText(option->low, 6) + ".." +
+           ToText(option->high, 6);
   }
   return OptionValue{option->name, value};
 }
@@ -147,8 +142,7 @@ std::string WhatIsWrongWith(const Contact& contact) {
 bool HasBiasedDerivative(const Contact& contact) {
   const std::vector<ListedOption>& known = OptionsOf(contact);
   for (const OptionValue& set : OptionsIn(contact)) {
-    const auto option =
-        std::find_if(known.begin(), known.end(), [&](const ListedOption& one) { return one.name == set.name; });
+    const auto option = std::ranges::find_if(known, [&](const ListedOption& one) { return one.name == set.name; });
     if (option->biases && set.value != option->initial) return true;
   }
   return false;

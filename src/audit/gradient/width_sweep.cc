@@ -10,8 +10,8 @@
 
 #include "audit/gradient/judgement.h"
 #include "audit/gradient/statistics.h"
+#include "base/number_text.h"
 #include "saltus/control/objective.h"
-#include "saltus/scene/geometry.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -194,23 +194,16 @@ std::string WidthSweepStudy::Summary() const {
   if (!ok()) return reason;
   const WidthSweep* worst = Worst();
   if (worst == nullptr) {
-    const bool undecided = std::any_of(sweeps.begin(), sweeps.end(), [](const WidthSweep& sweep) {
-      return sweep.finding == WidthFinding::kUndecided;
-    });
+    const bool undecided =
+        std::ranges::any_of(sweeps, [](const WidthSweep& sweep) { return sweep.finding == WidthFinding::kUndecided; });
     return undecided ? "differences of some entries scatter too much to tell"
                      : "differences of all widths agree with it";
   }
   // Differences of rounding are shown as none.
   const auto shown = [&](double value) { return std::abs(value) < 1e-7 * std::abs(worst->wide) ? 0.0 : value; };
-  char text[256];
-  std::snprintf(text,
-                sizeof text,
-                "d/d%s is %.4g; differences narrower than a step give %.4g, wider ones %.4g",
-                worst->entry.c_str(),
-                shown(worst->gradient),
-                shown(worst->narrow),
-                worst->wide);
-  return text;
+  return "d/d" + worst->entry + " is " + ToText(shown(worst->gradient), 4) +
+         "; differences narrower than a step give " + ToText(shown(worst->narrow), 4) + ", wider ones " +
+         ToText(worst->wide, 4);
 }
 
 std::vector<double> WidthsOf(const WidthSweepOptions& options, double grid_width) {
