@@ -35,7 +35,6 @@ int GridWidth(int num_discs) {
 }  // namespace
 
 PartGrid::PartGrid(std::span<const WallPart> parts) : boxes_(parts.size()), seen_(parts.size(), 0) {
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
   Box all{{kInfinity, kInfinity}, {-kInfinity, -kInfinity}};
   for (std::size_t p = 0; p < parts.size(); ++p) {
     if (parts[p].extent.endless) continue;

@@ -17,9 +17,7 @@
 // of the step, on the disc's side; or, for models that look ahead (all_parts), wherever it may do so before the end.
 #pragma once
 
-#include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>

@@ -93,12 +93,11 @@ class ConvertedSimulator final : public LaneSimulator {
     if (!over) return over;
     ConvertFlight(&over->flight);
     ConvertFlight(&over->by_time);
-    StepLinearization::FreeFlight& by = over->by_time;
-    for (double* entry : {&by.pp, &by.pv, &by.pa, &by.vp, &by.vv, &by.va}) *entry *= to_inner_.time;
     ConvertTurning(&over->turn);
     ConvertTurning(&over->turn_by_time);
-    StepLinearization::FreeFlight& turn = over->turn_by_time;
-    for (double* entry : {&turn.pp, &turn.pv, &turn.pa, &turn.vp, &turn.vv, &turn.va}) *entry *= to_inner_.time;
+    for (StepLinearization::FreeFlight* by : {&over->by_time, &over->turn_by_time}) {
+      for (double* entry : {&by->pp, &by->pv, &by->pa, &by->vp, &by->vv, &by->va}) *entry *= to_inner_.time;
+    }
     return over;
   }
 

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "base/time_grid.h"
-#include "saltus/control/objective.h"
 
 namespace saltus {
 namespace {

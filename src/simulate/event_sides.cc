@@ -136,9 +136,8 @@ class Sides {
 
 bool LossHasVelocities(const Scene& scene) {
   const std::vector<TerminalTerm>& terms = scene.objective.terminal;
-  return std::any_of(terms.begin(), terms.end(), [](const TerminalTerm& term) {
-    return term.quantity == TerminalTerm::Quantity::kVelocity;
-  });
+  return std::ranges::any_of(
+      terms, [](const TerminalTerm& term) { return term.quantity == TerminalTerm::Quantity::kVelocity; });
 }
 
 // Several contacts, of which some that stick are pressed along themselves.
@@ -238,19 +237,6 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
   }
 }
 
-}  // namespace
-
-const char* QuantityToString(OneSided::Quantity quantity) {
-  return quantity == OneSided::Quantity::kPosition ? "position" : "velocity";
-}
-
-const char* SideToString(OneSided::Side side) {
-  if (side == OneSided::Side::kNone) return "none";
-  return side == OneSided::Side::kAbove ? "+" : "-";
-}
-
-namespace {
-
 template <int kRotation>
 std::vector<OneSided> FindOneSided(const Scene& scene) {
   const Start<kRotation> start(scene);
@@ -282,6 +268,15 @@ std::vector<OneSided> FindOneSided(const Scene& scene) {
 }
 
 }  // namespace
+
+const char* QuantityToString(OneSided::Quantity quantity) {
+  return quantity == OneSided::Quantity::kPosition ? "position" : "velocity";
+}
+
+const char* SideToString(OneSided::Side side) {
+  if (side == OneSided::Side::kNone) return "none";
+  return side == OneSided::Side::kAbove ? "+" : "-";
+}
 
 std::vector<OneSided> OneSidedDerivatives(const Scene& scene) {
   return scene.Spins() ? FindOneSided<kSpin>(scene) : FindOneSided<0>(scene);

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <numeric>
 #include <utility>
 
+#include "base/number_text.h"
 #include "contact/event/event_ties.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
@@ -41,12 +41,8 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
     run->reason = "discs meet more than " + std::to_string(*how.most_impacts) + " times";
     return false;
   }
-  if (!ran && how.stopped()) {
-    run->reason = kStopped;
-    return false;
-  }
   if (!ran) {
-    run->reason = "the exact rollout fails: " + simulator->WhyFailed();
+    run->reason = how.stopped() ? kStopped : "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
   simulator->set_stop(nullptr);
@@ -94,8 +90,7 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   const auto finite = [](double value) { return std::isfinite(value); };
   if (!std::all_of(initial.begin(), initial.end(), finite)) return "initial state: expected finite numbers";
   if (!std::all_of(control.begin(), control.end(), finite)) return "control: expected finite numbers";
-  if (!std::all_of(
-          durations.begin(), durations.end(), [](double value) { return value >= 0 && std::isfinite(value); })) {
+  if (!std::ranges::all_of(durations, [](double value) { return value >= 0 && std::isfinite(value); })) {
     return "durations: expected finite numbers >= 0";
   }
   const double sum = std::accumulate(durations.begin(), durations.end(), 0.0);
@@ -269,15 +264,12 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
     run.ambiguous.clear();
     run.spread.reset();
   }
-
   return run;
 }
 
 std::string DescribeTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread) {
   if (ambiguous.empty() || !spread) return TiesToString(ambiguous);
-  char text[80];
-  std::snprintf(text, sizeof text, "; the loss is %.6g to %.6g", spread->lowest, spread->highest);
-  return TiesToString(ambiguous) + text;
+  return TiesToString(ambiguous) + "; the loss is " + ToText(spread->lowest, 6) + " to " + ToText(spread->highest, 6);
 }
 
 }  // namespace saltus

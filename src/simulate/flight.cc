@@ -131,8 +131,7 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
 }
 
 DiscStates Flight::Before(double time) const {
-  const auto after =
-      std::partition_point(pieces_.begin(), pieces_.end(), [&](const Piece& piece) { return piece.start < time; });
+  const auto after = std::ranges::partition_point(pieces_, [&](const Piece& piece) { return piece.start < time; });
   const Piece& piece = after == pieces_.begin() ? *after : *(after - 1);
   return piece.After(std::min(time - piece.start, piece.duration));
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <limits>
 #include <optional>
 
@@ -187,26 +188,18 @@ std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>&
     x.v[0] = Jet(v);
     const Vec2<Jet> force(Jet(a), Jet(S(0)));
     known = known && model.Free(LoneDisc(length, body, force), x, &next);
-    return next;
+    return std::array{next.p[0], next.v[0]};
   };
   // Linear: each of the six is where a state of one number leads.
-  const State by_p = fly(S(1), S(0), S(0)), by_v = fly(S(0), S(1), S(0)), by_a = fly(S(0), S(0), S(1));
+  using Ends = std::array<std::array<Jet, 2>, 3>;
+  const Ends flown = {fly(S(1), S(0), S(0)), fly(S(0), S(1), S(0)), fly(S(0), S(0), S(1))};
   if (!known) return std::nullopt;
-  const auto pick = [](const Jet& p_p,
-                       const Jet& p_v,
-                       const Jet& p_a,
-                       const Jet& v_p,
-                       const Jet& v_v,
-                       const Jet& v_a,
-                       const auto& part) -> StepLinearization::FreeFlight {
-    return {part(p_p), part(p_v), part(p_a), part(v_p), part(v_v), part(v_a)};
+  const auto pick = [](const Ends& by, const auto& part) -> StepLinearization::FreeFlight {
+    return {part(by[0][0]), part(by[1][0]), part(by[2][0]), part(by[0][1]), part(by[1][1]), part(by[2][1])};
   };
   const auto value = [](const Jet& x) { return double(x.a); };
   const auto by_time = [](const Jet& x) { return double(x.v[0]); };
-  const auto pick_flight = [&](const auto& part) {
-    return pick(by_p.p[0], by_v.p[0], by_a.p[0], by_p.v[0], by_v.v[0], by_a.v[0], part);
-  };
-  FlightOver over{pick_flight(value), pick_flight(by_time)};
+  FlightOver over{pick(flown, value), pick(flown, by_time)};
   if constexpr (kRotation == kSpin) {
     if (!model.properties().linear_rotation) return over;
     const BodyConstants<Jet> spinning{Jet(S(1)), Jet(S(1)), S(1), false, Jet(S(1))};
@@ -217,21 +210,11 @@ std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>&
       x.rotation[1] = Jet(speed);
       const Jet by(torque);
       model.Free(LoneDisc(length, spinning, no_force, &by), x, &next);
-      return next;
+      return std::array{next.rotation[0], next.rotation[1]};
     };
-    const State by_angle = turn(S(1), S(0), S(0)), by_speed = turn(S(0), S(1), S(0)),
-                by_torque = turn(S(0), S(0), S(1));
-    const auto pick_turn = [&](const auto& part) {
-      return pick(by_angle.rotation[0],
-                  by_speed.rotation[0],
-                  by_torque.rotation[0],
-                  by_angle.rotation[1],
-                  by_speed.rotation[1],
-                  by_torque.rotation[1],
-                  part);
-    };
-    over.turn = pick_turn(value);
-    over.turn_by_time = pick_turn(by_time);
+    const Ends turned = {turn(S(1), S(0), S(0)), turn(S(0), S(1), S(0)), turn(S(0), S(0), S(1))};
+    over.turn = pick(turned, value);
+    over.turn_by_time = pick(turned, by_time);
   }
   return over;
 }

@@ -8,12 +8,10 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <limits>
 #include <memory>
 #include <optional>
 #include <span>
-#include <type_traits>
 #include <vector>
 
 #include "saltus/internal/contact_step.h"
@@ -108,9 +106,8 @@ class GeometryDerivative {
       return std::find(island.begin(), island.end(), varied.parameter.body) != island.end();
     }
     const std::vector<Wall<S>>& near = varied.scenes.back()->planes;
-    return std::any_of(candidates.begin(), candidates.end(), [&](const Candidate& c) {
-      return c.plane && !IsSame(near[c.b], scene_.planes[c.b]);
-    });
+    return std::ranges::any_of(candidates,
+                               [&](const Candidate& c) { return c.plane && !IsSame(near[c.b], scene_.planes[c.b]); });
   }
 
   // The product of `after` and the next states in a scene that differs in its geometry, with the contacts that took

@@ -22,12 +22,8 @@ void Islands::FindOnly(const Candidate& pair) {
   pairs_.assign(1, pair);
   bodies_.assign(1, pair.a);
   if (!pair.plane) bodies_.push_back(pair.b);
-  first_body_.resize(2);
-  first_body_[0] = 0;
-  first_body_[1] = static_cast<int>(bodies_.size());
-  first_pair_.resize(2);
-  first_pair_[0] = 0;
-  first_pair_[1] = 1;
+  first_body_ = {0, static_cast<int>(bodies_.size())};
+  first_pair_ = {0, 1};
 }
 
 void Islands::Find(std::span<const Candidate> pairs, std::span<const char> fixed) {
