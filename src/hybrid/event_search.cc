@@ -72,12 +72,17 @@ const double* EventSearch::StateAfter(const FlowStep& step, const double* slope,
   return &numbers_[state];
 }
 
-GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
+FlowStep EventSearch::PointAfter(const FlowStep& step, const double* slope, double s) {
   FlowStep part = step;
   part.h = s;
   part.t += s;
   part.x = StateAfter(step, slope, s);
-  return At(part, part.x + functions_.state_size(step.mode), guard);
+  return part;
+}
+
+GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
+  const FlowStep then = PointAfter(step, slope, s);
+  return At(then, then.x + functions_.state_size(step.mode), guard);
 }
 
 double EventSearch::Scale(const FlowStep& step, int guard) {
@@ -122,10 +127,7 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   // The first derivative that is not zero has the sign of the guard a little later: from where it exceeds rounding.
   int last = 0;
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
-    FlowStep then = step;
-    then.h = s;
-    then.t += s;
-    then.x = StateAfter(step, slope, s);
+    const FlowStep then = PointAfter(step, slope, s);
     const double value = At(then, then.x + n, guard).value;
     const double noise = kNoise * Scale(then, guard) + std::abs(now.value);
     const int sign = value > noise ? 1 : value < -noise ? -1 : 0;

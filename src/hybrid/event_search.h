@@ -63,6 +63,8 @@ class EventSearch {
     std::size_t state = 0;  // in numbers_; the slope follows
   };
   const double* StateAfter(const FlowStep& step, const double* slope, double s);
+  // The point there.
+  FlowStep PointAfter(const FlowStep& step, const double* slope, double s);
 
   const HybridFunctions& functions_;
   RungeKutta integrator_;

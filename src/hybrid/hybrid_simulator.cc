@@ -35,16 +35,15 @@ class HybridSimulator::Impl {
   // As IntegrationError, of `run` with as many steps.
   double ErrorOf(int of_steps) {
     RolloutRun finer(system, options);
-    if (finer.Run(input, 2 * of_steps) != RolloutEnd::kDone) return std::numeric_limits<double>::infinity();
+    const RolloutEnd end = finer.Run(input, 2 * of_steps);
     const std::vector<HybridEvent>&events = run.events(), &others = finer.events();
-    if (events.size() != others.size() || run.tape().final_mode != finer.tape().final_mode) {
+    const auto same = [](const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; };
+    if (end != RolloutEnd::kDone || run.tape().final_mode != finer.tape().final_mode ||
+        !std::ranges::equal(events, others, same)) {
       return std::numeric_limits<double>::infinity();
     }
     double error = 0;
     for (std::size_t i = 0; i < events.size(); ++i) {
-      if (events[i].guard != others[i].guard || events[i].mode != others[i].mode) {
-        return std::numeric_limits<double>::infinity();
-      }
       error = std::max(error, std::abs(events[i].time - others[i].time) / input.duration);
     }
     // Relative to the largest value of a component in the final mode.
@@ -101,12 +100,10 @@ class HybridSimulator::Impl {
     const HybridFunctions& f = system.functions();
     std::vector<char> seen(system.num_modes());
     const std::size_t most = f.most_states();
-    std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most),
-        zeros(system.num_controls());
+    std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most);
     for (const TapeEntry& entry : run.tape().entries) {
       if (entry.kind == TapeEntry::Kind::kReset || entry.h <= 0 || seen[entry.mode]++) continue;
-      const double* u =
-          input.control.empty() ? zeros.data() : input.control.data() + entry.interval * system.num_controls();
+      const double* u = input.control.data() + entry.interval * system.num_controls();
       const double* x = &run.tape().numbers[entry.x];
       const FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
       if (!f.Fly(step, after.data(), nullptr)) continue;
@@ -128,8 +125,8 @@ class HybridSimulator::Impl {
 
   const HybridSystem system;
   const HybridOptions options;
-  int steps;  // in a control interval; 0: to be chosen
-  HybridInput input;
+  int steps;          // in a control interval; 0: to be chosen
+  HybridInput input;  // of the last rollout, with zeros where it has no control
   bool done = false;
   std::string why;
   RolloutRun run;
@@ -147,6 +144,8 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   Impl& at = *impl_;
   CHECK_EQ(WhatIsWrongWith(input, at.system), "");
   at.input = input;
+  if (input.control.empty())
+    at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
   at.why.clear();
   if (at.steps == 0) {
     at.done = at.ChooseSteps();
@@ -290,7 +289,7 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
 
 std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int guard, double t,
                                     std::span<const double> x, std::span<const double> u, std::span<const double> p) {
-  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  using Matrix = RungeKutta::Matrix;
   const int n = system.state_size(mode), columns = n + 1 + system.num_parameters();
   const HybridFunctions& f = system.functions();
   const int most = f.most_states();

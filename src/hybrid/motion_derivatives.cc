@@ -12,8 +12,7 @@ void AddTo(std::vector<double>* sum, const std::vector<double>& addend) {
 
 }  // namespace
 
-MotionDerivatives::MotionDerivatives(const HybridSystem& system)
-    : system_(system), integrator_(system.functions()), zeros_(system.num_controls()) {
+MotionDerivatives::MotionDerivatives(const HybridSystem& system) : system_(system), integrator_(system.functions()) {
   const int most = system.functions().most_states();
   state_.resize(most);
   by_length_.resize(most);
@@ -22,8 +21,7 @@ MotionDerivatives::MotionDerivatives(const HybridSystem& system)
 }
 
 FlowStep MotionDerivatives::StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const {
-  const double* u =
-      input.control.empty() ? zeros_.data() : input.control.data() + entry.interval * system_.num_controls();
+  const double* u = input.control.data() + entry.interval * system_.num_controls();
   const bool projects = entry.kind == TapeEntry::Kind::kToNode && system_.functions().Projects(entry.mode);
   return {{entry.mode, entry.t, &tape.numbers[entry.x], u, input.parameters.data()}, entry.h, projects};
 }

@@ -7,6 +7,8 @@
 //   g(x'(x, t, s, p, u), t + s, p) = 0,
 //
 // so that ds follows from the implicit function theorem. With the reset behind it that is the saltation matrix.
+//
+// Precondition: an input has all numbers of its control.
 #pragma once
 
 #include <vector>
@@ -35,7 +37,7 @@ class MotionDerivatives {
 
   const HybridSystem& system_;
   RungeKutta integrator_;
-  std::vector<double> zeros_, state_, by_length_, guard_, reset_;
+  std::vector<double> state_, by_length_, guard_, reset_;
 };
 
 }  // namespace saltus

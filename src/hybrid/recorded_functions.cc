@@ -543,16 +543,11 @@ std::array<RecordedFunction::Part, 3> RecordedSystem::InputsOfGuard(const ModePo
   return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}}};
 }
 
-// Of the flow, at the beginning of a step; state and time, which come first, are to change.
-RecordedFunction::Evaluation RecordedSystem::EvaluationOf(const FlowStep& step, bool with_derivatives) const {
-  return {modes_[step.mode].flow, with_derivatives, InputsOfFlow(step)};
-}
-
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
   if (Fly(step, after, nullptr)) return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
-  RecordedFunction::Evaluation at = EvaluationOf(step, false);
+  RecordedFunction::Evaluation at(modes_[step.mode].flow, /*with_derivatives=*/false, InputsOfFlow(step));
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
 }
@@ -563,7 +558,7 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   if (modes_[step.mode].fly) return false;
   constexpr int kStages = cooper_verner::kStages;
   const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
-  RecordedFunction::Evaluation at = EvaluationOf(step, false);
+  RecordedFunction::Evaluation at(modes_[step.mode].flow, /*with_derivatives=*/false, InputsOfFlow(step));
   const RecordedFunction::Tape& tape = modes_[step.mode].flow.derivatives_;
   Memory memory;
   double* slopes = memory.Of(kStages * (n + tape.size) + (kStages + 1) * n + columns);

@@ -158,7 +158,6 @@ class RecordedSystem final : public HybridFunctions {
   const Transition& transition(int mode, int guard) const { return modes_[mode].transitions[guard]; }
   std::array<RecordedFunction::Part, 4> InputsOfFlow(const ModePoint& at) const;
   std::array<RecordedFunction::Part, 3> InputsOfGuard(const ModePoint& at) const;  // and of a reset
-  RecordedFunction::Evaluation EvaluationOf(const FlowStep& step, bool with_derivatives) const;
 
   const std::vector<Mode> modes_;
 };

@@ -2,9 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <numeric>
+
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -17,11 +18,7 @@ constexpr int kShrinking = 8;          // intervals that tell
 constexpr std::size_t kMostTied = 4;
 constexpr double kAtJump = 1e-9;  // of a control interval: an event so near to its end is at it
 
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.10g", value);
-  return text;
-}
+std::string Text(double value) { return ToText(value, 10); }
 
 }  // namespace
 
@@ -66,23 +63,14 @@ void RolloutRun::Remark(const std::string& what) {
 }
 
 FlowStep RolloutRun::StepFrom(double h) const {
-  const double* control = input_->control.empty() ? zeros_.data()
-                                                  : input_->control.data() +
-                                                        static_cast<std::ptrdiff_t>(interval_) * system_.num_controls();
+  const double* control = input_->control.data() + static_cast<std::ptrdiff_t>(interval_) * system_.num_controls();
   return {{at_.mode, at_.t, at_.x.data(), control, input_->parameters.data()}, h};
 }
 
-void RolloutRun::Record(TapeEntry::Kind kind, double h) {
+TapeEntry& RolloutRun::Record(TapeEntry::Kind kind, double h) {
   const std::size_t x = tape_.Keep(at_.x.data(), system_.state_size(at_.mode));
-  tape_.entries.push_back({.kind = kind,
-                           .mode = at_.mode,
-                           .guard = -1,
-                           .interval = interval_,
-                           .node = 0,
-                           .event = -1,
-                           .t = at_.t,
-                           .h = h,
-                           .x = x});
+  return tape_.entries.emplace_back(
+      TapeEntry{.kind = kind, .mode = at_.mode, .interval = interval_, .t = at_.t, .h = h, .x = x});
 }
 
 // The slope at at_, and whether it is finite.
@@ -108,12 +96,9 @@ bool RolloutRun::SwitchControl() {
                   functions_.WhyNoMode(here, -1));
   }
   if (next != at_.mode) {
-    HybridEvent& event = switches_.emplace_back();
-    event.time = at_.t;
-    event.mode = at_.mode;
-    event.guard = -1;
-    at_.mode = event.next_mode = next;
-    return Enter(Entry::kAfterReset, {}, true);
+    switches_.push_back({.time = at_.t, .mode = at_.mode, .guard = -1, .next_mode = next, .before = {}, .after = {}});
+    at_.mode = next;
+    return Enter(Entry::kAfterReset, true);
   }
   if (!UpdateSlope()) return false;
   UpdateGuards();
@@ -124,7 +109,6 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   input_ = &input;
   search_.Forget();
   steps_ = steps_per_interval;
-  zeros_.assign(system_.num_controls(), 0.0);
   tape_.Clear();
   tape_.num_nodes = input.num_intervals * steps_;
   if (!input.lengths.empty()) {
@@ -151,9 +135,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   at_.t = input.begin;
   interval_ = 0;
   std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
-  std::vector<int> order(at_.guards.size());
-  std::iota(order.begin(), order.end(), 0);
-  bool goes_on = Enter(Entry::kStart, order, true);
+  bool goes_on = Enter(Entry::kStart, true);
   for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
     if ((node - 1) % steps_ == 0) {
       const bool jumps = interval_ != (node - 1) / steps_;
@@ -178,8 +160,8 @@ void RolloutRun::Finish() {
 }
 
 // On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once, the first in
-// `order` first.
-bool RolloutRun::Enter(Entry entry, const std::vector<int>& order, bool record) {
+// `order` first, or without one that of the smallest number.
+bool RolloutRun::Enter(Entry entry, bool record, const std::vector<int>& order) {
   for (int count = 0;; ++count) {
     if (count > kMostAtOnce) {
       if (record) accumulation_ = at_.t;
@@ -232,14 +214,11 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   const double rate = search_.At(here, at_.slope.data(), guard).rate;
   if (record) {
     Remark(functions_.WhyNoDerivative(here, guard));
-    if (with_step) {
-      Record(TapeEntry::Kind::kToEvent, 0);
-      tape_.entries.back().guard = guard;
-    }
-    Record(TapeEntry::Kind::kReset, 0);
-    tape_.entries.back().guard = guard;
-    tape_.entries.back().event = static_cast<int>(events_.size());
-    befores_.push_back(tape_.entries.back().x);
+    if (with_step) Record(TapeEntry::Kind::kToEvent, 0).guard = guard;
+    TapeEntry& reset = Record(TapeEntry::Kind::kReset, 0);
+    reset.guard = guard;
+    reset.event = static_cast<int>(events_.size());
+    befores_.push_back(reset.x);
   }
   std::fill(next_state_.begin(), next_state_.end(), std::numeric_limits<double>::quiet_NaN());
   const int next = functions_.Reset(here, guard, next_state_.data());
@@ -259,14 +238,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   }
   if (record) {
     afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
-    HybridEvent event;
-    event.time = at_.t;
-    event.mode = mode;
-    event.guard = guard;
-    event.next_mode = next;
-    event.rate = rate;
-    event.at_once = at_once;
-    events_.push_back(event);
+    events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once});
   }
   std::copy_n(next_state_.begin(), system_.state_size(next), at_.x.begin());
   at_.mode = next;
@@ -307,8 +279,7 @@ bool RolloutRun::StepTo(int node) {
       if (!Happen(due, step)) return false;
       continue;
     }
-    Record(TapeEntry::Kind::kToNode, step.h);
-    tape_.entries.back().node = node;
+    Record(TapeEntry::Kind::kToNode, step.h).node = node;
     at_.t = target;
     if (functions_.Projects(at_.mode)) {
       functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), at_.x.data());
@@ -370,14 +341,13 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   }
   FlowStep part = step;
   part.h = due.s;
-  Record(TapeEntry::Kind::kToEvent, due.s);
-  tape_.entries.back().guard = due.guard;
+  Record(TapeEntry::Kind::kToEvent, due.s).guard = due.guard;
   search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;
   // Guards that are at zero here as well.
-  std::vector<int> tied = {due.guard}, order;
+  std::vector<int> tied = {due.guard};
   const double at_once = kAtOnce * input_->duration;
   for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
     if (guard == due.guard || !at_.armed[guard]) continue;
@@ -390,8 +360,6 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     first = tape_.entries.back().guard = tied.front();
     TryOrders(tied);
   }
-  order.resize(system_.num_guards(at_.mode));
-  std::iota(order.begin(), order.end(), 0);
   if (input_->begin + input_->duration - at_.t <= at_once) {
     Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at the final time");
   } else if (ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump) > 0) {
@@ -399,7 +367,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
            ", where the control jumps");
   }
   const std::size_t events = events_.size();
-  if (!Fire(first, false, true, false) || !Enter(Entry::kAfterReset, order, true)) return false;
+  if (!Fire(first, false, true, false) || !Enter(Entry::kAfterReset, true)) return false;
   if (events_.size() > events + 1 && tied.size() == 1 &&
       tape_.entries[tape_.entries.size() - 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
@@ -424,7 +392,7 @@ void RolloutRun::TryOrders(const std::vector<int>& guards) {
       if (std::find(first.begin(), first.end(), guard) == first.end()) order.push_back(guard);
     }
     at_ = here;
-    if (!Fire(order.front(), false, false, false) || !Enter(Entry::kAfterReset, order, false)) {
+    if (!Fire(order.front(), false, false, false) || !Enter(Entry::kAfterReset, false, order)) {
       tie.spread = std::numeric_limits<double>::infinity();
       why_.clear();
       end_ = RolloutEnd::kDone;
@@ -473,11 +441,9 @@ bool RolloutRun::Accumulates() {
     const int next = functions_.OnAccumulation(last.mode, last.guard);
     if (next >= 0 && next < system_.num_modes() && system_.state_size(next) == system_.state_size(at_.mode)) {
       at_.mode = events_.back().next_mode = next;
-      return !Enter(Entry::kAfterReset, {}, true);
+      return !Enter(Entry::kAfterReset, true);
     }
-    char text[32];
-    std::snprintf(text, sizeof text, "%.16g", point);
-    return !Refuse("events accumulate (Zeno behaviour) at about t = " + std::string(text) + ", of guard '" +
+    return !Refuse("events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) + ", of guard '" +
                    system_.GuardName(last.mode, last.guard) + "' in mode '" + system_.ModeName(last.mode) + "'" +
                    (next < 0 ? ""
                              : "; OnAccumulation names mode " + std::to_string(next) +

@@ -25,6 +25,7 @@ class RolloutRun {
  public:
   RolloutRun(const HybridSystem& system, const HybridOptions& options);
 
+  // Precondition: the input has all numbers of its control.
   RolloutEnd Run(const HybridInput& input, int steps_per_interval);
 
   // Of the last run.
@@ -54,7 +55,7 @@ class RolloutRun {
 
   bool SwitchControl();
   bool StepTo(int node);
-  bool Enter(Entry entry, const std::vector<int>& order, bool record);
+  bool Enter(Entry entry, bool record, const std::vector<int>& order = {});
   bool Fire(int guard, bool with_step, bool record, bool at_once);
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool Happen(const Due& due, const FlowStep& step);
@@ -63,7 +64,7 @@ class RolloutRun {
   bool UpdateSlope();
   void UpdateGuards();
   FlowStep StepFrom(double h) const;
-  void Record(TapeEntry::Kind kind, double h);
+  TapeEntry& Record(TapeEntry::Kind kind, double h);
   bool Refuse(const std::string& what);
   std::string Where() const;
   void Remark(const std::string& what);
@@ -74,7 +75,7 @@ class RolloutRun {
   const HybridOptions& options_;
   EventSearch search_;
   const HybridInput* input_ = nullptr;
-  std::vector<double> zeros_, interval_ends_;
+  std::vector<double> interval_ends_;
   int steps_ = 1, interval_ = 0;
   At at_;
   std::vector<double> next_state_, next_slope_;

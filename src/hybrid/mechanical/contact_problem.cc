@@ -14,9 +14,6 @@ constexpr double kRedundant = 1e-10;  // pivots of rows that depend on others, o
 constexpr double kTolerance = 1e-10;  // of inequalities, of the largest term
 constexpr double kDiffers = 1e-7;     // accelerations of two solutions, of the largest term
 
-bool IsAtFloor(char status) { return status == 'o' || status == 'P' || status == 'M' || status == 'S'; }
-int SignOf(char status) { return status == '+' || status == 'P' ? 1 : status == '-' || status == 'M' ? -1 : 0; }
-
 double FloorOf(const ContactProblem& problem, int contact) {
   return problem.floor.empty() ? 0.0 : problem.floor[contact];
 }
@@ -31,7 +28,7 @@ std::optional<Eigen::VectorXd> ForcesOf(const ContactProblem& problem, const std
   Eigen::VectorXd fixed = Eigen::VectorXd::Zero(2 * k);
   for (int i = 0; i < k; ++i) {
     const char is = status[i];
-    const double slip = -problem.friction[i] * SignOf(is);
+    const double slip = -problem.friction[i] * TangentSign(is);
     const auto column = static_cast<Eigen::Index>(rows.size());
     if (IsAtFloor(is)) {
       fixed[2 * i] = FloorOf(problem, i);
@@ -70,7 +67,7 @@ bool Holds(const ContactProblem& problem, const std::string& status, const Eigen
     if (IsAtFloor(status[i]) ? w[2 * i] < -w_zero : force[2 * i] - FloorOf(problem, i) < -f_zero) return false;
     const bool sticks = status[i] == 's' || status[i] == 'S';
     if (sticks && std::abs(force[2 * i + 1]) > problem.friction[i] * force[2 * i] + f_zero) return false;
-    if (problem.sliding[i] == 0 && SignOf(status[i]) * w[2 * i + 1] < -w_zero) return false;
+    if (problem.sliding[i] == 0 && TangentSign(status[i]) * w[2 * i + 1] < -w_zero) return false;
   }
   return true;
 }

@@ -34,6 +34,12 @@ struct ContactSolution {
   std::string status;
   Eigen::VectorXd force;
 };
+// Whether the normal force of a contact with this status is at its floor.
+inline bool IsAtFloor(char status) { return status == 'o' || status == 'P' || status == 'M' || status == 'S'; }
+// The sign of w_t of a contact that slides, at its floor or above; else 0.
+inline int TangentSign(char status) {
+  return status == '+' || status == 'P' ? 1 : status == '-' || status == 'M' ? -1 : 0;
+}
 
 // The largest problem whose possibilities are all tried.
 inline constexpr int kMostTriedContacts = 4;

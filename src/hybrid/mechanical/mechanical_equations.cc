@@ -113,9 +113,8 @@ std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) cons
 }
 
 bool MechanicalEquations::Vary(std::span<const int> reads, const Seeds& seeds) const {
-  return std::any_of(reads.begin(), reads.end(), [&](int i) {
-    return ((i < n_ ? seeds.q[i] : seeds.p[i - n_]).v.array() != 0).any();
-  });
+  return std::ranges::any_of(reads,
+                             [&](int i) { return ((i < n_ ? seeds.q[i] : seeds.p[i - n_]).v.array() != 0).any(); });
 }
 
 void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still,
@@ -413,8 +412,7 @@ MechanicalEquations::Derivative MechanicalEquations::ImpactDerivative(const Syst
 void MechanicalEquations::CorrectSeeds(const System& system, const std::vector<ClosedContact>& closed,
                                        const Eigen::VectorXd& force, const Jets& rows, Jets* moved,
                                        const Seeds& seeds) const {
-  const bool constant =
-      std::all_of(rows.begin(), rows.end(), [](const Jet& row) { return (row.v.array() == 0).all(); });
+  const bool constant = std::ranges::all_of(rows, [](const Jet& row) { return (row.v.array() == 0).all(); });
   if (constant && !Vary(all_, seeds)) return;
   const Eigen::VectorXd change = system.mobile_F * force;
   Jets momentum(n_), closing = rows;

@@ -4,10 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <mutex>
 #include <numeric>
 #include <utility>
+
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -32,12 +33,7 @@ HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
   return layout;
 }
 
-// Systems are told apart by numbers, as an address may be that of one that has gone.
-std::string Text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
+std::string Text(double value) { return ToText(value, 6); }
 
 // Groups of contacts that are coupled by W.
 std::vector<std::vector<int>> GroupsOf(const Eigen::MatrixXd& W) {
@@ -290,7 +286,7 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
   if (!impact.why.empty()) return impact;
   // Bounces that accumulate.
   bool slow = false, fast = false;
-  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  const Eigen::VectorXd after = impact.After();
   for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
     if (!impact.rebounds[i]) continue;
     (after[2 * static_cast<Eigen::Index>(i)] < options_.rest_speed ? slow : fast) = true;
@@ -305,7 +301,7 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
       if (impact.rebounds[i]) closes = plastic.next[impact.contacts[i]] != 'o';
     }
     // None is left that parts too slowly.
-    const Eigen::VectorXd then = plastic.before + plastic.W * plastic.impulse;
+    const Eigen::VectorXd then = plastic.After();
     for (std::size_t i = 0; closes && restitution == Restitution::kNone && i < plastic.contacts.size(); ++i) {
       const double speed = then[2 * static_cast<Eigen::Index>(i)];
       closes = plastic.next[plastic.contacts[i]] != 'o' || speed <= 0 || speed >= options_.rest_speed;
@@ -409,7 +405,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
   }
   // What closes.
   impact.next = mode.status;
-  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  const Eigen::VectorXd after = impact.After();
   Closing closing;
   std::vector<char> takes_part(mode.status.size(), 0);
   for (Eigen::Index i = 0; i < k; ++i) {
@@ -741,10 +737,8 @@ MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
           const double p_n = impulse[2 * static_cast<Eigen::Index>(i)],
                        p_t = impulse[2 * static_cast<Eigen::Index>(i) + 1];
           const int contact = impact.contacts[i];
-          const bool at_floor = status[i] == 'o' || status[i] == 'P' || status[i] == 'M' || status[i] == 'S';
-          if (at_floor && !floors.empty()) {
-            stage.known.push_back({contact, floors[i], status[i] == 'P' ? 1 : status[i] == 'M' ? -1 : 0});
-          }
+          const bool at_floor = IsAtFloor(status[i]);
+          if (at_floor && !floors.empty()) stage.known.push_back({contact, floors[i], TangentSign(status[i])});
           if (at_floor && status[i] != 'S') continue;
           stage.closed.push_back({contact, status[i]});
           if (!at_floor) {
@@ -814,7 +808,7 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
   if (!impact.why.empty()) return "";
   std::string names, boundary;
   int hits = 0;
-  const Eigen::VectorXd after = impact.before + impact.W * impact.impulse;
+  const Eigen::VectorXd after = impact.After();
   for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
     const auto row = static_cast<Eigen::Index>(2 * i);
     if (impact.hits[i] != 0) {

@@ -67,6 +67,9 @@ class MechanicalHybrid final : public HybridFunctions {
     // Of Poisson's law: what compression has left.
     std::string compressed;
     Eigen::VectorXd compression, v_compressed;
+
+    // v_n and v_t after it, in turn.
+    Eigen::VectorXd After() const { return before + W * impulse; }
   };
   Impact Hit(const Mode& mode, int contact, const Point& at) const;
 
@@ -166,7 +169,6 @@ class MechanicalHybrid final : public HybridFunctions {
   int ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact, double* x_plus) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
-  // Whether what a mode says of closed contacts holds at a jump of the control.
   Closing ClosedOf(const Mode& mode) const;
 
   const std::shared_ptr<const MechanicalFunctions> functions_;

@@ -120,7 +120,7 @@ MechanicalImpact MechanicalSystem::ImpactAt(int mode, int contact, std::span<con
   MechanicalImpact impact;
   impact.time = t;
   if (hit.v_plus.size() == 0) return impact;
-  const Eigen::VectorXd after = hit.before + hit.W * hit.impulse;
+  const Eigen::VectorXd after = hit.After();
   impact.ends_bouncing = hit.ends_bouncing;
   if (hit.ends_bouncing) impact.accumulates_at = t;
   int hits = 0;
