@@ -89,13 +89,7 @@ class ScenePlant final : public Plant {
   }
 
   bool Advance(int /*k*/, std::span<const double> u) override {
-    const Scene& scene = simulator_->scene();
-    std::fill(force_.begin(), force_.end(), 0.0);
-    const double* number = u.data();
-    for (int body : scene.control.bodies) {
-      for (int j = 0; j < 2; ++j) force_[2 * body + j] = *number++;
-    }
-    for (int body : scene.control.turned) force_[2 * simulator_->num_bodies() + body] = *number++;
+    simulator_->ExpandForce(u, 0, force_);
     touches_.clear();
     simulator_->Step({x_.data(), next_.size()}, force_, next_, &touches_);
     x_ = Eigen::Map<const Eigen::VectorXd>(next_.data(), next_.size());

@@ -16,8 +16,6 @@
 namespace saltus {
 namespace {
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 // F P F^T.
 Eigen::MatrixXd Transported(const Eigen::MatrixXd& F, const Eigen::MatrixXd& P) {
   return MultiplyByTransposed(Multiply(F, P), F);

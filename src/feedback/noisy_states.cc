@@ -7,8 +7,6 @@
 namespace saltus {
 namespace {
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 constexpr double kRounding = 1e-14;   // of the largest eigenvalue: none
 constexpr double kAsymmetry = 1e-10;  // of the largest entry: rounding
 

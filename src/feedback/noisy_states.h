@@ -11,6 +11,8 @@
 
 namespace saltus {
 
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
 // The mode in which the motion goes on under a control; guards that are below zero there and fall have their events at
 // once. Adds the guards to `events`, if it is not null; multiplies `saltation` from the left by the saltation matrices,
 // if it is not null. False if there is no such mode, or if there are more than 100 events.

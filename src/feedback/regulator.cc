@@ -17,8 +17,6 @@
 namespace saltus {
 namespace {
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 constexpr int kMostSubsteps = 1 << 12;  // of a step of the motion, for the Riccati equation
 
 const Eigen::MatrixXd& WeightOf(const TrackingCost& cost, int mode, Eigen::Index size) {
