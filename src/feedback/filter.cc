@@ -11,7 +11,7 @@
 #include "base/linear_algebra.h"
 #include "feedback/noisy_states.h"
 #include "saltus/simulate/registry.h"
-#include "scene/scene_overlap.h"
+#include "scene/scene_rules.h"
 
 namespace saltus {
 namespace {

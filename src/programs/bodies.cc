@@ -13,7 +13,7 @@
 #include "saltus/hybrid/mechanical_system.h"
 #include "saltus/hybrid/rigid_bodies.h"
 #include "scene/scene_reader.h"
-#include "scene/yaml_text.h"
+#include "scene/yaml_value.h"
 
 DECLARE_string(scene);
 

@@ -10,7 +10,6 @@
 #include "base/number_text.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/polygon.h"
-#include "scene/scene_overlap.h"
 #include "scene/scene_rules.h"
 #include "scene/units.h"
 
@@ -61,12 +60,6 @@ struct Key {
 };
 
 Key At(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
-
-// Of TerminalTerm::Quantity, as in scene files.
-const char* QuantityToString(TerminalTerm::Quantity quantity) {
-  constexpr const char* kNames[] = {"position", "velocity", "angle", "angular_velocity"};
-  return kNames[static_cast<int>(quantity)];
-}
 
 bool IsConverted(const Scene& scene) {
   Units given;
@@ -338,7 +331,7 @@ class Rules {
   void PositionOrVelocity(const Key& key, TerminalTerm::Quantity quantity) {
     using Quantity = TerminalTerm::Quantity;
     Expect(quantity == Quantity::kPosition || quantity == Quantity::kVelocity, key, [&] {
-      return std::string("found ") + QuantityToString(quantity) +
+      return std::string("found ") + kQuantities[static_cast<std::size_t>(quantity)] +
              ", expected position or velocity: rotation is read at the final time only, by objective.terminal";
     });
   }
@@ -419,7 +412,7 @@ class Rules {
              "expected 0 (x) or 1 (y)");
       if (term.IsOfSpin() && !error_) {
         Expect(scene_.bodies[term.body].Spins(), At("objective.terminal", i, "quantity"), [&] {
-          return std::string("found ") + QuantityToString(term.quantity) +
+          return std::string("found ") + kQuantities[static_cast<std::size_t>(term.quantity)] +
                  ", expected position or velocity: " + scene_.bodies[term.body].name +
                  " has no inertia and cannot spin";
         });
@@ -494,8 +487,7 @@ class Rules {
         return found() + ", expected the position of a fixed body; those that move have optimize: position";
       });
       const std::vector<int>& turned = scene_.control.turned;
-      const bool of_turned =
-          kind == Kind::kRadius && std::find(turned.begin(), turned.end(), parameter.body) != turned.end();
+      const bool of_turned = kind == Kind::kRadius && std::ranges::find(turned, parameter.body) != turned.end();
       Expect(!of_turned, key, [&] { return found() + ", expected the radius of a body without a torque on it"; });
       for (std::size_t j = 0; j < i; ++j) {
         const SceneParameter& other = scene_.design[j].parameter;
@@ -553,6 +545,24 @@ std::optional<SceneError> Validate(const Scene& scene) {
 std::optional<SceneError> ValidateStructure(const Scene& scene) {
   if (auto error = BrokenRule(scene)) return error;
   return BrokenInNaturalUnits(scene);
+}
+
+bool Objective::HasConstraints() const {
+  const auto hard = [](const auto& term) { return term.hard; };
+  return std::any_of(terminal.begin(), terminal.end(), hard) || std::any_of(via.begin(), via.end(), hard);
+}
+
+bool Objective::IsSumOfSquares() const {
+  return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
+}
+
+bool Scene::Spins() const {
+  return std::any_of(bodies.begin(), bodies.end(), [](const Body& body) { return body.Spins(); });
+}
+
+const char* OptimizeToString(Optimize optimize) {
+  constexpr const char* kNames[] = {"control", "velocity", "position", "none"};
+  return kNames[static_cast<int>(optimize)];
 }
 
 }  // namespace saltus

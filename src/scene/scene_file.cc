@@ -6,7 +6,7 @@
 #include <fstream>
 
 #include "scene/scene_reader.h"
-#include "scene/yaml_text.h"
+#include "scene/yaml_value.h"
 
 namespace saltus {
 namespace {

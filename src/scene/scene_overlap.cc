@@ -1,5 +1,4 @@
-#include "scene/scene_overlap.h"
-
+// Whether the bodies of a scene overlap at the start, with each other or with what is solid.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,6 +8,7 @@
 #include "base/number_text.h"
 #include "saltus/scene/walls.h"
 #include "scene/polygon.h"
+#include "scene/scene_rules.h"
 #include "scene/units.h"
 
 namespace saltus {

@@ -54,10 +54,15 @@ std::vector<SceneParameter> ComponentsOfBody(Kind kind, std::string_view rest, c
   return body < 0 ? std::vector<SceneParameter>{} : Components({kind, body}, rest.substr(dot + 1));
 }
 
+// Of the thing of that index; none if it is negative.
+std::vector<SceneParameter> OfThing(Kind kind, int index) {
+  if (index < 0) return {};
+  return {{kind, index}};
+}
+
 std::vector<SceneParameter> OfWall(Kind of_plane, Kind of_segment, std::string_view name, const Scene& scene) {
-  if (const int plane = IndexOf(name, scene.planes); plane >= 0) return {{of_plane, plane}};
-  if (const int segment = IndexOf(name, scene.segments); segment >= 0) return {{of_segment, segment}};
-  return {};
+  if (const int plane = IndexOf(name, scene.planes); plane >= 0) return OfThing(of_plane, plane);
+  return OfThing(of_segment, IndexOf(name, scene.segments));
 }
 
 // The index of a disc among the controlled ones; their number if it is not controlled.
@@ -145,16 +150,8 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
   };
   if (name == "gravity") return Components({Kind::kGravity}, std::nullopt);
   if (const auto component = rest("gravity.")) return Components({Kind::kGravity}, component);
-  if (const auto body = rest("mass.")) {
-    const int index = FindBody(*body, scene, false);
-    if (index < 0) return {};
-    return {{Kind::kMass, index}};
-  }
-  if (const auto body = rest("radius.")) {
-    const int index = IndexOf(*body, scene.bodies);
-    if (index < 0) return {};
-    return {{Kind::kRadius, index}};
-  }
+  if (const auto body = rest("mass.")) return OfThing(Kind::kMass, FindBody(*body, scene, false));
+  if (const auto body = rest("radius.")) return OfThing(Kind::kRadius, IndexOf(*body, scene.bodies));
   if (const auto body = rest("force.")) return ComponentsOfBody(Kind::kForce, *body, scene, false);
   if (const auto body = rest("position.")) return ComponentsOfBody(Kind::kPosition, *body, scene, true);
   if (const auto wall = rest("offset.")) return OfWall(Kind::kPlaneOffset, Kind::kSegmentOffset, *wall, scene);

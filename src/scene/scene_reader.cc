@@ -5,7 +5,7 @@
 
 #include "base/suggestion.h"
 #include "saltus/scene/scene_parameter.h"
-#include "scene/yaml_text.h"
+#include "scene/scene_rules.h"
 
 namespace saltus::internal {
 namespace {
@@ -80,10 +80,14 @@ void SceneReader::ReadEach(const Fields& fields, const std::string& key, const s
   for (const Value& value : ReadList(*list, expected)) items->push_back((this->*read)(value));
 }
 
+std::vector<Value> SceneReader::ReadTuple(const Value& list, std::size_t size, const std::string& expected) {
+  std::vector<Value> items = ReadList(list, expected);
+  if (items.size() != size) FailExpected(list, expected);
+  return items;
+}
+
 Vec2d SceneReader::ReadVector(const Value& value) {
-  constexpr char kExpected[] = "a vector [x, y]";
-  const std::vector<Value> entries = ReadList(value, kExpected);
-  if (entries.size() != 2) FailExpected(value, kExpected);
+  const std::vector<Value> entries = ReadTuple(value, 2, "a vector [x, y]");
   return {ReadNumber(entries[0]), ReadNumber(entries[1])};
 }
 
@@ -207,9 +211,8 @@ Control SceneReader::ReadControl(const Value& value) {
       control.initial.push_back(ReadVector(force));
       continue;
     }
-    constexpr char kExpected[] = "[x, y, torque], in N and N m, as the body has a torque control";
-    const std::vector<Value> entries = ReadList(force, kExpected);
-    if (entries.size() != 3) FailExpected(force, kExpected);
+    const std::vector<Value> entries =
+        ReadTuple(force, 3, "[x, y, torque], in N and N m, as the body has a torque control");
     control.initial.emplace_back(ReadNumber(entries[0]), ReadNumber(entries[1]));
     control.initial_torque[turned - begin] = ReadNumber(entries[2]);
   }
@@ -261,10 +264,8 @@ RunningTerm SceneReader::ReadRunning(const Value& value) {
   RunningTerm term;
   term.body = ReadBodyName(fields.Require("body", "the name of a body"));
   term.quantity = ReadQuantity(fields);
-  constexpr char kRow[] = "a row [time, x, y]";
   for (const Value& row : ReadList(fields.Require("target", "rows [time, x, y]"), "a list of rows [time, x, y]")) {
-    const std::vector<Value> entries = ReadList(row, kRow);
-    if (entries.size() != 3) FailExpected(row, kRow);
+    const std::vector<Value> entries = ReadTuple(row, 3, "a row [time, x, y]");
     term.times.push_back(ReadNumber(entries[0]));
     term.targets.emplace_back(ReadNumber(entries[1]), ReadNumber(entries[2]));
   }
@@ -297,9 +298,7 @@ FreeDuration SceneReader::ReadFreeDuration(const Value& value) {
 
 // Two names, of discs or of a disc and a plane.
 NoContact SceneReader::ReadNoContact(const Value& value) {
-  constexpr char kExpected[] = "a pair [body, body or plane]";
-  const std::vector<Value> names = ReadList(value, kExpected);
-  if (names.size() != 2) FailExpected(value, kExpected);
+  const std::vector<Value> names = ReadTuple(value, 2, "a pair [body, body or plane]");
   NoContact pair;
   pair.a = ReadBodyName(names[0]);
   const std::string& second = ReadName(names[1]);

@@ -1,7 +1,6 @@
 // Scenes out of the trees of scene files.
 #pragma once
 
-#include <array>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -10,9 +9,6 @@
 #include "scene/yaml_value.h"
 
 namespace saltus::internal {
-
-// Of quantities in scene files, in the order of TerminalTerm::Quantity.
-inline constexpr std::array kQuantities = {"position", "velocity", "angle", "angular_velocity"};
 
 // Builds a Scene out of a YAML tree, and remembers the line of every path that it passes. Files of other problems that
 // have parts of scene files in them are read by classes that inherit these parts.
@@ -35,6 +31,8 @@ class SceneReader {
 
   Fields ReadFields(const Value& map, const std::vector<std::string>& known);
   std::vector<Value> ReadList(const Value& list, const std::string& expected);
+  // A list of so many items.
+  std::vector<Value> ReadTuple(const Value& list, std::size_t size, const std::string& expected);
   // Appends what is read of each entry of a list, if there is one under the key.
   template <typename Item>
   void ReadEach(const Fields& fields, const std::string& key, const std::string& expected,

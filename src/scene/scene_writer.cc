@@ -2,6 +2,7 @@
 #include <glog/logging.h>
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
 #include <cctype>
 #include <string>
 #include <vector>
@@ -9,7 +10,7 @@
 #include "base/number_text.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
-#include "scene/scene_reader.h"
+#include "scene/scene_rules.h"
 
 namespace saltus {
 namespace {
@@ -162,7 +163,7 @@ void WriteControl(YAML::Emitter* out, const Scene& scene) {
 }
 
 void WriteQuantity(YAML::Emitter* out, TerminalTerm::Quantity quantity) {
-  WriteField(out, "quantity", internal::kQuantities[static_cast<size_t>(quantity)]);
+  WriteField(out, "quantity", kQuantities[static_cast<size_t>(quantity)]);
 }
 
 // The weight of a term that may be a constraint instead.
