@@ -2,10 +2,12 @@
 
 #include <ceres/ceres.h>
 #include <ceres/normal_prior.h>
-#include <tbb/parallel_for.h>
 
+#include <algorithm>
 #include <memory>
 
+#include "base/number_text.h"
+#include "base/parallel_for.h"
 #include "identify/unknowns.h"
 
 namespace saltus {
@@ -81,16 +83,12 @@ class Motions final : public ceres::EvaluationCallback {
     const Scene scene = problem_.SceneAt(point_.coordinates);
     const std::optional<ImpactLaw> law = problem_.LawAt(point_.coordinates);
     const std::optional<EventFunctions> events = problem_.EventsAt(point_.coordinates);
-    const auto move = [&](std::size_t i) {
+    const int count = static_cast<int>(motion_.size());
+    ParallelFor(std::min(NumThreads(problem_.options->threads), count), count, [&](int, int i) {
       const Segment& segment = point_.segments[i];
       motion_[i] =
           MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment, law, events), with_jacobians);
-    };
-    if (problem_.options->threads == 1 || motion_.size() == 1) {
-      for (std::size_t i = 0; i < motion_.size(); ++i) move(i);
-    } else {
-      tbb::parallel_for(std::size_t{0}, motion_.size(), move);
-    }
+    });
   }
 
   const std::vector<MotionAtSamples>& motion() const { return motion_; }
@@ -161,9 +159,7 @@ class IterationReport final : public ceres::IterationCallback {
   explicit IterationReport(const IdentifyOptions& options) : options_(options) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
     if (options_.status) {
-      char text[64];
-      std::snprintf(text, sizeof text, "iteration %d, cost %.6g", summary.iteration, summary.cost);
-      options_.status(text);
+      options_.status("iteration " + std::to_string(summary.iteration) + ", cost " + ToText(summary.cost, 6));
     }
     return options_.stop && options_.stop() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }

@@ -7,6 +7,7 @@
 #include <optional>
 #include <set>
 
+#include "audit/gradient/statistics.h"
 #include "identify/fit.h"
 #include "identify/statistics.h"
 #include "identify/unknowns.h"
@@ -38,12 +39,6 @@ double RadicalInverse(int i, int base) {
 
 constexpr int kFewest = 4, kMost = 12;  // samples that a line goes through
 constexpr double kNoise = 1e-4;         // of the scene's length: misses below it are no reason for a shorter line
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // y = at + slope x by the medians of Theil and Sen; and the median of what it misses.
 struct Line {
@@ -264,8 +259,7 @@ class Identification {
         measured.insert(recordings_[segment.recording].samples[i].body);
       }
       for (int body = 0; body < problem_.scene.num_bodies(); ++body) {
-        const bool needed =
-            segment.begin > 0 || std::count(problem_.free_bodies.begin(), problem_.free_bodies.end(), body);
+        const bool needed = segment.begin > 0 || std::ranges::count(problem_.free_bodies, body);
         if (problem_.scene.bodies[body].fixed || measured.count(body) > 0 || !needed) continue;
         return recordings_[segment.recording].name + ": found no sample of '" + problem_.scene.bodies[body].name +
                "' from " + std::to_string(segment.begin) + " s on, expected some in every segment of every recording";
@@ -556,16 +550,12 @@ class Identification {
 
   void ReportResiduals(const FitResult& fit) {
     // The fit's own segments: those of a search that was interrupted have fewer samples.
-    for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
+    ForEachSample(problem_, fit, [&](int s, int i, const Sample&, const Eigen::VectorXd& residual) {
       const Segment& segment = fit.point.segments[s];
-      for (int i = 0; i < segment.last - segment.first; ++i) {
-        const Sample& sample = problem_.SampleAt(segment, i);
-        const Eigen::VectorXd residual = ResidualOf(problem_, sample, fit.motion[s].state[i]);
-        SampleResidual at{segment.recording, segment.first + i, fit.motion[s].state[i].head<2>(), residual.head<2>()};
-        at.outlier = residual.norm() > options_.outlier;
-        report_.residuals.push_back(at);
-      }
-    }
+      SampleResidual at{segment.recording, segment.first + i, fit.motion[s].state[i].head<2>(), residual.head<2>()};
+      at.outlier = residual.norm() > options_.outlier;
+      report_.residuals.push_back(at);
+    });
   }
 
   IdentifyOptions options_;

@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "base/linear_algebra.h"
-#include "identify/unknowns.h"
 #include "saltus/simulate/learned_contact.h"
 #include "simulate/flight.h"
 

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
+#include "audit/gradient/statistics.h"
 #include "base/linear_algebra.h"
 #include "identify/unknowns.h"
 
@@ -16,17 +18,6 @@ constexpr double kShare = 0.04;
 
 // The median length of a vector of as many standard normal numbers.
 double MedianLength(int entries) { return entries == 2 ? 1.177410023 : 1.832132867; }
-
-template <typename Visit>
-void ForEachSample(const FitProblem& problem, const FitResult& fit, const Visit& visit) {
-  for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
-    const Segment& segment = fit.point.segments[s];
-    for (int i = 0; i < segment.last - segment.first; ++i) {
-      const Sample& sample = problem.SampleAt(segment, i);
-      visit(static_cast<int>(s), i, sample, ResidualOf(problem, sample, fit.motion[s].state[i]));
-    }
-  }
-}
 
 // Derivatives of a sample's standardised residual; those by unknowns per change that matters.
 Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, const Sample& sample,
@@ -76,9 +67,7 @@ double MisfitOf(const FitProblem& problem, const FitResult& fit) {
   ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
     lengths.push_back(residual.norm() / MedianLength(static_cast<int>(residual.size())));
   });
-  const auto middle = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() / 2);
-  std::nth_element(lengths.begin(), middle, lengths.end());
-  return *middle;
+  return Median(std::move(lengths));
 }
 
 double OutlierShareOf(const FitProblem& problem, const FitResult& fit) {
@@ -140,14 +129,13 @@ LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double 
   learned.impacts = static_cast<int>(approach.size());
   if (approach.empty() || fit.covariance.empty()) return learned;
   const auto [slowest, fastest] = std::minmax_element(approach.begin(), approach.end());
-  const auto middle = sliding.begin() + static_cast<std::ptrdiff_t>(sliding.size() / 2);
-  std::nth_element(sliding.begin(), middle, sliding.end());
+  const double middle = Median(std::move(sliding));
   const double factor = CovarianceFactor(problem, fit, loss_scale);
   for (int i = 0; i < kPoints; ++i) {
     const double speed = *slowest + (*fastest - *slowest) * i / (kPoints - 1);
-    const ImpactLawAt at = EvaluateLaw(learned.law, speed, *middle);
+    const ImpactLawAt at = EvaluateLaw(learned.law, speed, middle);
     learned.curve.push_back({speed,
-                             *middle,
+                             middle,
                              at.restitution,
                              ErrorOf(problem, fit, factor, at.restitution_slope),
                              at.friction,

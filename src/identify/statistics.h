@@ -6,6 +6,18 @@
 
 namespace saltus {
 
+// Calls visit(segment, i, sample, residual) for sample i of each of the fit's segments, with its standardised residual.
+template <typename Visit>
+void ForEachSample(const FitProblem& problem, const FitResult& fit, const Visit& visit) {
+  for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
+    const Segment& segment = fit.point.segments[s];
+    for (int i = 0; i < segment.last - segment.first; ++i) {
+      const Sample& sample = problem.SampleAt(segment, i);
+      visit(static_cast<int>(s), i, sample, ResidualOf(problem, sample, fit.motion[s].state[i]));
+    }
+  }
+}
+
 // |r| of every sample, as a multiple of what is typical of noise in so many coordinates: the median is 1 if the model
 // and sigma are right.
 double MisfitOf(const FitProblem& problem, const FitResult& fit);

@@ -29,26 +29,19 @@ std::vector<std::string> Split(std::string_view text, char separator) {
   return parts;
 }
 
-// Those that recordings can determine; the others are of the scene's geometry.
-bool IsIdentified(Kind kind) { return kind <= Kind::kForce; }
-
-bool Add(const std::string& name, const Scene& scene, std::vector<Unknown>* all) {
-  const std::vector<Unknown> found = ParametersNamed(name, scene);
-  if (found.empty() || !IsIdentified(found.front().kind)) return false;
-  all->insert(all->end(), found.begin(), found.end());
-  return true;
-}
-
 }  // namespace
 
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene) {
   std::vector<Unknown> all;
   for (const std::string& name : Split(names, ',')) {
-    if (!Add(name, scene, &all)) {
+    const std::vector<Unknown> found = ParametersNamed(name, scene);
+    // Recordings cannot determine the others, which are of the scene's geometry.
+    if (found.empty() || found.front().kind > Kind::kForce) {
       return "found '" + name +
              "', expected some of restitution, friction, stiffness, damping, gravity, gravity.x, gravity.y, mass.BODY, "
              "force.BODY, force.BODY.x, force.BODY.y, with a BODY that moves";
     }
+    all.insert(all.end(), found.begin(), found.end());
   }
   for (std::size_t i = 0; i < all.size(); ++i) {
     if (std::find(all.begin(), all.begin() + i, all[i]) != all.begin() + i) {
