@@ -55,12 +55,9 @@ class CommandBox::Session {
   using Copy = std::unique_ptr<Conversation>;
 
   void AddCopy();
-  void SendTo(Conversation* copy, const Question& question, int index);
   void HandOut(const std::vector<Question>& questions, std::size_t* next);
-  // Until something happens, or a moment has passed.
-  void Wait() const;
+  // Waits until something happens, or a moment has passed, and takes the lines that have come.
   std::string Exchange(const Conversation::OnLine& on_line);
-  void Greet(const std::string& line);
 
   Scene scene_, still_;
   const CommandOptions& options_;
@@ -75,23 +72,10 @@ void CommandBox::Session::AddCopy() {
   copies_.back()->Send(HelloLine(scene_), {-1, "the greeting", kShortLine});
 }
 
-void CommandBox::Session::Greet(const std::string& line) { traits_ = ReadHello(line); }
-
-void CommandBox::Session::SendTo(Conversation* copy, const Question& question, int index) {
-  const std::int64_t id = next_id_++;
-  ids_[index] = id;
-  copy->Send(QuestionLine(scene_, question, id, traits_),
-             {index, saltus::Describe(question, id), MostCharacters(scene_, question)});
-}
-
-void CommandBox::Session::Wait() const {
+std::string CommandBox::Session::Exchange(const Conversation::OnLine& on_line) {
   std::vector<pollfd> waited;
   for (const Copy& copy : copies_) copy->AddTo(&waited);
   poll(waited.data(), waited.size(), kLook);
-}
-
-std::string CommandBox::Session::Exchange(const Conversation::OnLine& on_line) {
-  Wait();
   for (const Copy& copy : copies_) {
     copy->Exchange(on_line);
     copy->CheckTime(options_.seconds);
@@ -104,18 +88,20 @@ std::string CommandBox::Session::Start() {
   AddCopy();
   std::string failure = copies_.front()->failure();
   while (failure.empty() && !copies_.front()->expected().empty()) {
-    failure = Exchange([this](const Expected&, const std::string& line) { Greet(line); });
+    failure = Exchange([this](const Expected&, const std::string& line) { traits_ = ReadHello(line); });
   }
   return failure;
 }
 
 void CommandBox::Session::HandOut(const std::vector<Question>& questions, std::size_t* next) {
   while (*next < questions.size()) {
-    const auto least = std::min_element(copies_.begin(), copies_.end(), [](const Copy& a, const Copy& b) {
-      return a->expected().size() < b->expected().size();
-    });
+    const auto least = std::ranges::min_element(
+        copies_, [](const Copy& a, const Copy& b) { return a->expected().size() < b->expected().size(); });
     if ((*least)->expected().size() >= kMostOutstanding || (*least)->has_unwritten()) return;
-    SendTo(least->get(), questions[*next], static_cast<int>(*next));
+    const Question& question = questions[*next];
+    const std::int64_t id = ids_[*next] = next_id_++;
+    (*least)->Send(QuestionLine(scene_, question, id, traits_),
+                   {static_cast<int>(*next), saltus::Describe(question, id), MostCharacters(scene_, question)});
     (*least)->Write();
     ++*next;
   }
@@ -133,8 +119,11 @@ std::string CommandBox::Session::Ask(const std::vector<Question>& questions, con
     }
     HandOut(questions, &next);
     const std::string failure = Exchange([&](const Expected& expected, const std::string& line) {
-      if (expected.index < 0) return Greet(line);
       const int i = expected.index;
+      if (i < 0) {
+        traits_ = ReadHello(line);
+        return;
+      }
       (*answers)[i] = ReadAnswer(line, scene_, questions[i], ids_[i], traits_);
       ++answered;
     });
@@ -151,9 +140,8 @@ CommandBox::CommandBox(CommandOptions options) : options_(std::move(options)) {
 CommandBox::~CommandBox() = default;
 
 CommandBox::Session& CommandBox::SessionOf(const Scene& scene) {
-  const auto known = std::find_if(sessions_.begin(), sessions_.end(), [&](const std::unique_ptr<Session>& session) {
-    return session->IsOf(scene);
-  });
+  const auto known =
+      std::ranges::find_if(sessions_, [&](const std::unique_ptr<Session>& session) { return session->IsOf(scene); });
   if (known != sessions_.end()) {
     std::rotate(known, known + 1, sessions_.end());
     return *sessions_.back();

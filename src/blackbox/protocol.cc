@@ -1,6 +1,5 @@
 #include "blackbox/protocol.h"
 
-#include <glog/logging.h>
 #include <yaml-cpp/yaml.h>
 
 #include <charconv>
@@ -77,15 +76,8 @@ void AppendControl(std::span<const double> control, std::size_t width, std::stri
 }
 
 std::string KindName(Question::Kind kind) {
-  switch (kind) {
-    case Question::Kind::kSimulate:
-      return "simulate";
-    case Question::Kind::kGradient:
-      return "gradient";
-    case Question::Kind::kStep:
-      return "step";
-  }
-  LOG(FATAL) << "no such question";
+  constexpr const char* kNames[] = {"simulate", "gradient", "step"};
+  return kNames[static_cast<int>(kind)];
 }
 
 ProtocolJson ParseObject(const std::string& line, const std::string& expected) {
