@@ -5,11 +5,11 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <numeric>
 
 #include "audit/gradient/events_at_once.h"
 #include "audit/gradient/own_differences.h"
+#include "audit/gradient/statistics.h"
+#include "base/number_text.h"
 #include "exact/closed_forms.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -66,12 +66,7 @@ struct SquaredDeviation {
   }
 };
 
-double Rounding(const std::vector<double>& values) {
-  constexpr double kRounding = 1e-12;
-  double largest = 0;
-  for (double value : values) largest = std::max(largest, std::abs(value));
-  return kRounding * largest;
-}
+double Rounding(const std::vector<double>& values) { return 1e-12 * Largest(values); }
 
 // The control of an estimate is compared by segments, within which its entries are one number; if its grid is finer
 // than the exact one's, not at all.
@@ -105,23 +100,17 @@ double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradi
 // What a surrogate is, and how far from the exact gradient.
 std::string DescribeSurrogate(const ModelAudit& audit) {
   const Surrogate& surrogate = *audit.gradient.surrogate;
-  char text[160] = "";
+  std::string why = "contact modes that leave a larger gradient";
   if (surrogate.smooths()) {
-    std::snprintf(text,
-                  sizeof text,
-                  "mean of %d samples with sigma %g, seed %llu",
-                  surrogate.samples,
-                  surrogate.sigma,
-                  static_cast<unsigned long long>(surrogate.seed));
+    why = "mean of " + std::to_string(surrogate.samples) + " samples with sigma " + ToText(surrogate.sigma, 6) +
+          ", seed " + std::to_string(surrogate.seed);
   }
-  std::string why = surrogate.smooths() ? text : "contact modes that leave a larger gradient";
   if (!audit.error || !audit.error->in_standard_errors) return why;
   // Samples of a loss that is linear in an entry are all the same.
   if (std::isinf(*audit.error->in_standard_errors)) {
     return why + "; wrong in an entry on which all samples agree, so that no standard error measures the distance";
   }
-  std::snprintf(text, sizeof text, "; %.3g standard errors from the exact gradient", *audit.error->in_standard_errors);
-  return why + text;
+  return why + "; " + ToText(*audit.error->in_standard_errors, 3) + " standard errors from the exact gradient";
 }
 
 // What the derivative of its source is, and not of its steps.
@@ -135,13 +124,9 @@ std::string CauseOf(const ModelAudit& audit) {
   const bool studied = audit.refinement || audit.widths;
   if (audit.black_box && !studied && !audit.black_box->remarks.empty()) return audit.black_box->remarks.front();
   if (audit.verdict == Verdict::kIllConditioned) {
-    char text[160];
-    std::snprintf(text,
-                  sizeof text,
-                  "rounding alone changes the exact gradient by %.2g of it (condition %.2g)",
-                  audit.refinement->conditioning->rounding,
-                  audit.refinement->conditioning->condition);
-    return text;
+    const Conditioning& conditioning = *audit.refinement->conditioning;
+    return "rounding alone changes the exact gradient by " + ToText(conditioning.rounding, 2) + " of it (condition " +
+           ToText(conditioning.condition, 2) + ")";
   }
   // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
   const std::optional<ContactRecognition>& recognition = audit.recognition;
@@ -259,6 +244,12 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   const auto threads = [&] { return options.threads_now ? options.threads_now() : options.threads; };
   ModelAudit audit;
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
+  // What was being studied when it was stopped is not kept.
+  const auto keep = [&](auto found, auto* kept) {
+    if (interrupted()) return false;
+    *kept = std::move(found);
+    return true;
+  };
   audit.gradient = options.surrogate ? ComputeSurrogate(contact, scene, precision, *options.surrogate, threads(), stop)
                                      : ComputeGradient(contact, scene, precision, stop);
   if (!audit.gradient.ok()) {
@@ -269,10 +260,7 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     audit.verdict = Verdict::kAmbiguous;
     audit.ambiguous = reference->ambiguous;
     audit.spread = reference->spread;
-    if (options.width_sweep) {
-      WidthSweepStudy widths = SweepWidths(contact, scene, options.widths, stop);
-      if (!interrupted()) audit.widths = std::move(widths);
-    }
+    if (options.width_sweep) keep(SweepWidths(contact, scene, options.widths, stop), &audit.widths);
     return audit;
   }
   if (options.surrogate) {
@@ -282,13 +270,8 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   }
   const ModelTraits* traits = FindContactModel(contact);
   if (reference && traits != nullptr && traits->event_driven) audit.gradient.one_sided = reference->one_sided;
-  // What was being studied when it was stopped is not kept.
-  ContactRecognition recognition = RecogniseContact(contact, scene, stop);
-  if (interrupted()) return audit;
-  audit.recognition = std::move(recognition);
-  OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop, threads());
-  if (interrupted()) return audit;
-  audit.own = std::move(own);
+  if (!keep(RecogniseContact(contact, scene, stop), &audit.recognition)) return audit;
+  if (!keep(CompareWithOwnDifferences(contact, scene, stop, threads()), &audit.own)) return audit;
   if (options.refinement.parameters) {
     audit.parameters = CompareParameters(contact, scene, ParametersToCompare(scene), stop);
     if (interrupted()) return audit;
@@ -301,22 +284,16 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
     RefinementOptions refinement_options = options.refinement;
     refinement_options.threads = options.threads;
     refinement_options.threads_now = options.threads_now;
-    RefinementStudy refinement = StudyRefinement(contact, scene, refinement_options, stop);
-    if (interrupted()) return audit;
-    audit.verdict = refinement.verdict;
-    audit.refinement = std::move(refinement);
+    if (!keep(StudyRefinement(contact, scene, refinement_options, stop), &audit.refinement)) return audit;
+    audit.verdict = audit.refinement->verdict;
     if (options.attribution && IsWrong(audit.verdict)) {
-      Attribution attribution =
-          AttributeError(contact, scene, {stop, options.attribution_seconds, options.status, threads()});
-      if (interrupted()) return audit;
-      audit.attribution = std::move(attribution);
+      const AttributionOptions attribution{stop, options.attribution_seconds, options.status, threads()};
+      if (!keep(AttributeError(contact, scene, attribution), &audit.attribution)) return audit;
     }
   }
   if (options.width_sweep || !reference) {
-    WidthSweepStudy widths = SweepWidths(contact, scene, options.widths, stop);
-    if (interrupted()) return audit;
-    if (!reference) audit.verdict = widths.verdict;
-    audit.widths = std::move(widths);
+    if (!keep(SweepWidths(contact, scene, options.widths, stop), &audit.widths)) return audit;
+    if (!reference) audit.verdict = audit.widths->verdict;
   }
   return audit;
 }

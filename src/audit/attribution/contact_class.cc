@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <vector>
 
 #include "audit/attribution/contact_run.h"
@@ -62,12 +61,6 @@ double OrderOf(const std::vector<T>& all, size_t count, const Value& value) {
   return PowerOf(lengths, values);
 }
 
-std::string Format(const char* format, double a, double b = 0, double c = 0) {
-  char text[240];
-  std::snprintf(text, sizeof text, format, a, b, c);
-  return text;
-}
-
 class Recogniser {
  public:
   Recogniser(const ContactBench& bench, double h, std::vector<double> before, double restitution)
@@ -83,19 +76,19 @@ class Recogniser {
     RecordContacts();
     if (std::max(*out_.rebound, *out_.finer_rebound) < kNoRebound * out_.restitution) {
       Decide(ContactClass::kNoRestitution,
-             Format("rebounds at %.3f of the closing speed, at finer steps %.3f, where %.2f is asked for",
-                    *out_.rebound,
-                    *out_.finer_rebound,
-                    out_.restitution));
+             FormatNumbers("rebounds at %.3f of the closing speed, at finer steps %.3f, where %.2f is asked for",
+                           *out_.rebound,
+                           *out_.finer_rebound,
+                           out_.restitution));
     } else if (*out_.finer_rebound > kMostRebound) {
-      out_.words = Format("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
+      out_.words = FormatNumbers("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
     } else if (*out_.finer_concentration < kForce) {
       JudgeForce();
     } else if (*out_.finer_concentration > kImpulse) {
       JudgeImpulse();
     } else {
-      out_.words =
-          Format("between impulse and force: the largest change in a step is %.2f of all", *out_.finer_concentration);
+      out_.words = FormatNumbers("between impulse and force: the largest change in a step is %.2f of all",
+                                 *out_.finer_concentration);
     }
     return out_;
   }
@@ -144,11 +137,11 @@ class Recogniser {
     const double order =
         OrderOf(onsets, 2 * kPerHalving + 1, [](const Length& length) { return length.run.first_full; });
     out_.onset_order = order;
-    const std::string found = Format("a force, at its onset ~ h^%.1f in a step", order);
+    const std::string found = FormatNumbers("a force, at its onset ~ h^%.1f in a step", order);
     if (order < kJumps) {
-      Decide(ContactClass::kForceWithJump, found + Format("; rebound %.2f", *out_.finer_rebound));
+      Decide(ContactClass::kForceWithJump, found + FormatNumbers("; rebound %.2f", *out_.finer_rebound));
     } else if (order > kContinuous) {
-      Decide(ContactClass::kContinuousForce, found + Format("; rebound %.2f", *out_.finer_rebound));
+      Decide(ContactClass::kContinuousForce, found + FormatNumbers("; rebound %.2f", *out_.finer_rebound));
     } else {
       Decide(ContactClass::kUnclear, found + ", between that of a jump and of a continuous one");
     }
@@ -170,8 +163,8 @@ class Recogniser {
     out_.position_from_position = position;
     out_.velocity_from_position = feedback;
     const auto near = [](double value, double target) { return std::abs(value - target) < kTolerance; };
-    const std::string passes = Format("an impulse; the normal position passes with a factor of %.2f", position);
-    const std::string instead = Format(" instead of %.2f", -out_.restitution);
+    const std::string passes = FormatNumbers("an impulse; the normal position passes with a factor of %.2f", position);
+    const std::string instead = FormatNumbers(" instead of %.2f", -out_.restitution);
     const bool rebounds = *out_.finer_rebound > 2 * kTolerance;
     if (near(position, 0) && rebounds) {
       Decide(ContactClass::kProjection, passes + instead);
@@ -181,7 +174,7 @@ class Recogniser {
       // It may have acted within the step, so that the position has felt it.
       if (std::abs(order) < 0.5) {
         Decide(ContactClass::kDepthFeedback,
-               Format("an impulse that takes %.2g of the depth out in a step", -feedback));
+               FormatNumbers("an impulse that takes %.2g of the depth out in a step", -feedback));
       } else {
         Decide(ContactClass::kUnclear, passes + ", and with the depth it changes as no class does");
       }

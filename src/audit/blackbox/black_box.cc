@@ -1,12 +1,9 @@
 // The audit of a black box.
 #include "saltus/audit/black_box.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 
 #include "audit/blackbox/black_box_head_on.h"
@@ -50,21 +47,15 @@ constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisy
 constexpr int kWidths = 24;  // of each entry, about
 constexpr double kRebounds = 0.5, kLost = 0.5;
 
-std::string Format(const char* format, double a, double b = 0) {
-  char text[200];
-  std::snprintf(text, sizeof text, format, a, b);
-  return text;
+// The final state of the scene's own motion over the first `steps` of its grid.
+Question OwnMotion(const Scene& scene, int steps) {
+  return {Question::Kind::kSimulate, steps, steps * scene.dt(), InitialState(scene), InitialControl(scene, steps), {}};
 }
 
 // Relative noise of the answers: what is left of the final position of a disc when what a displacement does to it is
 // taken off. Epsilon if nothing is to be seen.
 double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const StopRequest& stop) {
-  Question flight{Question::Kind::kSimulate,
-                  kFlight * traits.grid_steps,
-                  kFlight * traits.grid_steps * scene.dt(),
-                  InitialState(scene),
-                  InitialControl(scene, kFlight * traits.grid_steps),
-                  {}};
+  const Question flight = OwnMotion(scene, kFlight * traits.grid_steps);
   int index = -1;
   for (int i = 0; i < 4 * scene.num_bodies(); ++i) {
     if (i % 4 > 1 || scene.bodies[i / 4].fixed) continue;
@@ -115,7 +106,7 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
                       const RefinementOptions& refinement, const StopRequest& stop, BlackBoxFindings* findings) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
   const double duration = steps * scene.dt();
-  Question own{Question::Kind::kSimulate, steps, duration, InitialState(scene), InitialControl(scene, steps), {}};
+  Question own = OwnMotion(scene, steps);
   Question reversed = own, displaced = own;
   if (traits.gradient) {  // that of the loss, as some simulators know no other
     const Answer end = box->Ask(scene, {own}, stop).front();
@@ -155,11 +146,11 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
   const double moved = std::ldexp(speed * scene.dt() * traits.grid_steps, 1 - kLevels);
   const double width = moved > 0 ? WidthOfDifferences(findings->noise, extent, moved) : 0;
   const double tolerance = findings->noise > kMuchNoise ? kNoisyRepeat : refinement.tolerance;
-  findings->remarks.push_back(
-      Format("answers to the same question, with others asked in between, differ by %.2g of the extent of the motion",
-             difference / extent));
+  findings->remarks.push_back(FormatNumbers(
+      "answers to the same question, with others asked in between, differ by %.2g of the extent of the motion",
+      difference / extent));
   if (of_gradient > 0) {
-    findings->remarks.back() += Format(", and its gradients by %.2g of their size", of_gradient);
+    findings->remarks.back() += FormatNumbers(", and its gradients by %.2g of their size", of_gradient);
   }
   const bool decides = difference > tolerance * width || of_gradient > refinement.tolerance;
   if (decides) {
@@ -211,12 +202,8 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
     for (int sample = 0; sample < samples; ++sample) {
       const int own = (std::max(1, scene.steps / traits.grid_steps) << level) + sample;
       steps.push_back(own * traits.grid_steps);
-      questions.push_back({Question::Kind::kSimulate,
-                           steps.back(),
-                           scene.duration,
-                           InitialState(scene),
-                           InitialControl(scene, steps.back()),
-                           {}});
+      questions.push_back(OwnMotion(scene, steps.back()));
+      questions.back().duration = scene.duration;
     }
   }
   const std::vector<Answer> answers = box->Ask(scene, questions, stop);
@@ -285,21 +272,21 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   }
   if (findings->motion == Motion::kDoesNotConverge) {
     remarks.push_back(
-        Format("its motion does not converge to the exact one: the loss is off by %.2g of its scale at "
-               "%.0f steps",
-               findings->levels.back().error,
-               findings->levels.back().steps));
+        FormatNumbers("its motion does not converge to the exact one: the loss is off by %.2g of its scale at "
+                      "%.0f steps",
+                      findings->levels.back().error,
+                      findings->levels.back().steps));
   }
   if (findings->head_on && findings->finer && findings->head_on->e > kRebounds &&
       findings->finer->e < kLost * findings->head_on->e) {
-    remarks.push_back(
-        Format("the rebound depends on the step: %.3f of the closing speed, and %.3f with ten times as many steps",
-               findings->head_on->e,
-               findings->finer->e));
+    remarks.push_back(FormatNumbers(
+        "the rebound depends on the step: %.3f of the closing speed, and %.3f with ten times as many steps",
+        findings->head_on->e,
+        findings->finer->e));
   }
   if (findings->precision_found < kDoubleBits) {
-    remarks.push_back(
-        Format("answers have %.0f bits: narrower differences than those used are noise", findings->precision_found));
+    remarks.push_back(FormatNumbers("answers have %.0f bits: narrower differences than those used are noise",
+                                    findings->precision_found));
   }
 }
 
@@ -346,7 +333,7 @@ class AuditPlan {
   }
   bool Fits(double seconds) const { return !limited() || seconds <= Left(); }
   void Say(const std::string& what, double seconds) const {
-    if (status_) status_(what + Format(", about %.2g s", seconds));
+    if (status_) status_(what + FormatNumbers(", about %.2g s", seconds));
   }
 
  private:
@@ -384,12 +371,9 @@ ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& finding
 std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
                                          const StopRequest& stop) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
-  Question question{Question::Kind::kGradient,
-                    steps,
-                    steps * scene.dt(),
-                    InitialState(scene),
-                    InitialControl(scene, steps),
-                    std::vector<double>(4 * scene.num_bodies(), 0.0)};
+  Question question = OwnMotion(scene, steps);
+  question.kind = Question::Kind::kGradient;
+  question.of_final.assign(4 * scene.num_bodies(), 0.0);
   question.parameters = true;
   std::vector<std::string> names;
   const Answer answer = box->Ask(scene, {question}, stop).front();
@@ -429,6 +413,12 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
   findings.own_gradient = traits.gradient;
   findings.refused = traits.error.empty() && !traits.not_applicable.empty();
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
+  // What was being studied when it was stopped is not kept.
+  const auto keep = [&](auto found, auto* kept) {
+    if (interrupted()) return false;
+    *kept = std::move(found);
+    return true;
+  };
   if (traits.error.empty() && !findings.refused) {
     findings.noise = FindNoise(box.get(), scene, traits, stop);
     findings.precision_found = BitsOf(findings.noise);
@@ -455,7 +445,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
   }
   if (depends) return audit;
   const auto too_long = [&](const std::string& what, double seconds) {
-    return what + Format(" takes about %.2g s, more than is left of the %.2g s allowed", seconds, time.seconds);
+    return what + FormatNumbers(" takes about %.2g s, more than is left of the %.2g s allowed", seconds, time.seconds);
   };
   const double of_widths = plan.OfSingleRollouts(NumRolloutsOfWidths(scene));
   const double of_verdict = reference ? plan.OfStudies(kLeastLevels, kSamples[2]) : of_widths;
@@ -479,42 +469,32 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
       }
       recognition = RecogniseOnBench(impact, impact.step(), impact.FarBefore(), scene.contact.restitution);
     }
-    if (interrupted()) return audit;
-    audit.recognition = std::move(recognition);
+    if (!keep(std::move(recognition), &audit.recognition)) return audit;
   }
-  if (traits.gradient) {
-    OwnDifferences own = CompareWithOwnDifferences(contact, scene, stop);
-    if (interrupted()) return audit;
-    audit.own = std::move(own);
-  }
+  if (traits.gradient && !keep(CompareWithOwnDifferences(contact, scene, stop), &audit.own)) return audit;
   if (reference) {
     audit.error = CompareGradients(AsMeasured(audit.gradient, findings), *reference);
     plan.Fit(&refinement_options);
     plan.Say("motion", plan.OfMotion(refinement_options.samples));
     StudyMotion(box.get(), scene, traits, *reference, refinement_options.samples, stop, &findings);
     plan.Say("refinement", plan.OfRefinement(refinement_options.levels, refinement_options.samples));
-    RefinementStudy refinement = StudyRefinement(contact, scene, refinement_options, stop);
-    if (interrupted()) return audit;
-    audit.verdict = refinement.verdict;
-    audit.refinement = std::move(refinement);
+    if (!keep(StudyRefinement(contact, scene, refinement_options, stop), &audit.refinement)) return audit;
+    audit.verdict = audit.refinement->verdict;
     if (options.attribution && traits.step && IsWrong(audit.verdict) && plan.Fits(0)) {
       AskingOptions touching = AskingWith(findings);
       touching.touches = true;
       double seconds = options.attribution_seconds;
       if (plan.limited()) seconds = seconds > 0 ? std::min(seconds, plan.Left()) : plan.Left();
-      Attribution attribution =
-          AttributeError(ContactOf(box, traits, touching), scene, {stop, seconds, options.status});
-      if (interrupted()) return audit;
-      audit.attribution = std::move(attribution);
+      const AttributionOptions attribution{stop, seconds, options.status};
+      if (!keep(AttributeError(ContactOf(box, traits, touching), scene, attribution), &audit.attribution)) return audit;
     }
   }
   if (options.width_sweep || !reference || !traits.gradient) {
     if (plan.Fits(of_widths)) {
       plan.Say("differences of every width", of_widths);
-      WidthSweepStudy widths = SweepWidths(contact, scene, WidthsOf(findings, options.widths), stop);
-      if (interrupted()) return audit;
-      if (!reference) audit.verdict = widths.verdict;
-      audit.widths = std::move(widths);
+      const WidthSweepOptions widths = WidthsOf(findings, options.widths);
+      if (!keep(SweepWidths(contact, scene, widths, stop), &audit.widths)) return audit;
+      if (!reference) audit.verdict = audit.widths->verdict;
     } else {
       findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
     }

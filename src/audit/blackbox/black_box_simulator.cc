@@ -15,6 +15,7 @@ namespace saltus {
 namespace {
 
 constexpr double kRounding = std::numeric_limits<double>::epsilon();
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // Widths of differences, in what a disc moves in a step: narrow, so that impacts stay in their steps, and so much above
 // the noise as the budget of error says.
 constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300, kMuchNoise = 1e-11;
@@ -23,6 +24,14 @@ using Kind = Question::Kind;
 
 constexpr double kFelt = 1e3;  // noises by which a velocity must change to be a contact's doing
 constexpr double kLeastFelt = 1e-9;
+
+std::string WhyNot(BlackBox* box, const Scene& scene, int grid_steps) {
+  const BlackBoxTraits traits = TraitsFor(box, scene);
+  if (!traits.error.empty()) return traits.error;
+  if (!traits.not_applicable.empty()) return traits.not_applicable;
+  if (scene.steps % grid_steps == 0) return "";
+  return "this simulator needs a number of steps divisible by " + std::to_string(grid_steps);
+}
 
 }  // namespace
 
@@ -76,12 +85,12 @@ std::vector<double> BlackBoxSimulator::ForceIn(int k) const {
 // Those in between are asked for when they are needed, all at once: by steps, or as final states of shorter runs.
 const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
   if (!states_[k].empty()) return states_[k];
+  const std::vector<double> unknown(state_size(), kNan);
   if (traits_.states) {
     Question all = Ask(Kind::kSimulate, num_steps_);
     all.states = true;
     const Answer answer = AnswersTo({all}).front();
     const std::size_t size = state_size();
-    const std::vector<double> unknown(size, std::numeric_limits<double>::quiet_NaN());
     for (int i = 1; i < num_steps_; ++i) {
       const auto at = answer.states.begin() + static_cast<std::ptrdiff_t>(i * size);
       states_[i] = answer.error.empty() ? std::vector<double>(at, at + static_cast<std::ptrdiff_t>(size)) : unknown;
@@ -103,7 +112,6 @@ const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
     places.push_back(i);
   }
   const std::vector<Answer> answers = AnswersTo(questions);
-  const std::vector<double> unknown(state_size(), std::numeric_limits<double>::quiet_NaN());
   for (std::size_t i = 0; i < answers.size(); ++i) {
     states_[places[i]] = answers[i].error.empty() ? answers[i].final : unknown;
   }
@@ -128,14 +136,11 @@ void BlackBoxSimulator::AdjointInto(std::span<const double> cotangent, const Sen
     out.control[i] = i < out.addend.size() ? out.factor * out.addend[i] : 0.0;
   }
   if (out.parameters != nullptr) *out.parameters = {};
-  bool ok = true;
-  if (traits_.gradient && !options_.differences) {
-    ok = AdjointByItself(cotangent, out);
-  } else {
-    AdjointByDifferences(cotangent, out);
-  }
+  if (!traits_.gradient || options_.differences) return AdjointByDifferences(cotangent, out);
   // There is no other way to say it: what is not a number is refused as a gradient.
-  if (!ok) std::fill(out.initial.begin(), out.initial.end(), std::numeric_limits<double>::quiet_NaN());
+  if (!AdjointByItself(cotangent, out)) {
+    std::fill(out.initial.begin(), out.initial.end(), kNan);
+  }
 }
 
 bool BlackBoxSimulator::AdjointByItself(std::span<const double> cotangent, const SensitivityView& out) {
@@ -214,7 +219,7 @@ void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, 
   for (std::size_t v = 0; v < variables.size(); ++v) {
     const Variable& variable = variables[v];
     const Answer &above = answers[2 * v], &below = answers[2 * v + 1];
-    double slope = std::numeric_limits<double>::quiet_NaN();
+    double slope = kNan;
     if (above.error.empty() && below.error.empty()) {
       slope = 0;
       for (std::size_t i = 0; i < cotangent.size(); ++i) slope += cotangent[i] * (above.final[i] - below.final[i]);
@@ -230,18 +235,6 @@ void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, 
     }
   }
 }
-
-namespace {
-
-std::string WhyNot(BlackBox* box, const Scene& scene, int grid_steps) {
-  const BlackBoxTraits traits = TraitsFor(box, scene);
-  if (!traits.error.empty()) return traits.error;
-  if (!traits.not_applicable.empty()) return traits.not_applicable;
-  if (scene.steps % grid_steps == 0) return "";
-  return "this simulator needs a number of steps divisible by " + std::to_string(grid_steps);
-}
-
-}  // namespace
 
 BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
   BlackBoxTraits traits = box->Describe(scene);
@@ -276,7 +269,7 @@ void BlackBoxSimulator::Step(std::span<const double> x, std::span<const double> 
                              std::vector<Touch>* touches) const {
   const Answer answer = AnswersTo({StepFrom(x, force)}).front();
   if (!answer.error.empty()) {
-    std::fill(next.begin(), next.end(), std::numeric_limits<double>::quiet_NaN());
+    std::fill(next.begin(), next.end(), kNan);
     return;
   }
   if (touches != nullptr) {
@@ -338,10 +331,7 @@ std::vector<Touch> BlackBoxSimulator::TouchesIn(std::span<const double> x, std::
     if (nearest && std::find(pairs.begin(), pairs.end(), *nearest) == pairs.end()) pairs.push_back(*nearest);
   }
   std::vector<Touch> touches;
-  for (const Candidate& pair : pairs) {
-    Touch& touch = touches.emplace_back();
-    touch.candidate = pair;
-  }
+  for (const Candidate& pair : pairs) touches.emplace_back().candidate = pair;
   return touches;
 }
 
@@ -419,8 +409,7 @@ StepLinearization::Island BlackBoxSimulator::LinearizeIsland(std::span<const dou
     for (int r = 0; r < states; ++r) {
       const int at = kNumbers * bodies[r / kNumbers] + r % kNumbers;
       const bool known = above.error.empty() && below.error.empty();
-      const double slope =
-          known ? (above.final[at] - below.final[at]) / (2 * widths[c]) : std::numeric_limits<double>::quiet_NaN();
+      const double slope = known ? (above.final[at] - below.final[at]) / (2 * widths[c]) : kNan;
       (c < states ? island.A(r, c) : island.B(r, c - states)) = slope;
     }
   }
@@ -431,8 +420,7 @@ StepLinearization::Island BlackBoxSimulator::LinearizeIsland(std::span<const dou
 StepLinearization::FreeFlight BlackBoxSimulator::MeasureFreeFlight() const {
   std::vector<double> x = InitialState(scene_);
   for (std::size_t i = 0; i < x.size(); ++i) x[i] = i % kNumbers < 2 ? x[i] : 0.0;
-  const auto moving =
-      std::find_if(scene_.bodies.begin(), scene_.bodies.end(), [](const Body& body) { return !body.fixed; });
+  const auto moving = std::ranges::find_if(scene_.bodies, [](const Body& body) { return !body.fixed; });
   if (moving == scene_.bodies.end()) return {1, step(), 0, 0, 1, step()};
   const int body = static_cast<int>(moving - scene_.bodies.begin());
   const std::vector<double> none(2 * num_bodies(), 0.0);

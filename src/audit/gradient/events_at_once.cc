@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/simulate/events.h"
 
 namespace saltus {
 namespace {
@@ -49,19 +48,12 @@ bool ImpactsChangeNearby(SingleShooting* shooting) {
   return false;
 }
 
-struct Entry {
-  OneSided name;
-  int variable = 0;
-};
-
 // In the order of SingleShooting's variables.
-std::vector<Entry> EntriesOf(const Scene& scene) {
-  std::vector<Entry> entries;
+std::vector<OneSided> EntriesOf(const Scene& scene) {
+  std::vector<OneSided> entries;
   for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
     for (int i = 0; i < scene.num_bodies(); ++i) {
-      for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) {
-        entries.push_back({{i, quantity, j}, static_cast<int>(entries.size())});
-      }
+      for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) entries.push_back({i, quantity, j});
     }
   }
   return entries;
@@ -125,32 +117,32 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
   std::vector<double> gradient(shooting.num_variables());
   double loss = 0;
   if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
-  const std::vector<Entry> entries = EntriesOf(scene);
+  const std::vector<OneSided> entries = EntriesOf(scene);
   const double of_rollout = static_cast<double>(scene.num_bodies()) * scene.steps +
                             kImpactWork * static_cast<double>(ImpactsOf(shooting.simulator()).size());
   if (static_cast<double>(entries.size()) * of_rollout > kMostWork) return found;
   if (!ImpactsChangeNearby(&shooting)) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
-    for (const Entry& entry : entries) {
-      if (entry.name.quantity == quantity) size = std::max(size, std::abs(gradient[entry.variable]));
+    for (std::size_t i = 0; i < entries.size(); ++i) {
+      if (entries[i].quantity == quantity) size = std::max(size, std::abs(gradient[i]));
     }
     return size;
   };
   const double by_position = largest(OneSided::Quantity::kPosition),
                by_velocity = largest(OneSided::Quantity::kVelocity);
   Sides sides(&shooting, loss, gradient);
-  for (const Entry& entry : entries) {
+  for (std::size_t i = 0; i < entries.size(); ++i) {
+    const OneSided& entry = entries[i];
     const bool is_known = std::ranges::any_of(known, [&](const OneSided& other) {
-      return other.body == entry.name.body && other.quantity == entry.name.quantity &&
-             other.component == entry.name.component;
+      return other.body == entry.body && other.quantity == entry.quantity && other.component == entry.component;
     });
     if (is_known) continue;
-    const bool position = entry.name.quantity == OneSided::Quantity::kPosition;
-    const std::optional<OneSided::Side> side = sides.Of(entry.variable, position ? by_position : by_velocity);
+    const bool position = entry.quantity == OneSided::Quantity::kPosition;
+    const std::optional<OneSided::Side> side = sides.Of(static_cast<int>(i), position ? by_position : by_velocity);
     if (shooting.stopped()) return found;
     if (!side) continue;
-    found.push_back(entry.name);
+    found.push_back(entry);
     found.back().side = *side;
   }
   return found;

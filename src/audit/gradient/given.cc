@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "audit/gradient/statistics.h"
 #include "saltus/audit/audit.h"
 
 namespace saltus {
@@ -43,8 +44,7 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
     const bool position = quantity == Quantity::kPosition;
     const auto& values = position ? given.position : given.velocity;
     CHECK_LE(static_cast<int>(values.size()), scene.num_bodies());
-    double largest = 0;
-    for (double entry : EntriesOf(scene, exact, quantity, 1)) largest = std::max(largest, std::abs(entry));
+    const double largest = Largest(EntriesOf(scene, exact, quantity, 1));
     for (size_t i = 0; i < values.size(); ++i) {
       if (scene.bodies[i].fixed) continue;
       add(values[i],
@@ -57,8 +57,7 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
   const int intervals = given.intervals > 0 ? given.intervals : exact.num_steps;
   CHECK_LE(static_cast<int>(given.control.size()), intervals);
   const std::vector<double> control = CoarsenControl(exact.gradient.control, exact.num_steps, intervals);
-  double largest = 0;
-  for (double entry : control) largest = std::max(largest, std::abs(entry));
+  const double largest = Largest(control);
   for (size_t k = 0; k < given.control.size(); ++k) {
     CHECK_LE(static_cast<int>(given.control[k].size()), scene.num_controlled());
     for (size_t c = 0; c < given.control[k].size(); ++c) {

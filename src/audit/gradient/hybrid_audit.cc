@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "audit/gradient/judgement.h"
+#include "base/number_text.h"
 #include "control/hybrid_shooting.h"
 
 namespace saltus {
@@ -24,6 +25,16 @@ constexpr double kSweptPart = 0.1;     // and at most this part of the budget of
 constexpr int kMostVariables = 8;      // of each part, in a width sweep
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// Rows `first` to `last` - 1, of m numbers each, of a control of which each row is held over `held` of them.
+std::vector<double> HeldRows(const std::vector<double>& control, int m, int held, int first, int last) {
+  std::vector<double> rows;
+  for (int k = first; k < last; ++k) {
+    const auto row = control.begin() + static_cast<std::ptrdiff_t>(k / held) * m;
+    rows.insert(rows.end(), row, row + m);
+  }
+  return rows;
+}
 
 // The motion that a scheme's steps make from an input, the loss of a problem along it, and the gradient.
 class SchemeRun {
@@ -92,11 +103,7 @@ class SchemeRun {
   bool Evaluate(const HybridInput& input, int per_interval, double* loss, HybridGradient* gradient) {
     const int K = input.num_intervals, steps = K * per_interval, m = system_.num_controls();
     const double h = input.duration / steps, length = input.duration / K;
-    std::vector<double> control;
-    for (int k = 0; k < steps; ++k) {
-      const auto row = input.control.begin() + static_cast<std::ptrdiff_t>(k / per_interval) * m;
-      control.insert(control.end(), row, row + m);
-    }
+    const std::vector<double> control = HeldRows(input.control, m, per_interval, 0, steps);
     if (!Move(input.mode, input.initial, 0, h, steps, control.data(), input.parameters, gradient != nullptr)) {
       return false;
     }
@@ -221,11 +228,7 @@ class SegmentStudy {
       : problem_(problem), steps_(steps), run_(problem, scheme, stop), input_(problem.guess) {
     const int per_interval = steps / problem.guess.num_intervals, m = problem.system.num_controls();
     input_.num_intervals = steps;
-    input_.control.clear();
-    for (int k = 0; k < steps; ++k) {
-      const auto row = problem.guess.control.begin() + static_cast<std::ptrdiff_t>(k / per_interval) * m;
-      input_.control.insert(input_.control.end(), row, row + m);
-    }
+    input_.control = HeldRows(problem.guess.control, m, per_interval, 0, steps);
   }
 
   std::vector<SegmentError> Study() {
@@ -300,11 +303,7 @@ class SegmentStudy {
                  const std::vector<double>& costate, const std::vector<double>& right, int finer) {
     const double h = input_.duration / steps_;
     const int m = problem_.system.num_controls();
-    std::vector<double> control;
-    for (int k = segment.first * finer; k < segment.last * finer; ++k) {
-      const auto row = input_.control.begin() + static_cast<std::ptrdiff_t>(k / finer) * m;
-      control.insert(control.end(), row, row + m);
-    }
+    const std::vector<double> control = HeldRows(input_.control, m, finer, segment.first * finer, segment.last * finer);
     const int steps = (segment.last - segment.first) * finer;
     if (!run_.Move(mode, begin, segment.first * h, h / finer, steps, control.data(), input_.parameters, true) ||
         run_.final_mode() != last_mode) {
@@ -520,8 +519,7 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const RefinementOptions& refinement = options.refinement;
   constexpr int kFewest = 4;  // levels of which an order can be told
   const auto undecided = [&] {
-    return std::any_of(
-        audit.parts.begin(), audit.parts.end(), [](const auto& part) { return MayHaveAFloor(part.study); });
+    return std::ranges::any_of(audit.parts, [](const auto& part) { return MayHaveAFloor(part.study); });
   };
   for (int level = 0; level < refinement.levels || (level < refinement.most_levels && undecided()); ++level) {
     const int coarse = base << level;
@@ -566,18 +564,9 @@ std::string HybridAudit::Why() const {
     return verdict == Verdict::kUnknown ? "the error falls, but not yet below one percent" : "no single event is wrong";
   }
   const SegmentError& first = segments[first_wrong];
-  char text[256];
-  std::snprintf(
-      text,
-      sizeof text,
-      "the first wrong step is %d, with the event of guard '%s' in mode '%s' at t = %.6g: its derivative is off by "
-      "%.3g, whatever the step",
-      first.step,
-      first.guard.c_str(),
-      first.mode.c_str(),
-      first.time,
-      first.error);
-  return text;
+  return "the first wrong step is " + std::to_string(first.step) + ", with the event of guard '" + first.guard +
+         "' in mode '" + first.mode + "' at t = " + ToText(first.time, 6) + ": its derivative is off by " +
+         ToText(first.error, 3) + ", whatever the step";
 }
 
 }  // namespace saltus

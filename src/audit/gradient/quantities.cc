@@ -1,6 +1,4 @@
 // What gradients are compared by: the names, units and entries of each quantity (refinement.h).
-#include <glog/logging.h>
-
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/scene/scene_parameter.h"

@@ -37,12 +37,6 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   return quantities;
 }
 
-double Largest(const std::vector<double>& entries) {
-  double largest = 0;
-  for (double entry : entries) largest = std::max(largest, std::abs(entry));
-  return largest;
-}
-
 double Distance(const std::vector<double>& a, const std::vector<double>& b) {
   std::vector<double> difference(a.size());
   std::transform(a.begin(), a.end(), b.begin(), difference.begin(), std::minus<>());

@@ -1,20 +1,36 @@
-// Small functions of numbers and of rollouts that several parts of the audit need.
+// Small functions of numbers, texts and of rollouts that several parts of the audit need.
 #pragma once
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "saltus/simulate/simulator.h"
 
 namespace saltus {
 
+// As printf does.
+inline std::string FormatNumbers(const char* format, double a, double b = 0, double c = 0) {
+  char text[240];
+  std::snprintf(text, sizeof text, format, a, b, c);
+  return text;
+}
+
 // The Euclidean norm.
 inline double Norm(const std::vector<double>& entries) {
   double sum = 0;
   for (double entry : entries) sum += entry * entry;
   return std::sqrt(sum);
+}
+
+// The largest magnitude; 0 of none.
+inline double Largest(const std::vector<double>& entries) {
+  double largest = 0;
+  for (double entry : entries) largest = std::max(largest, std::abs(entry));
+  return largest;
 }
 
 // The middle value; the upper one of two. Precondition: not empty.
