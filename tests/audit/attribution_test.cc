@@ -250,7 +250,7 @@ TEST(Attribution, ACostateIsPulledBackAsByTheMatrix) {
     const std::vector<double> begin = ToState(InitialState(scene), scene.num_bodies());
     const std::vector<double> control = InitialControl(scene, scene.steps);
     const auto force = [&](int k, std::span<double> f) { simulator->ExpandForce(control, k, f); };
-    const Eigen::MatrixXd A = ComposeSteps(*simulator, begin, force, scene.steps, bodies).A;
+    const Eigen::MatrixXd A = RunSteps(*simulator, begin, force, scene.steps, &bodies).A;
     const PulledCostate pulled = PullBackCostate(simulator.get(), begin, bodies, lambda);
     Eigen::VectorXd positions = lambda, velocities = lambda;
     for (int i = 0; i < lambda.size(); ++i) (i % size < 2 || i % size == 4 ? velocities : positions)[i] = 0;

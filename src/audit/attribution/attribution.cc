@@ -21,6 +21,7 @@
 
 #include "audit/attribution/impact_faults.h"
 #include "audit/attribution/step_map.h"
+#include "base/number_text.h"
 #include "base/parallel_for.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
@@ -48,6 +49,8 @@ constexpr std::size_t kKeptNumbers = std::size_t{1} << 23;  // of states
 struct PairContact {
   Candidate pair;
   int first = 0, last = 0;
+
+  int steps() const { return last - first + 1; }
 };
 
 // Steps [begin, end) of the model, and the pairs that meet in them: connected by discs that move, so that other discs
@@ -56,22 +59,10 @@ struct Interval {
   int begin = 0, end = 0;
   std::vector<PairContact> meetings;
 
-  int first_touch() const {
-    int first = meetings.front().first;
-    for (const PairContact& meeting : meetings) first = std::min(first, meeting.first);
-    return first;
-  }
-  int last_touch() const {
-    int last = 0;
-    for (const PairContact& meeting : meetings) last = std::max(last, meeting.last);
-    return last;
-  }
+  int first_touch() const { return std::ranges::min(meetings, {}, &PairContact::first).first; }
+  int last_touch() const { return std::ranges::max(meetings, {}, &PairContact::last).last; }
   // Steps of the longest meeting.
-  int longest() const {
-    int steps = 0;
-    for (const PairContact& meeting : meetings) steps = std::max(steps, meeting.last - meeting.first + 1);
-    return steps;
-  }
+  int longest() const { return std::ranges::max(meetings, {}, &PairContact::steps).steps(); }
 };
 
 class Attributor {
@@ -98,9 +89,8 @@ class Attributor {
     }
     initial_ = InitialState(scene_);
     control_ = InitialControl(scene_, model_->num_steps());
-    const auto stopped = [&] { return stop_ && stop_(); };
     if (!model_->Rollout(initial_, control_)) {
-      if (stopped()) {
+      if (model_->stopped()) {
         out.limit = "no contacts";
         return out;
       }
@@ -108,8 +98,8 @@ class Attributor {
       return out;
     }
     const std::vector<Interval> intervals = FindIntervals();
-    if (!stopped()) FindCostates(intervals);
-    if (!stopped()) out.contacts = CompareAll(intervals);
+    if (!model_->stopped()) FindCostates(intervals);
+    if (!model_->stopped()) out.contacts = CompareAll(intervals);
     if (out.contacts.size() == intervals.size()) {
       out.sequence = CompareSequences(intervals);
     } else {
@@ -172,17 +162,15 @@ class Attributor {
         break;
       }
     }
-    std::stable_sort(intervals.begin(), intervals.end(), [](const Interval& a, const Interval& b) {
-      return a.first_touch() < b.first_touch();
-    });
+    std::ranges::stable_sort(intervals,
+                             [](const Interval& a, const Interval& b) { return a.first_touch() < b.first_touch(); });
     for (size_t i = 0; i < intervals.size(); ++i) {
       Interval& interval = intervals[i];
       // Neighbours in time that share a disc.
       int from = 0, to = model_->num_steps();
       for (size_t j = 0; j < intervals.size(); ++j) {
-        const bool shares = std::any_of(intervals[j].meetings.begin(),
-                                        intervals[j].meetings.end(),
-                                        [&](const PairContact& meeting) { return Involves(interval, meeting.pair); });
+        const bool shares = std::ranges::any_of(
+            intervals[j].meetings, [&](const PairContact& meeting) { return Involves(interval, meeting.pair); });
         if (j == i || !shares) continue;
         if (j < i) from = std::max(from, intervals[j].end);
         if (j > i) to = std::min(to, intervals[j].begin);
@@ -245,8 +233,7 @@ class Attributor {
 
   bool HasExactImpact(const Interval& interval) const {
     const std::vector<StepTouch> touches = ExactTouches(interval);
-    return std::any_of(
-        touches.begin(), touches.end(), [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
+    return std::ranges::any_of(touches, [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
   }
 
   StepMap ExactOver(const Interval& interval, const std::vector<int>* bodies) const {
@@ -254,8 +241,7 @@ class Attributor {
     const int steps = interval.end - interval.begin;
     const std::unique_ptr<Simulator> exact = SimulatorOf(exact_contact_, interval, steps);
     const std::vector<double> begin = PlainStateAt(interval.begin);
-    if (bodies == nullptr) return RunSteps(*exact, begin, ForcesFrom(interval.begin), steps);
-    return ComposeSteps(*exact, begin, ForcesFrom(interval.begin), steps, *bodies);
+    return RunSteps(*exact, begin, ForcesFrom(interval.begin), steps, bodies);
   }
 
   std::vector<StepTouch> TouchesOver(const Contact& contact, const Interval& interval) const {
@@ -272,7 +258,7 @@ class Attributor {
   std::vector<StepTouch> OwnTouches(const Interval& interval) const {
     if (IsCrowd()) return TouchesOver(contact_, interval);
     const int steps = interval.end - interval.begin;
-    return RunSteps(model(), StateAt(interval.begin), ForcesFrom(interval.begin), steps).touches;
+    return RunSteps(model(), StateAt(interval.begin), ForcesFrom(interval.begin), steps, nullptr).touches;
   }
 
   // The model's own linearization over some discs, perhaps with finer steps.
@@ -282,7 +268,7 @@ class Attributor {
     std::unique_ptr<Simulator> fine;
     if (finer > 1) fine = SimulatorOf(contact_, interval, steps);
     const Simulator& simulator = finer > 1 ? *fine : model();
-    return ComposeSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, bodies);
+    return RunSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, &bodies);
   }
 
   // The linearization over some discs, which no others meet in the interval: in a crowd they are simulated alone.
@@ -323,7 +309,7 @@ class Attributor {
     if (scene.Spins()) moves.insert(moves.end(), turns.begin(), turns.end());
     std::vector<double> begin(simulator->state_size());
     simulator->ExpandInitial(moves, begin);
-    StepMap map = ComposeSteps(*simulator, begin, force, steps, local);
+    StepMap map = RunSteps(*simulator, begin, force, steps, &local);
     if (NumbersOfDisc(scene) == size_) return map;
     // None of these spins: they turn evenly, as in the whole scene.
     const int n = static_cast<int>(local.size());
@@ -426,9 +412,8 @@ class Attributor {
     ContactError error;
     error.first_step = interval.first_touch();
     error.last_step = interval.last_touch();
-    const auto first = std::find_if(interval.meetings.begin(),
-                                    interval.meetings.end(),
-                                    [&](const PairContact& meeting) { return meeting.first == error.first_step; });
+    const auto first = std::ranges::find_if(
+        interval.meetings, [&](const PairContact& meeting) { return meeting.first == error.first_step; });
     error.a = scene_.bodies[first->pair.a].name;
     error.b = first->pair.plane ? walls_[first->pair.b].name : scene_.bodies[first->pair.b].name;
 
@@ -573,21 +558,14 @@ class Attributor {
 
   std::string DescribeUnresolved(const Interval& interval, double coarse_error, double fine_error) const {
     const int lasts = interval.longest();
-    char text[128];
-    if (fine_error < 0.5 * coarse_error) {
-      std::snprintf(text,
-                    sizeof text,
-                    "contact force not resolved by its %d steps (%d times as many leave %.0f %% of the error)",
-                    lasts,
-                    FinerSteps(interval),
-                    100 * fine_error / coarse_error);
-    } else {
-      std::snprintf(text,
-                    sizeof text,
-                    "contact is soft: it lasts %.2g s, and smaller steps do not help",
-                    lasts * h() * scene_.units.time);
+    if (!(fine_error < 0.5 * coarse_error)) {
+      return "contact is soft: it lasts " + ToText(lasts * h() * scene_.units.time, 2) +
+             " s, and smaller steps do not help";
     }
-    return text;
+    char percent[8];
+    std::snprintf(percent, sizeof percent, "%.0f", 100 * fine_error / coarse_error);
+    return "contact force not resolved by its " + std::to_string(lasts) + " steps (" +
+           std::to_string(FinerSteps(interval)) + " times as many leave " + percent + " % of the error)";
   }
 
   // Drops touches that no chain of touches connects with the interval; collects the discs that move of the others.
@@ -598,10 +576,8 @@ class Attributor {
       grown = false;
       for (const std::vector<StepTouch>* touches : {exact, own}) {
         for (const StepTouch& at : *touches) {
-          const bool known =
-              std::any_of(interval.meetings.begin(), interval.meetings.end(), [&](const PairContact& meeting) {
-                return meeting.pair == at.touch.candidate;
-              });
+          const bool known = std::ranges::any_of(
+              interval.meetings, [&](const PairContact& meeting) { return meeting.pair == at.touch.candidate; });
           if (known || !involved(at)) continue;
           interval.meetings.push_back({at.touch.candidate, at.step, at.step});
           grown = true;
@@ -661,19 +637,18 @@ class Attributor {
 
   // The first ones, all unless it is stopped. They are begun in their order, so that few are lost then.
   std::vector<ContactError> CompareAll(const std::vector<Interval>& intervals) const {
-    const auto stopped = [&] { return stop_ && stop_(); };
     std::vector<std::optional<ContactError>> found(intervals.size());
     std::atomic<std::size_t> next = 0;
     std::mutex saying;
     ParallelFor(threads_, threads_, [&](int, int) {
-      for (std::size_t i = next++; i < intervals.size() && !stopped(); i = next++) {
+      for (std::size_t i = next++; i < intervals.size() && !model_->stopped(); i = next++) {
         if (status_) {
           const std::lock_guard lock(saying);
           status_("contact " + std::to_string(i + 1) + " of " + std::to_string(intervals.size()) + " at " +
                   std::to_string(model_->num_steps()) + " steps");
         }
         ContactError error = Compare(intervals[i], costates_[i]);
-        if (!stopped()) found[i] = std::move(error);
+        if (!model_->stopped()) found[i] = std::move(error);
       }
     });
     std::vector<ContactError> errors;
@@ -702,12 +677,6 @@ constexpr int kRefinement = 8, kMostRefinement = 256;
 constexpr int kClearSteps = 2000;
 constexpr double kStays = 0.25;
 
-std::string Seconds(double seconds) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g s", seconds);
-  return text;
-}
-
 }  // namespace
 
 const char* BlockToString(Block block) {
@@ -726,7 +695,7 @@ Attribution AttributeError(const Contact& contact, const Scene& given, const Att
   const StopRequest end = StopAfter(options.seconds, options.stop);
   const StopRequest half = StopAfter(options.seconds / 2, options.stop);
   Attribution own = Attributor(contact, scene, half, options.status, options.threads).Run();
-  const std::string after = " compared in " + Seconds(options.seconds);
+  const std::string after = " compared in " + ToText(options.seconds, 3) + " s";
   if (!own.limit.empty()) own.limit += after;
   if (!own.ok() || own.contacts.empty()) return own;
   // Not quite a multiple, so that an impact on a grid node is not on one again.

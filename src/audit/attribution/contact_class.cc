@@ -197,26 +197,6 @@ class Recogniser {
   ContactRecognition out_;
 };
 
-// The contact of a model's own rollout.
-class ModelBench final : public ContactBench {
- public:
-  ModelBench(const Contact& contact, const Scene& scene, const Encounter& encounter, const StopRequest& stop)
-      : contact_(contact), scene_(scene), encounter_(encounter), stop_(stop) {}
-
-  ContactRun Run(double h, std::span<const double> from, bool onset_only) const override {
-    return ContactRunner(contact_, scene_, encounter_, h, stop_).Run(from, onset_only);
-  }
-  NormalMap Linearize(double h, std::span<const double> before_largest) const override {
-    return ContactRunner(contact_, scene_, encounter_, h, stop_).Linearize(before_largest);
-  }
-
- private:
-  Contact contact_;
-  const Scene& scene_;
-  const Encounter& encounter_;
-  const StopRequest& stop_;
-};
-
 }  // namespace
 
 ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,

@@ -9,10 +9,10 @@
 #include <numeric>
 
 #include "audit/attribution/step_map.h"
-#include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 namespace {
@@ -31,14 +31,6 @@ constexpr double kApart = 16;
 constexpr int kLead = RunRecorder::kLead;
 // A closing speed that acceleration makes in this many steps is that of a contact at rest.
 constexpr double kRestingSteps = 4;
-
-Scene OneStep(const Contact& contact, Scene scene, double h) {
-  scene.duration = h;
-  scene.steps = CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
-  return scene;
-}
-
-double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body.mass; }
 
 StepLinearization::FreeFlight FreeFlightOf(const Simulator& simulator) {
   StepLinearization step;
@@ -170,13 +162,13 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
   return std::nullopt;
 }
 
-ContactRunner::ContactRunner(const Contact& contact, const Scene& scene, const Encounter& encounter, double h,
-                             const StopRequest& stop)
-    : scene_(scene),
-      encounter_(encounter),
-      simulator_(MakeSimulator(contact, OneStep(contact, scene, h), Precision::kDouble)),
-      motion_(*simulator_, FreeFlightOf(*simulator_), encounter.pair, encounter.force) {
-  simulator_->set_stop(stop);
+std::unique_ptr<Simulator> ModelBench::SimulatorOver(double h) const {
+  Scene scene = scene_;
+  scene.duration = h;
+  scene.steps = CHECK_NOTNULL(FindContactModel(contact_))->grid_steps;
+  std::unique_ptr<Simulator> simulator = MakeSimulator(contact_, scene, Precision::kDouble);
+  simulator->set_stop(stop_);
+  return simulator;
 }
 
 void RunRecorder::Add(double change, double speed, bool touched, std::span<const double> before) {
@@ -205,7 +197,9 @@ const ContactRun& RunRecorder::Finish() {
   return run_;
 }
 
-ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) const {
+ContactRun ModelBench::Run(double h, std::span<const double> from, bool onset_only) const {
+  const std::unique_ptr<Simulator> simulator = SimulatorOver(h);
+  const PairMotion pair(*simulator, FreeFlightOf(*simulator), encounter_.pair, encounter_.force);
   RunRecorder recorder(onset_only);
   std::deque<std::vector<double>> past;  // at most kLead + 1 states, the last one current
   past.emplace_back(from.begin(), from.end());
@@ -213,13 +207,13 @@ ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) con
   std::vector<Touch> touches;
   double closing = 0;
   for (int step = 0; step < kMostSteps && !recorder.ended(); ++step) {
-    if (simulator_->stopped()) return {};
+    if (simulator->stopped()) return {};
     const std::vector<double>& x = past.back();
     touches.clear();
-    simulator_->Step(x, encounter_.force, next, &touches);
-    if (!recorder.begun()) closing = -motion_.Speed(x);
-    const double change = motion_.Change(x, next) / closing;
-    const double speed = motion_.Speed(next) / closing;
+    simulator->Step(x, encounter_.force, next, &touches);
+    if (!recorder.begun()) closing = -pair.Speed(x);
+    const double change = pair.Change(x, next) / closing;
+    const double speed = pair.Speed(next) / closing;
     if (!std::isfinite(change) || !(closing > 0)) return {};
     const bool touched = std::any_of(
         touches.begin(), touches.end(), [&](const Touch& touch) { return touch.candidate == encounter_.pair; });
@@ -230,8 +224,10 @@ ContactRun ContactRunner::Run(std::span<const double> from, bool onset_only) con
   return recorder.Finish();
 }
 
-NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const {
+NormalMap ModelBench::Linearize(double h, std::span<const double> before_largest) const {
+  const std::unique_ptr<Simulator> simulator = SimulatorOver(h);
   const Candidate& pair = encounter_.pair;
+  const PairMotion motion(*simulator, FreeFlightOf(*simulator), pair, encounter_.force);
   struct Moving {
     int body;
     double side, share;  // in the relative motion
@@ -246,11 +242,11 @@ NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const
   const auto force = [this](int, std::span<double> out) {
     std::copy_n(encounter_.force.begin(), out.size(), out.begin());
   };
-  const Eigen::MatrixXd A = ComposeSteps(*simulator_, before_largest, force, kLead + 1 + kLead, bodies).A;
+  const Eigen::MatrixXd A = RunSteps(*simulator, before_largest, force, kLead + 1 + kLead, &bodies).A;
 
   const int size = NumbersOfDisc(scene_);
   // To relative normal motion, the discs displaced so that their centre of mass stays.
-  const Vec2d n = motion_.NormalAt(before_largest);
+  const Vec2d n = motion.NormalAt(before_largest);
   Eigen::Matrix2d map = Eigen::Matrix2d::Zero(), flight;
   for (size_t i = 0; i < moving.size(); ++i) {
     for (size_t j = 0; j < moving.size(); ++j) {
@@ -262,7 +258,7 @@ NormalMap ContactRunner::Linearize(std::span<const double> before_largest) const
       }
     }
   }
-  const StepLinearization::FreeFlight& free = motion_.free();
+  const StepLinearization::FreeFlight& free = motion.free();
   flight << free.pp, free.pv, free.vp, free.vv;
   const Eigen::Matrix2d back = flight.inverse();
   for (int i = 0; i < kLead; ++i) map = back * map * back;

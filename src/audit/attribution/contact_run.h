@@ -4,7 +4,6 @@
 #include <memory>
 #include <optional>
 #include <span>
-#include <string_view>
 #include <vector>
 
 #include "saltus/audit/contact_class.h"
@@ -102,22 +101,23 @@ class ContactBench {
 ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
                                     double restitution);
 
-// Steps of length `h` of a model, around one encounter.
-class ContactRunner {
+// The contact of a model's own rollout. All that it is made of outlives it; states are those of the simulator.
+class ModelBench final : public ContactBench {
  public:
-  ContactRunner(const Contact& contact, const Scene& scene, const Encounter& encounter, double h,
-                const StopRequest& stop);
+  ModelBench(const Contact& contact, const Scene& scene, const Encounter& encounter, const StopRequest& stop)
+      : contact_(contact), scene_(scene), encounter_(encounter), stop_(stop) {}
 
-  // From a state before the contact until it is over; if `onset_only`, just its first two steps.
-  ContactRun Run(std::span<const double> from, bool onset_only) const;
-  // Over the step that follows `before_largest` by two, with free flight undone.
-  NormalMap Linearize(std::span<const double> before_largest) const;
+  ContactRun Run(double h, std::span<const double> from, bool onset_only) const override;
+  NormalMap Linearize(double h, std::span<const double> before_largest) const override;
 
  private:
+  // Of one step of length `h`.
+  std::unique_ptr<Simulator> SimulatorOver(double h) const;
+
+  const Contact& contact_;
   const Scene& scene_;
   const Encounter& encounter_;
-  std::unique_ptr<Simulator> simulator_;
-  PairMotion motion_;
+  const StopRequest& stop_;
 };
 
 }  // namespace saltus

@@ -126,16 +126,10 @@ void ForgetTime(ImpactTerms* terms) {
 }
 
 ImpactTerms::Friction LawOf(ContactMode mode) {
-  switch (mode) {
-    case ContactMode::kFrictionless:
-    case ContactMode::kPocketed:
-      return ImpactTerms::Friction::kNone;
-    case ContactMode::kSlip:
-      return ImpactTerms::Friction::kSlip;
-    case ContactMode::kStick:
-      return ImpactTerms::Friction::kStick;
-  }
-  return ImpactTerms::Friction::kNone;
+  using Friction = ImpactTerms::Friction;
+  return mode == ContactMode::kSlip    ? Friction::kSlip
+         : mode == ContactMode::kStick ? Friction::kStick
+                                       : Friction::kNone;
 }
 
 Family BounceFaults() {

@@ -41,8 +41,23 @@ Eigen::MatrixXd DenseOver(const StepLinearization& step, const std::vector<int>&
   return A;
 }
 
-StepMap Run(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
-            const std::vector<int>* bodies) {
+}  // namespace
+
+int NumbersOfDisc(const Scene& scene) { return scene.Spins() ? 4 + kSpin : 4; }
+
+Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time) {
+  const int size = NumbersOfDisc(scene);
+  Eigen::VectorXd scales(size * bodies.size());
+  for (size_t i = 0; i < bodies.size(); ++i) {
+    const double radius = scene.bodies[bodies[i]].radius;
+    const double of_disc[] = {1, 1, time, time, radius, radius * time};
+    for (int j = 0; j < size; ++j) scales[size * i + j] = of_disc[j];
+  }
+  return scales;
+}
+
+StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
+                 const std::vector<int>* bodies) {
   StepMap map;
   std::vector<double> x(begin.begin(), begin.end()), next(x.size()), u(simulator.force_size());
   std::vector<Touch> touches;
@@ -68,30 +83,6 @@ StepMap Run(const Simulator& simulator, std::span<const double> begin, const For
     for (int j = 0; j < n; ++j) map.A.block(kept * i, kept * j, kept, kept) = A.block(i * size, j * size, kept, kept);
   }
   return map;
-}
-
-}  // namespace
-
-int NumbersOfDisc(const Scene& scene) { return scene.Spins() ? 4 + kSpin : 4; }
-
-Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time) {
-  const int size = NumbersOfDisc(scene);
-  Eigen::VectorXd scales(size * bodies.size());
-  for (size_t i = 0; i < bodies.size(); ++i) {
-    const double radius = scene.bodies[bodies[i]].radius;
-    const double of_disc[] = {1, 1, time, time, radius, radius * time};
-    for (int j = 0; j < size; ++j) scales[size * i + j] = of_disc[j];
-  }
-  return scales;
-}
-
-StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
-                     const std::vector<int>& bodies) {
-  return Run(simulator, begin, force, steps, &bodies);
-}
-
-StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps) {
-  return Run(simulator, begin, force, steps, nullptr);
 }
 
 PulledCostate PullBackCostate(Simulator* simulator, std::span<const double> begin, const std::vector<int>& bodies,

@@ -31,13 +31,10 @@ inline bool IsRate(Eigen::Index j) { return j == 2 || j == 3 || j == 5; }
 // spins: 1, `time`, the radius and the radius times `time`. Of costates they are those to divide by.
 Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time);
 
-// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ... Rotation that is the model's
-// own takes part in the composition, but not in A.
-StepMap ComposeSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
-                     const std::vector<int>& bodies);
-
-// The same without the linearization.
-StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps);
+// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ..., with the linearization over
+// `bodies`, unless these are null. Rotation that is the model's own takes part in the composition, but not in A.
+StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
+                 const std::vector<int>* bodies);
 
 // A^T lambda over some discs, [p v] of each and [angle w] if the scene spins; what the positions and what the
 // velocities at the end contribute.
