@@ -1,5 +1,6 @@
 // Steps and forward derivatives of a contact model on a scene, for tests: a plain loop over all pairs that knows
-// nothing of broad phases, islands and adjoints. And the problems with their losses and gradients.
+// nothing of broad phases, islands and adjoints. And the problems with their losses and gradients. The steps are those
+// that the library has: a test says `extern template` of its models, and does not compile them again.
 #pragma once
 
 #include <gmock/gmock.h>
@@ -7,15 +8,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <memory_resource>
 #include <string>
 #include <vector>
 
 #include "saltus/audit/gradients.h"
-#include "saltus/contact/contact_model.h"
+#include "saltus/simulate/own_contact.h"
 #include "test_scenes.h"
 
 namespace saltus::testing {
+
+using Model = ContactStep<double, 0>;
+
+// A contact model with these options; the others have their defaults.
+template <ContactModel M>
+ContactStepOf<M, double> Compiled(std::initializer_list<OptionValue> options = {}) {
+  return ContactStepOf<M, double>(internal::WithOptions<M>({options.begin(), options.size()}));
+}
 
 // All that a step depends on, as scalars that can carry derivatives.
 template <typename T>
@@ -59,8 +69,8 @@ StepArguments<T> Arguments(const Scene& scene) {
 }
 
 // One step from `arguments` in the scene's time step, gravity, radii and planes. Every pair is a candidate.
-template <typename M, typename T>
-std::vector<BodyState<T, 0>> StepOnce(const Scene& scene, const StepArguments<T>& arguments,
+template <typename T>
+std::vector<BodyState<T, 0>> StepOnce(const Model& model, const Scene& scene, const StepArguments<T>& arguments,
                                       std::vector<Touch>* touches = nullptr) {
   using S = Base<T>;
   const int count = scene.num_bodies();
@@ -97,24 +107,23 @@ std::vector<BodyState<T, 0>> StepOnce(const Scene& scene, const StepArguments<T>
                            &scratch,
                            touches};
   std::vector<BodyState<T, 0>> next(count);
-  M().Step(in, std::span<const BodyState<T, 0>>(arguments.x), std::span<BodyState<T, 0>>(next));
+  model.Step(in, std::span<const BodyState<T, 0>>(arguments.x), std::span<BodyState<T, 0>>(next));
   return next;
 }
 
-template <typename M>
-std::vector<BodyState<double, 0>> StepOnce(const Scene& scene, std::vector<Touch>* touches = nullptr) {
-  return StepOnce<M>(scene, Arguments<double>(scene), touches);
+inline std::vector<BodyState<double, 0>> StepOnce(const Model& model, const Scene& scene,
+                                                  std::vector<Touch>* touches = nullptr) {
+  return StepOnce(model, scene, Arguments<double>(scene), touches);
 }
 
 // Jets give the bits of the scalar step, and finite derivatives.
-template <typename M>
-void ExpectJetsHaveScalarBits(const Scene& scene) {
+inline void ExpectJetsHaveScalarBits(const Model& model, const Scene& scene) {
   using J = StepJet<double>;
   StepArguments<J> arguments = Arguments<J>(scene);
   const std::vector<J*> scalars = arguments.Scalars();
   for (std::size_t i = 0; i < scalars.size(); ++i) scalars[i]->v[i % kJetWidth] = 1;
-  const std::vector<BodyState<J, 0>> with_jets = StepOnce<M>(scene, arguments);
-  const std::vector<BodyState<double, 0>> plain = StepOnce<M>(scene);
+  const std::vector<BodyState<J, 0>> with_jets = StepOnce(model, scene, arguments);
+  const std::vector<BodyState<double, 0>> plain = StepOnce(model, scene);
   for (std::size_t i = 0; i < plain.size(); ++i) {
     for (int k = 0; k < 2; ++k) {
       EXPECT_EQ(with_jets[i].p[k].a, plain[i].p[k]);
@@ -126,8 +135,7 @@ void ExpectJetsHaveScalarBits(const Scene& scene) {
 }
 
 // The step's derivative with respect to everything, against central differences. Precondition: no event within 1e-6.
-template <typename M>
-void ExpectStepDerivative(const Scene& scene) {
+inline void ExpectStepDerivative(const Model& model, const Scene& scene) {
   using J = StepJet<double>;
   const std::size_t count = Arguments<double>(scene).Scalars().size();
   double largest = 0;
@@ -135,11 +143,11 @@ void ExpectStepDerivative(const Scene& scene) {
     SCOPED_TRACE("input " + std::to_string(input));
     StepArguments<J> arguments = Arguments<J>(scene);
     arguments.Scalars()[input]->v[0] = 1;
-    const std::vector<BodyState<J, 0>> exact = StepOnce<M>(scene, arguments);
+    const std::vector<BodyState<J, 0>> exact = StepOnce(model, scene, arguments);
     const auto moved = [&](double by) {
       StepArguments<double> at = Arguments<double>(scene);
       *at.Scalars()[input] += by;
-      return StepOnce<M>(scene, at);
+      return StepOnce(model, scene, at);
     };
     const double by = 1e-7 * std::max(1.0, std::abs(*Arguments<double>(scene).Scalars()[input]));
     const std::vector<BodyState<double, 0>> up = moved(by), down = moved(-by);
@@ -170,14 +178,12 @@ inline Scene GroundWall(double friction) {
 }
 
 // Loss and gradient at the initial guess.
-template <typename M>
-ModelGradient Gradient(const Scene& scene, Precision precision = Precision::kDouble) {
-  return ComputeGradient(M::kTraits.name, scene, precision);
+inline ModelGradient Gradient(const Model& model, const Scene& scene, Precision precision = Precision::kDouble) {
+  return ComputeGradient(model.traits().name, scene, precision);
 }
 
-template <typename M>
-double InitialLoss(const Scene& scene, Precision precision = Precision::kDouble) {
-  return Gradient<M>(scene, precision).loss;
+inline double InitialLoss(const Model& model, const Scene& scene, Precision precision = Precision::kDouble) {
+  return Gradient(model, scene, precision).loss;
 }
 
 // Two discs of 1 kg and 3 kg that meet obliquely, 2.8 mm before contact, or 11 mm after it if they overlap.
@@ -207,14 +213,13 @@ inline Scene Corner(bool overlap = false) {
 }
 
 // The change of disc i by contact: its step less that of a scene without the others and without planes.
-template <typename M>
-BodyState<double, 0> ContactChange(const Scene& scene, int i) {
+inline BodyState<double, 0> ContactChange(const Model& model, const Scene& scene, int i) {
   Scene alone = scene;
   alone.planes.clear();
   for (int j = 0; j < scene.num_bodies(); ++j) {
     if (j != i) alone.bodies[j].position += Vec2d(100.0 * (j + 1), 0);
   }
-  const BodyState<double, 0> with = StepOnce<M>(scene)[i], without = StepOnce<M>(alone)[i];
+  const BodyState<double, 0> with = StepOnce(model, scene)[i], without = StepOnce(model, alone)[i];
   return {with.p - without.p, with.v - without.v};
 }
 
@@ -224,14 +229,13 @@ inline void ExpectNear(const Vec2d& a, const Vec2d& b, double tolerance) {
 }
 
 // A fixed disc does not move, and acts on the other as a disc that is very heavy and at rest does.
-template <typename M>
-void ExpectFixedActsAsHeavy(Scene scene) {
+inline void ExpectFixedActsAsHeavy(const Model& model, Scene scene) {
   scene.bodies[1].velocity = {0, 0};
   scene.control = {{0}, {Vec2d(2, -1)}};
   scene.bodies[1].mass = 1e12;
-  const std::vector<BodyState<double, 0>> heavy = StepOnce<M>(scene);
+  const std::vector<BodyState<double, 0>> heavy = StepOnce(model, scene);
   scene.bodies[1].fixed = true;
-  const std::vector<BodyState<double, 0>> fixed = StepOnce<M>(scene);
+  const std::vector<BodyState<double, 0>> fixed = StepOnce(model, scene);
   EXPECT_EQ(fixed[1].p, scene.bodies[1].position);
   EXPECT_EQ(fixed[1].v, Vec2d(0, 0));
   ExpectNear(fixed[0].p, heavy[0].p, 1e-9);
@@ -241,32 +245,30 @@ void ExpectFixedActsAsHeavy(Scene scene) {
 
 // With a third disc that hits disc 0 from behind: the change of disc 0 is the sum of its changes by either neighbour
 // alone.
-template <typename M>
-void ExpectContactsAdd(Scene scene) {
+inline void ExpectContactsAdd(const Model& model, Scene scene) {
   scene.bodies.push_back({.name = "c", .radius = 0.1, .mass = 0.5, .position = {-0.29, 0.04}, .velocity = {3, 0}});
-  const BodyState<double, 0> both = ContactChange<M>(scene, 0);
+  const BodyState<double, 0> both = ContactChange(model, scene, 0);
   Scene first = scene, second = scene;
   first.bodies[2].position = {-50, 0};
   second.bodies[1].position = {50, 0};
-  const BodyState<double, 0> one = ContactChange<M>(first, 0), other = ContactChange<M>(second, 0);
+  const BodyState<double, 0> one = ContactChange(model, first, 0), other = ContactChange(model, second, 0);
   EXPECT_GT(one.v.norm(), 0.1);
   EXPECT_GT(other.v.norm(), 0.1);
   ExpectNear(both.v, one.v + other.v, 1e-12);
   ExpectNear(both.p, one.p + other.p, 1e-12);
   std::vector<Touch> touches;
-  const std::vector<BodyState<double, 0>> next = StepOnce<M>(scene, &touches);
+  const std::vector<BodyState<double, 0>> next = StepOnce(model, scene, &touches);
   ASSERT_EQ(touches.size(), 2u);
   EXPECT_EQ(touches[0].candidate, (Candidate{0, 1, false}));
   EXPECT_EQ(touches[1].candidate, (Candidate{0, 2, false}));
 }
 
 // Momentum changes by the forces only.
-template <typename M>
-void ExpectMomentumConserved(const Scene& scene) {
+inline void ExpectMomentumConserved(const Model& model, const Scene& scene) {
   Vec2d expected(0, 0);
   for (const Body& body : scene.bodies) expected += body.mass * body.velocity;
   for (const Vec2d& force : scene.control.initial) expected += scene.dt() * force;
-  ExpectNear(Momentum(scene, StepOnce<M>(scene)), expected, 1e-12);
+  ExpectNear(Momentum(scene, StepOnce(model, scene)), expected, 1e-12);
 }
 
 }  // namespace saltus::testing

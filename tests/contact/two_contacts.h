@@ -31,8 +31,8 @@ inline Scene TwoContacts(std::mt19937_64& random, double friction, double restit
 
 // Velocities after one step, and their derivatives by positions and velocities, of both models, in 200 random states in
 // which both contacts push.
-template <typename M, typename N>
-void ExpectAgreement(double value_tolerance, double derivative_tolerance) {
+inline void ExpectAgreement(const Model& model, const Model& other_model, double value_tolerance,
+                            double derivative_tolerance) {
   using J = StepJet<double>;
   std::mt19937_64 random(7);
   int both = 0;
@@ -45,19 +45,19 @@ void ExpectAgreement(double value_tolerance, double derivative_tolerance) {
     const Vec2d closing = scene.bodies[1].velocity - scene.bodies[0].velocity;
     if (Dot(apart, closing) >= 0 || scene.bodies[0].velocity[1] >= 0) continue;
     std::vector<Touch> touches;
-    StepOnce<M>(scene, &touches);
+    StepOnce(model, scene, &touches);
     both += touches.size() == 2;
     for (int first : {0, 4}) {  // columns of disc a, then of disc b
       StepArguments<J> arguments = Arguments<J>(scene);
       for (int k = 0; k < 4; ++k) arguments.Scalars()[first + k]->v[k] = 1;
-      const auto one = StepOnce<M>(scene, arguments), other = StepOnce<N>(scene, arguments);
+      const auto one = StepOnce(model, scene, arguments), other = StepOnce(other_model, scene, arguments);
       for (int disc = 0; disc < 2; ++disc) {
         for (int axis = 0; axis < 2; ++axis) {
           const J& a = one[disc].v[axis];
           const J& b = other[disc].v[axis];
           ASSERT_NEAR(a.a, b.a, value_tolerance) << "state " << i;
-          const double scale = std::max(1.0, b.v.template lpNorm<Eigen::Infinity>());
-          ASSERT_LT((a.v - b.v).template lpNorm<Eigen::Infinity>(), derivative_tolerance * scale) << "state " << i;
+          const double scale = std::max(1.0, b.v.lpNorm<Eigen::Infinity>());
+          ASSERT_LT((a.v - b.v).lpNorm<Eigen::Infinity>(), derivative_tolerance * scale) << "state " << i;
         }
       }
     }

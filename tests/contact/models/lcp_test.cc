@@ -7,7 +7,10 @@
 #include "base/linear_algebra.h"
 #include "contact/one_step.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/internal/contact_step.h"
 #include "test_scenes.h"
+
+extern template class saltus::ContactStepOf<saltus::Lcp, double>;
 
 namespace saltus {
 namespace {
@@ -378,8 +381,9 @@ TEST(Lcp, JetsAgreeWithThePublishedVelocityBlocks) {
   const std::vector<Vec2d> force(2, Vec2d::Zero());
   StepInput<double> in{kStep, {0, -9.8}, {0.5, 0.2, 0, 0}, bodies, planes, force, candidates, &scratch};
   Eigen::MatrixXd A(8, 8), B(8, 4);
-  Lcp().Linearize(in, x, A, B);
-  Lcp().Step<double>(in, x, next);
+  const ContactStep<double, 0>& lcp = ContactStepOf<Lcp, double>(Lcp());
+  lcp.Linearize(in, x, A, B);
+  lcp.Step(in, x, next);
 
   std::vector<BodyConstants<Jet>> jet_bodies;
   for (const auto& body : bodies) jet_bodies.push_back({Jet(body.mass), Jet(body.inverse_mass), body.radius, false});
@@ -392,7 +396,7 @@ TEST(Lcp, JetsAgreeWithThePublishedVelocityBlocks) {
     }
     const StepInput<Jet> jet_in{
         kStep, {0, -9.8}, {Jet(0.5), Jet(0.2), Jet(0), Jet(0)}, jet_bodies, planes, jet_force, candidates, &scratch};
-    Lcp().Step<Jet>(jet_in, jets, jet_next);
+    lcp.Step(jet_in, jets, jet_next);
     for (int i = 0; i < 2; ++i) {
       for (int j = 0; j < 2; ++j) {
         EXPECT_EQ(jet_next[i].v[j].a, next[i].v[j]);
