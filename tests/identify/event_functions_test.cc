@@ -7,10 +7,7 @@
 
 #include <cmath>
 
-#include "identify/generated_problem.h"
-#include "identify/loss_and_gradient.h"
-#include "identify/segment_motion.h"
-#include "saltus/control/objective.h"
+#include "identify/learned_contacts.h"
 #include "saltus/simulate/learned_contact.h"
 #include "simulate/conformance.h"
 #include "simulate/conformance_derivatives.h"
@@ -39,35 +36,12 @@ TEST(EventFunctions, TrueOnesAreExact) {
       EXPECT_NEAR(at.loss, 1.199, 1e-12);
     }
   }
-  struct Launch {
-    double friction, loss, dp[2], dv[2];
-  };
-  for (const Launch& exact : {Launch{0, 8.316138586, {-5.277120, 0.216286}, {-3.166272, -0.212230}},
-                              Launch{0.1, 11.484328848, {-6.313214, -0.228822}, {-3.787928, -0.773744}}}) {
-    Scene scene = ProblemScene("ground_wall");
-    scene.contact.friction = exact.friction;
-    const LossAndGradient launch = Evaluate(LearnedContact(ProfileEvents(scene, 2)), scene);
-    EXPECT_NEAR(launch.loss, exact.loss, 1e-8);
-    for (int j = 0; j < 2; ++j) {
-      EXPECT_NEAR(launch.gradient.initial[j], exact.dp[j], 1e-6);
-      EXPECT_NEAR(launch.gradient.initial[2 + j], exact.dv[j], 1e-6);
-    }
-  }
+  ExpectExactLaunches([](const Scene& scene) { return LearnedContact(ProfileEvents(scene, 2)); });
 }
 
 // The same as `event` to rounding: states and gradients, of the control too, with impacts between discs.
 TEST(EventFunctions, TrueOnesAreEvent) {
-  Scene corner;
-  corner.name = "corner";
-  corner.duration = 1.5;
-  corner.steps = 15;
-  corner.gravity = {0, -9.81};
-  corner.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 0.6}, .velocity = {4, -2}},
-                   {.name = "other", .radius = 0.1, .mass = 0.5, .position = {-0.6, 0.4}, .velocity = {0, 1}}};
-  corner.planes = {{"floor", {0, 0}, {0, 1}}, {"right", {0.5, 0}, {-1, 0}}, {"left", {-1, 0}, {1, 0}}};
-  corner.contact = {.restitution = 0.8};
-  corner.objective.terminal = {{.body = 0, .target = {0.1, 0.3}}, {.body = 1, .target = {-0.2, 0.5}}};
-  for (const Scene& scene : {corner, ProblemScene("two_balls")}) {
+  for (const Scene& scene : {ThrowIntoACorner(), ProblemScene("two_balls")}) {
     const LossAndGradient exact = Evaluate("event", scene);
     for (const EventFunctions& events : {AffineEvents(scene), ProfileEvents(scene, 3)}) {
       const LossAndGradient learned = Evaluate(LearnedContact(events), scene);
@@ -112,38 +86,15 @@ EventFunctions Bent(EventFunctions events) {
   return events;
 }
 
-MotionAtSamples Move(const Scene& scene, const Recording& recording, const EventFunctions& events) {
-  MotionRequest request{&recording.samples, {}, {0}, nullptr, &events};
-  for (int i = 0; i < static_cast<int>(events.parameters.size()); ++i) {
-    request.unknowns.push_back({.kind = Kind::kLaw, .component = i});
-  }
-  const Segment segment{0, 0, 0, static_cast<int>(recording.samples.size()), InitialState(scene)};
-  return MoveThrough("event", scene, segment, request, true);
-}
-
 TEST(EventFunctions, MotionIsDifferentiatedByTheirParameters) {
   const Scene scene = ThrowScene();
   Recording recording{"times", {}};
   for (double time = 0.03; time < 0.6; time += 0.0471) recording.samples.push_back({.time = time, .sigma = 1});
   for (const EventFunctions& events : {Bent(AffineEvents(scene)), Bent(ProfileEvents(scene, 2))}) {
-    const MotionAtSamples motion = Move(scene, recording, events);
+    const MotionAtSamples motion = MoveFromStart(scene, recording, events);
     ASSERT_TRUE(motion.ok) << motion.reason;
     ASSERT_GE(motion.touches.size(), 2u);
-    for (std::size_t p = 0; p < events.parameters.size(); ++p) {
-      const auto shifted = [&](double by) {
-        EventFunctions other = events;
-        other.parameters[p] += by;
-        return Move(scene, recording, other);
-      };
-      const double width = 1e-6;
-      const MotionAtSamples up = shifted(width), down = shifted(-width);
-      for (std::size_t i = 0; i < recording.samples.size(); ++i) {
-        const Eigen::Vector4d difference = (up.state[i] - down.state[i]) / (2 * width);
-        ASSERT_LT((motion.derivative[i].col(static_cast<Eigen::Index>(p)) - difference).norm(),
-                  1e-6 * (1 + difference.norm()))
-            << events.name << ", parameter " << p << " at " << recording.samples[i].time;
-      }
-    }
+    ExpectDerivativesByParameters(motion, scene, recording, events, 1e-6);
   }
 }
 
@@ -154,17 +105,7 @@ std::vector<Recording> Throws(const Contact& contact, Scene scene, double noise)
   for (int number = 0; number < 12; ++number) {
     scene.bodies[0].position = {random.Uniform(-0.5, 0.2), random.Uniform(0.7, 1.1)};
     scene.bodies[0].velocity = {random.Uniform(4, 6), random.Uniform(-6, -4)};
-    const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
-    EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, scene.steps)));
-    Recording recording{"throw", {}};
-    std::vector<double> x(4);
-    for (int k = 5; k <= scene.steps; k += 5) {
-      simulator->GetState(k, x);
-      recording.samples.push_back({.time = k * simulator->step(),
-                                   .position = {x[0] + noise * random.Normal(), x[1] + noise * random.Normal()},
-                                   .sigma = std::max(noise, 1e-6)});
-    }
-    recordings.push_back(recording);
+    recordings.push_back(RecordDisc(contact, scene, 5, noise, &random));
   }
   return recordings;
 }
@@ -208,13 +149,7 @@ TEST(Identify, AffineEventsAreRecovered) {
 
 // A floor with a bump, from noisy throws, that no flat plane explains.
 TEST(Identify, LearnsASurfaceThatIsNotFlat) {
-  Scene scene;
-  scene.name = "bump";
-  scene.duration = 1.2;
-  scene.steps = 120;
-  scene.gravity = {0, -9.81};
-  scene.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 1}, .velocity = {1, 0}}};
-  scene.planes = {{"floor", {0, 0}, {0, 1}}};
+  Scene scene = BallAboveAFloor(1.2, 120, {1, 0});
   scene.contact.restitution = 0.8;
   EventFunctions truth = ProfileEvents(scene, 2);
   // h = 0.02 (tanh(3 s + 1.5) - tanh(3 s - 1.5)), s in lengths of the scene: 0.04 tanh(1.5) high.
@@ -225,17 +160,7 @@ TEST(Identify, LearnsASurfaceThatIsNotFlat) {
   for (int number = 0; number < 12; ++number) {
     scene.bodies[0].position = {random.Uniform(-1.5, 0.5), random.Uniform(0.6, 1.2)};
     scene.bodies[0].velocity = {random.Uniform(-0.5, 1.5), 0};
-    const auto simulator = MakeSimulator(LearnedContact(truth), scene, Precision::kDouble);
-    ASSERT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, scene.steps)));
-    Recording recording{"throw", {}};
-    std::vector<double> x(4);
-    for (int k = 2; k <= scene.steps; k += 2) {
-      simulator->GetState(k, x);
-      recording.samples.push_back({.time = k * simulator->step(),
-                                   .position = {x[0] + kNoise * random.Normal(), x[1] + kNoise * random.Normal()},
-                                   .sigma = kNoise});
-    }
-    recordings.push_back(recording);
+    recordings.push_back(RecordDisc(LearnedContact(truth), scene, 2, kNoise, &random));
   }
   scene.contact.restitution = 0.7;
   const IdentifyReport report = Identify("event", scene, recordings, {}, {.events = ProfileEvents(scene, 3)});

@@ -7,10 +7,7 @@
 
 #include <cmath>
 
-#include "identify/generated_problem.h"
-#include "identify/loss_and_gradient.h"
-#include "identify/segment_motion.h"
-#include "saltus/control/objective.h"
+#include "identify/learned_contacts.h"
 #include "saltus/simulate/learned_contact.h"
 #include "saltus/solve/solver.h"
 #include "simulate/conformance.h"
@@ -63,20 +60,7 @@ TEST(NeuralEvent, WithTheTrueLawIsExact) {
   EXPECT_NEAR(bounce.loss, 1.199, 1e-12);
   EXPECT_NEAR(bounce.gradient.initial[1], -1, 1e-12);
   EXPECT_NEAR(bounce.gradient.initial[3], -1, 1e-12);
-  struct Launch {
-    double friction, loss, dp[2], dv[2];
-  };
-  for (const Launch& exact : {Launch{0, 8.316138586, {-5.277120, 0.216286}, {-3.166272, -0.212230}},
-                              Launch{0.1, 11.484328848, {-6.313214, -0.228822}, {-3.787928, -0.773744}}}) {
-    Scene scene = ProblemScene("ground_wall");
-    scene.contact.friction = exact.friction;
-    const LossAndGradient launch = Evaluate(LearnedContact(ConstantLaw(0.92)), scene);
-    EXPECT_NEAR(launch.loss, exact.loss, 1e-8);
-    for (int j = 0; j < 2; ++j) {
-      EXPECT_NEAR(launch.gradient.initial[j], exact.dp[j], 1e-6);
-      EXPECT_NEAR(launch.gradient.initial[2 + j], exact.dv[j], 1e-6);
-    }
-  }
+  ExpectExactLaunches([](const Scene&) { return LearnedContact(ConstantLaw(0.92)); });
 }
 
 // Networks begin as the constant law: every state and derivative is that of `event` to rounding, resting discs too.
@@ -135,38 +119,16 @@ TEST(ImpactLaw, NetworksAreDifferentiated) {
   }
 }
 
-// A ball in a corner, thrown hard: with steps of 0.1 s, some with two impacts.
-Scene Corner() {
-  Scene scene;
-  scene.name = "corner";
-  scene.duration = 1.5;
-  scene.steps = 15;
-  scene.gravity = {0, -9.81};
-  scene.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 0.6}, .velocity = {4, -2}},
-                  {.name = "other", .radius = 0.1, .mass = 0.5, .position = {-0.6, 0.4}, .velocity = {0, 1}}};
-  scene.planes = {{"floor", {0, 0}, {0, 1}}, {"right", {0.5, 0}, {-1, 0}}, {"left", {-1, 0}, {1, 0}}};
-  scene.contact = {.restitution = 0.8, .friction = 0.1};
-  return scene;
-}
-
-MotionAtSamples Move(const Scene& scene, const Recording& recording, const ImpactLaw& law) {
-  MotionRequest request{&recording.samples, {}, {0, 1}, &law};
-  for (int i = 0; i < static_cast<int>(law.parameters.size()); ++i) {
-    request.unknowns.push_back({.kind = Kind::kLaw, .component = i});
-  }
-  const Segment segment{0, 0, 0, static_cast<int>(recording.samples.size()), InitialState(scene)};
-  return MoveThrough("event", scene, segment, request, true);
-}
-
 TEST(ImpactLaw, MotionIsDifferentiatedByItsParameters) {
-  const Scene scene = Corner();
+  Scene scene = ThrowIntoACorner();
+  scene.contact.friction = 0.1;
   Recording recording{"times", {}};
   for (double time = 0.03; time < 1.5; time += 0.047) {
     for (int body = 0; body < 2; ++body) recording.samples.push_back({.time = time, .body = body, .sigma = 1});
   }
   for (const ImpactLaw& law :
        {Bent(RestitutionNetwork(3, 4, 0.7)), Bent(ImpulseNetwork(2, 4, 0.7, 0.1)), SofteningLaw(0.9, 0.1)}) {
-    const MotionAtSamples motion = Move(scene, recording, law);
+    const MotionAtSamples motion = MoveFromStart(scene, recording, law);
     ASSERT_TRUE(motion.ok) << motion.reason;
     ASSERT_GE(motion.touches.size(), 5u);
     bool two_in_a_step = false;
@@ -174,21 +136,7 @@ TEST(ImpactLaw, MotionIsDifferentiatedByItsParameters) {
       two_in_a_step = two_in_a_step || motion.touches[i].step == motion.touches[i - 1].step;
     }
     EXPECT_TRUE(two_in_a_step);
-    for (std::size_t p = 0; p < law.parameters.size(); ++p) {
-      const auto shifted = [&](double by) {
-        ImpactLaw other = law;
-        other.parameters[p] += by;
-        return Move(scene, recording, other);
-      };
-      const double width = 1e-6;
-      const MotionAtSamples up = shifted(width), down = shifted(-width);
-      for (std::size_t i = 0; i < recording.samples.size(); ++i) {
-        const Eigen::Vector4d difference = (up.state[i] - down.state[i]) / (2 * width);
-        ASSERT_LT((motion.derivative[i].col(static_cast<Eigen::Index>(p)) - difference).norm(),
-                  1e-5 * (1 + difference.norm()))
-            << law.name << ", parameter " << p << " at " << recording.samples[i].time;
-      }
-    }
+    ExpectDerivativesByParameters(motion, scene, recording, law, 1e-5);
   }
 }
 
@@ -198,28 +146,12 @@ std::vector<Recording> Drops(const Contact& contact, Scene scene, double noise =
   GeneratedRandom random(3);
   for (const double height : {0.4, 1.0, 2.0, 3.5}) {
     scene.bodies[0].position = {0, height};
-    const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
-    EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, scene.steps)));
-    Recording recording{"drop", {}};
-    std::vector<double> x(4);
-    for (int k = 2; k <= scene.steps; k += 2) {
-      simulator->GetState(k, x);
-      recording.samples.push_back({.time = k * simulator->step(),
-                                   .position = {x[0] + noise * random.Normal(), x[1] + noise * random.Normal()},
-                                   .sigma = noise});
-    }
-    recordings.push_back(recording);
+    recordings.push_back(RecordDisc(contact, scene, 2, noise, &random));
   }
   return recordings;
 }
 Scene DropScene() {
-  Scene scene;
-  scene.name = "drops";
-  scene.duration = 1.6;
-  scene.steps = 160;
-  scene.gravity = {0, -9.81};
-  scene.bodies = {{.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 1}, .velocity = {0.2, 0}}};
-  scene.planes = {{"floor", {0, 0}, {0, 1}}};
+  Scene scene = BallAboveAFloor(1.6, 160, {0.2, 0});
   scene.contact.restitution = 0.5;
   return scene;
 }
