@@ -1,5 +1,5 @@
-// The mechanical systems whose exact values are known (data/mechanical_references.json), as users would write them. SI
-// units. Parameters have the names of the file.
+// The mechanical systems whose exact values are known (data/mechanical_references.json), and one that several tests
+// use, as users would write them. SI units. Parameters have the names of the file.
 #pragma once
 
 #include <array>
@@ -328,6 +328,38 @@ struct Bowl {
   template <typename T>
   T Restitution(int, const T* p) const {
     return p[3];
+  }
+};
+
+// A mass of 1 kg on the ground that is pulled along it and up; p = [friction gravity].
+struct PulledMass {
+  static constexpr int kNumCoordinates = 2, kNumControls = 2, kNumParameters = 2, kNumContacts = 1;
+
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(1.0);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T* p, T* h) const {
+    h[0] = u[0];
+    h[1] = u[1] - p[1];
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[1];
+  }
+  template <typename T>
+  T Slide(int, const T* q, const T*) const {
+    return q[0];
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+  template <typename T>
+  T Friction(int, const T* p) const {
+    return p[0];
   }
 };
 

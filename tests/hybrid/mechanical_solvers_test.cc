@@ -18,6 +18,7 @@
 
 #include "control/hybrid_shooting.h"
 #include "folders.h"
+#include "hybrid/mechanical_problems.h"
 #include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
@@ -69,48 +70,16 @@ TEST(WallSwingUp, ShootingEndsAtAKinkAndSaysSo) {
   EXPECT_THAT(report.reason, HasSubstr("where the control jumps"));
 }
 
-// A mass of 1 kg on the ground, pulled along it and up; q = [x y], p = [friction].
-struct PulledMass {
-  static constexpr double kGravity = 9.81;
-  static constexpr int kNumCoordinates = 2, kNumControls = 2, kNumParameters = 1, kNumContacts = 1;
-
-  template <typename T>
-  void Mass(const T*, const T*, T* M) const {
-    M[0] = M[3] = T(1.0);
-    M[1] = M[2] = T(0.0);
-  }
-  template <typename T>
-  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
-    h[0] = u[0];
-    h[1] = u[1] - kGravity;
-  }
-  template <typename T>
-  T Gap(int, const T* q, const T*) const {
-    return q[1];
-  }
-  template <typename T>
-  T Slide(int, const T* q, const T*) const {
-    return q[0];
-  }
-  template <typename T>
-  T Restitution(int, const T*) const {
-    return T(0.0);
-  }
-  template <typename T>
-  T Friction(int, const T* p) const {
-    return p[0];
-  }
-};
-
 // While the mass slides, x(T) is linear in the control, which pulls up as well to lessen the friction.
 TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   constexpr int kIntervals = 10;
-  constexpr double kFriction = 0.5, kDuration = 1, kSpeed = 2, kTarget = 1.5, kWeight = 40, kEffort = 0.1;
+  constexpr double kFriction = 0.5, kDuration = 1, kSpeed = 2, kTarget = 1.5, kWeight = 40, kEffort = 0.1,
+                   kGravity = 9.81;
   const MechanicalSystem system{PulledMass()};
   HybridProblem problem{.system = system.hybrid(),
                         .guess = {.mode = system.Mode("+"),
                                   .initial = {0, 0, kSpeed, 0},
-                                  .parameters = {kFriction},
+                                  .parameters = {kFriction, kGravity},
                                   .duration = kDuration,
                                   .num_intervals = kIntervals},
                         .terms = {MakeTerminalCost(0, kTarget, kWeight, 4), MakeEffortCost(kEffort, 2)}};
@@ -118,7 +87,7 @@ TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   problem.free.control = true;
   // x(T) = free + sum_k a_k (u_x + mu u_y): u_x = s a_k, u_y = s mu a_k.
   const double h = kDuration / kIntervals, with_lift = 1 + kFriction * kFriction;
-  const double free = kSpeed * kDuration - 0.5 * kFriction * PulledMass::kGravity * kDuration * kDuration;
+  const double free = kSpeed * kDuration - 0.5 * kFriction * kGravity * kDuration * kDuration;
   double squares = 0;
   for (int k = 0; k < kIntervals; ++k) squares += std::pow(h * (kDuration - (k + 0.5) * h), 2);
   const double s = kWeight * (kTarget - free) / (kEffort * h + kWeight * with_lift * squares);

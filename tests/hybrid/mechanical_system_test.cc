@@ -317,43 +317,13 @@ TEST(MechanicalStart, ABallThatGoesUpIsOpen) {
   EXPECT_EQ(system.FindMode(std::vector{0.0, 0.0, 0.0, 0.0}, {}, p).mode, system.Mode("+"));
 }
 
-// A point mass on the ground that is pushed; u: force along x and y.
-struct PushedPoint {
-  static constexpr int kNumCoordinates = 2, kNumControls = 2, kNumParameters = 0, kNumContacts = 1;
-  template <typename T>
-  void Mass(const T*, const T*, T* M) const {
-    M[0] = M[3] = T(1.0);
-    M[1] = M[2] = T(0.0);
-  }
-  template <typename T>
-  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
-    h[0] = u[0];
-    h[1] = u[1] - 10.0;
-  }
-  template <typename T>
-  T Gap(int, const T* q, const T*) const {
-    return q[1];
-  }
-  template <typename T>
-  T Slide(int, const T* q, const T*) const {
-    return q[0];
-  }
-  template <typename T>
-  T Restitution(int, const T*) const {
-    return T(0.0);
-  }
-  template <typename T>
-  T Friction(int, const T*) const {
-    return T(0.5);
-  }
-};
-
 TEST(ControlJumps, ContactsOpenSlideAndStickAgain) {
-  const MechanicalSystem system{PushedPoint()};
+  const MechanicalSystem system{PulledMass()};
   HybridSimulator simulator(system.hybrid());
   // It sticks, slides under 8 - 5 = 3, slows down under -5, sticks after 0.6 s, and is lifted.
   const HybridInput input{.mode = system.Mode("s"),
                           .initial = {0, 0, 0, 0},
+                          .parameters = {0.5, 10},
                           .duration = 4,
                           .num_intervals = 4,
                           .control = {4, 0, 8, 0, 0, 0, 0, 12}};
