@@ -15,6 +15,11 @@
 #include "simulate/conformance_derivatives.h"
 #include "test_scenes.h"
 
+extern template class saltus::ContactStepOf<saltus::CompliantWarp, double>;
+extern template class saltus::ContactStepOf<saltus::Direct<true>, double>;
+extern template class saltus::ContactStepOf<saltus::LcpPgs<false>, double>;
+extern template class saltus::ContactStepOf<saltus::PbdWarp, double>;
+
 namespace saltus::conformance {
 namespace {
 
@@ -75,14 +80,20 @@ std::string NameOf(const testing::TestParamInfo<std::string>& info) { return inf
 INSTANTIATE_TEST_SUITE_P(Registry, EveryModel, testing::ValuesIn(AllNames()), NameOf);
 
 // ---------------------------------------------------------------------------------------------------------------------
-// Seeded faults.
+// Seeded faults, in steps that the library has.
+
+template <ContactModel M, typename T, typename State = BodyState<T, M::kRotation>>
+void StepOf(const StepInput<T>& in, std::span<const State> x, std::span<State> next) {
+  const ContactStep<double, M::kRotation>& step = ContactStepOf<M, double>(M());
+  step.Step(in, x, next);
+}
 
 struct ForgetsRestitution : Direct<true> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     StepInput<T> plastic = in;
     plastic.contact.restitution = T(Base<T>(0));
-    Direct<true>::Step(plastic, x, next);
+    StepOf<Direct<true>>(plastic, x, next);
   }
 };
 
@@ -95,20 +106,22 @@ struct PartsStiffer : CompliantWarp {
     const Vec2<T> normal = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; }).normal;
     const T speed = Dot(normal, RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return x[i].v; }));
     if (speed > Base<T>(0)) stiffer.contact.stiffness = in.contact.stiffness * Base<T>(1.02);
-    CompliantWarp::Step(stiffer, x, next);
+    StepOf<CompliantWarp>(stiffer, x, next);
   }
 };
 
 // Twice as much of an overlap as stated.
-struct CorrectsTwice : LcpPgs<false> {
-  CorrectsTwice() { erp *= 2; }
-};
+LcpPgs<false> CorrectsTwice() {
+  LcpPgs<false> model;
+  model.erp *= 2;
+  return model;
+}
 
 struct FlipsTheNormal : Direct<true> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     using S = Base<T>;
-    Direct<true>::Step(in, x, next);
+    StepOf<Direct<true>>(in, x, next);
     for (std::size_t i = 0; i < x.size(); ++i) {
       const State<T> flying = Free(in, static_cast<int>(i), x[i]);
       next[i].p = Scale(S(2), flying.p) - next[i].p;
@@ -122,7 +135,7 @@ struct OtherBranchInJets : Direct<true> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     if constexpr (std::is_same_v<T, Base<T>>) {
-      Direct<true>::Step(in, x, next);
+      StepOf<Direct<true>>(in, x, next);
     } else {
       Direct<false>().Step(in, x, next);
     }
@@ -132,7 +145,7 @@ struct OtherBranchInJets : Direct<true> {
 struct PushesOneSideOnly : Direct<true> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    Direct<true>::Step(in, x, next);
+    StepOf<Direct<true>>(in, x, next);
     for (const Candidate& c : in.candidates) {
       if (!c.plane) next[c.b] = Free(in, c.b, x[c.b]);
     }
@@ -142,15 +155,15 @@ struct PushesOneSideOnly : Direct<true> {
 struct ForgetsThePosition : PbdWarp {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
-    PbdWarp::Step(in, x, next);
+    StepOf<PbdWarp>(in, x, next);
     for (std::size_t i = 0; i < x.size(); ++i) next[i].p = Free(in, static_cast<int>(i), x[i]).p;
   }
 };
 
 template <ContactModel M>
-Model Tested() {
+Model Tested(const M& model = {}) {
   return {M::kTraits,
-          [](const Scene& scene) { return MakeModelSimulator<M>(scene); },
+          [model](const Scene& scene) { return MakeModelSimulator(scene, Precision::kDouble, model); },
           [](const Scene&) { return std::string(); }};
 }
 
@@ -161,7 +174,7 @@ TEST(SeededFault, ForgottenRestitutionIsFound) {
 TEST(SeededFault, EnergyFromNothingIsFound) {
   EXPECT_THAT(CheckRestitution(Tested<CompliantWarp>()), IsEmpty());
   EXPECT_THAT(CheckRestitution(Tested<PartsStiffer>()), Not(IsEmpty()));
-  EXPECT_THAT(CheckRestitution(Tested<CorrectsTwice>()), Not(IsEmpty()));
+  EXPECT_THAT(CheckRestitution(Tested(CorrectsTwice())), Not(IsEmpty()));
 }
 
 TEST(SeededFault, FlippedNormalIsFound) {
