@@ -16,27 +16,14 @@
 #include "blackbox/command_box.h"
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
-#include "folders.h"
-#include "programs/run_command.h"
-#include "saltus/scene/scene_file.h"
+#include "programs/run_program.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using testing::HasSubstr;
 using Json = ProtocolJson;
-
-Scene Problem(const std::string& name) {
-  return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
-}
-
-std::string OfProblem(const std::string& name) { return " --scene=" + SourceFolder() + "/problems/" + name + ".yaml "; }
-
-std::string WrittenTo(const std::string& name, const std::string& text) {
-  std::string path = testing::TempDir() + "/" + name;
-  std::ofstream(path) << text;
-  return path;
-}
 
 std::vector<Question> Questions(const Scene& scene, int count) {
   std::vector<Question> questions;
@@ -90,7 +77,7 @@ ModelAudit AuditFromOutside(const std::string& contact, const Scene& scene, cons
 // One model of each class, and those whose linearization is not that of their steps or whose steps are long.
 TEST(BlackBox, ModelsHaveTheSameVerdictAndClassFromOutside) {
   for (const std::string problem : {"bounce_once", "ground_wall", "two_balls"}) {
-    const Scene scene = Problem(problem);
+    const Scene scene = ProblemScene(problem);
     AuditOptions options;
     options.attribution = false;
     for (const std::string contact :
@@ -123,7 +110,7 @@ class Unforced final : public BlackBox {
 };
 
 TEST(BlackBox, AForceWithoutEffectInTheHeadOnImpactIsRemarked) {
-  Scene scene = Problem("ground_wall");
+  Scene scene = ProblemScene("ground_wall");
   scene.steps = 60;
   const auto remarks = [&](std::shared_ptr<BlackBox> box) {
     AuditOptions options;
@@ -138,7 +125,7 @@ TEST(BlackBox, AForceWithoutEffectInTheHeadOnImpactIsRemarked) {
 // The values of engines with an impulse at a step boundary: whatever the engine, (0, -0.72, -0.22, -0.50) of
 // (-0.40, -0.32, -0.50, -0.22), by differences of final states alone.
 TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
-  const ModelAudit audit = AuditFromOutside("direct", Problem("two_balls"), {false, false, false});
+  const ModelAudit audit = AuditFromOutside("direct", ProblemScene("two_balls"), {false, false, false});
   ASSERT_TRUE(audit.gradient.ok()) << audit.gradient.reason;
   const double expected[] = {0, 0, -0.22, -0.22, -0.72, -0.72, -0.50, -0.50};
   for (int i = 0; i < 8; ++i) EXPECT_NEAR(audit.gradient.gradient.initial[i], expected[i], 0.01) << i;
@@ -154,7 +141,7 @@ TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
 
 // One that takes 1 ms for the 480 steps of the scene is audited within 20 s, on one core.
 TEST(BlackBox, AVerdictTakesAFewThousandRollouts) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
   EXPECT_TRUE(IsWrong(AuditBlackBox(box, scene, ExactGradientOf(scene), {}).verdict));
   EXPECT_LT(box->num_steps(), 20'000 * 480);
@@ -194,7 +181,7 @@ double DifferenceIn(const ModelAudit& audit) {
 }
 
 TEST(BlackBox, StateThatLeaksFromCallToCallIsSaidAndGetsNoVerdict) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   for (const double leak : {1e-3, 1e-7, 1e-9}) {
     const ModelAudit audit = AuditBlackBox(std::make_shared<Leaking>(leak), scene, ExactGradientOf(scene), {});
     EXPECT_EQ(audit.verdict, Verdict::kUnknown) << leak;
@@ -214,7 +201,7 @@ TEST(BlackBox, StateThatLeaksFromCallToCallIsSaidAndGetsNoVerdict) {
 
 // With a clock that counts steps, 1 ms each.
 TEST(BlackBox, AnAuditIsPlannedWithinTheTimeAllowed) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   const auto exact = ExactGradientOf(scene);
   const auto audit_within = [&](double seconds, double* taken, std::vector<std::string>* said) {
     const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
@@ -248,7 +235,7 @@ TEST(BlackBox, AnAuditIsPlannedWithinTheTimeAllowed) {
 
 // An impact whose time is resolved: differences of its final states are the exact gradient.
 TEST(BlackBox, FinalStatesTellAResolvedImpact) {
-  const ModelAudit audit = AuditFromOutside("event", Problem("two_balls"), {false, false, false});
+  const ModelAudit audit = AuditFromOutside("event", ProblemScene("two_balls"), {false, false, false});
   EXPECT_EQ(audit.verdict, Verdict::kRight);
   EXPECT_EQ(audit.recognition->contact_class, ContactClass::kImpactTimeResolved);
   EXPECT_EQ(audit.black_box->motion, BlackBoxFindings::Motion::kExact);
@@ -297,7 +284,7 @@ for line in sys.stdin:
 )";
 
 TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
-  const std::string script = WrittenTo("faulty.py", kFaulty);
+  const std::string script = TempFileWith("faulty.py", kFaulty);
   const struct {
     std::string fault, why;
   } cases[] = {{"dies", "ended with exit code 3"},
@@ -311,7 +298,7 @@ TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
                {"other", "found id '77', expected \"id\": 3"},
                {"none", "expected \"final\" in it"},
                {"order", "found id '4', expected \"id\": 3"}};
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   for (const auto& [fault, why] : cases) {
     CommandBox box({"faulty", "exec python3 " + script + " " + fault, 1, 60});
     const std::vector<Answer> answers = box.Ask(scene, Questions(scene, 8), nullptr);
@@ -326,13 +313,13 @@ TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
 }
 
 TEST(BlackBox, AnAnswerThatNobodyAskedForIsAFault) {
-  const Scene scene = Problem("two_balls");
-  CommandBox box({"faulty", "exec python3 " + WrittenTo("twice.py", kFaulty) + " twice", 1, 60});
+  const Scene scene = ProblemScene("two_balls");
+  CommandBox box({"faulty", "exec python3 " + TempFileWith("twice.py", kFaulty) + " twice", 1, 60});
   EXPECT_THAT(box.Ask(scene, Questions(scene, 8), nullptr)[3].error, HasSubstr("found id '3', expected \"id\": 4"));
 }
 
 TEST(BlackBox, SilenceIsAnErrorAfterTheTimeAllowed) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   const struct {
     std::string command, why;
   } cases[] = {
@@ -346,7 +333,7 @@ TEST(BlackBox, SilenceIsAnErrorAfterTheTimeAllowed) {
 }
 
 TEST(BlackBox, AGreetingThatIsNoneIsAnError) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   const struct {
     std::string command, why;
   } cases[] = {{"no_such_command_here", "ended with exit code 127"},
@@ -377,7 +364,7 @@ std::vector<pid_t> ProcessesIn(const std::string& file) {
 }
 
 TEST(BlackBox, NothingIsLeftOfACommand) {
-  const Scene scene = Problem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   const std::string file = testing::TempDir() + "/processes";
   {
     CommandBox box({"lasting", "sleep 1000 & echo $$ $! >" + file + "; read a; echo '{}'; read a; wait", 1, 60});
@@ -395,9 +382,9 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
     const std::string file = testing::TempDir() + "/children_" + signal_name;
     std::remove(file.c_str());
     const std::string box =
-        WrittenTo("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");
+        TempFileWith("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");
     const Outcome outcome =
-        RunCommand("env --default-signal=INT " + BuildFolder() + "/bin/saltus_audit" + OfProblem("two_balls") +
+        RunCommand("env --default-signal=INT " + BuildFolder() + "/bin/saltus_audit" + SceneFlag("two_balls") +
                    "--progress=none --simulate='sh " + box + "' & " + "p=$!; while [ ! -s " + file +
                    " ]; do sleep 0.05; done; kill -" + signal_name + " $p; wait $p; echo exit code $?");
     EXPECT_THAT(outcome.output, HasSubstr(signal_name == "INT" ? "exit code 1\n" : "exit code 137\n"))
@@ -409,16 +396,15 @@ TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
 
 // The simulator that the documentation shows: symplectic Euler, and the impulse of two equal discs when they overlap.
 std::string SimulatorOfPage() {
-  std::ifstream file(SourceFolder() + "/docs/how-to/audit-a-simulator.md");
-  const std::string page((std::istreambuf_iterator<char>(file)), {});
+  const std::string page = ContentsOf(SourceFolder() + "/docs/how-to/audit-a-simulator.md");
   const std::string fence = "```", language = fence + "python\n";
   const std::size_t begin = page.find(language) + language.size();
   return page.substr(begin, page.find(fence, begin) - begin);
 }
 
 TEST(BlackBox, TheSimulatorOfThePageIsAudited) {
-  const std::string script = WrittenTo("mine.py", SimulatorOfPage());
-  const Outcome outcome = RunProgram("saltus_audit" + OfProblem("two_balls") +
+  const std::string script = TempFileWith("mine.py", SimulatorOfPage());
+  const Outcome outcome = RunProgram("saltus_audit" + SceneFlag("two_balls") +
                                      "--steps=60 --progress=none --json --simulate='ten=" + "python3 " + script +
                                      "' --simulate=gone=no_such_command_here");
   EXPECT_EQ(outcome.exit_code, 1) << outcome.errors;  // for the one that is gone
@@ -445,8 +431,8 @@ TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
   const std::string impulse = "if distance < 0.4 and approach < 0:\n";
   script.insert(script.find(impulse) + impulse.size(), "            approach -= 0.1 * (0.4 - distance) / h\n");
   const Outcome outcome =
-      RunProgram("saltus_audit" + OfProblem("two_balls") +
-                 "--steps=60 --progress=none --json --simulate='fed=python3 " + WrittenTo("fed.py", script) + "'");
+      RunProgram("saltus_audit" + SceneFlag("two_balls") +
+                 "--steps=60 --progress=none --json --simulate='fed=python3 " + TempFileWith("fed.py", script) + "'");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
   const Json fed = Json::parse(outcome.output)["audits"][0];
   EXPECT_NEAR(fed["e"].get<double>(), 1.1, 1e-6);
@@ -457,7 +443,7 @@ TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
 TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
   const std::string simulate = BuildFolder() + "/bin/saltus_simulate --contact=direct";
   const Outcome outcome =
-      RunProgram("saltus_audit" + OfProblem("two_balls") + "--progress=none --json --simulate='" + simulate + "'");
+      RunProgram("saltus_audit" + SceneFlag("two_balls") + "--progress=none --json --simulate='" + simulate + "'");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
   const Json audit = Json::parse(outcome.output)["audits"][0];
   EXPECT_EQ(audit["contact"], "saltus_simulate");
@@ -476,7 +462,7 @@ TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
 // In a sweep it is one more contact model; one that fails is a row with the reason.
 TEST(BlackBox, SweepsTakeSimulators) {
   const std::string simulate = BuildFolder() + "/bin/saltus_simulate --offer=gradient --contact=direct_toi";
-  const Outcome outcome = RunProgram("saltus_sweep" + OfProblem("two_balls") +
+  const Outcome outcome = RunProgram("saltus_sweep" + SceneFlag("two_balls") +
                                      "--solver=none --sweep=steps=60,120 --progress=none --contact=direct_toi "
                                      "--simulate='outside=" +
                                      simulate + "' --simulate=gone=no_such_command_here");
@@ -510,7 +496,7 @@ TEST(BlackBox, RefusesWrongFlags) {
                {"--simulate=true --surrogate=smoothed_zeroth", "has no surrogate gradients"},
                {"--simulate=true --simulate_seconds=0", "--simulate_seconds must be positive"}};
   for (const auto& [flags, why] : cases) {
-    const Outcome outcome = RunProgram("saltus_audit" + OfProblem("two_balls") + flags);
+    const Outcome outcome = RunProgram("saltus_audit" + SceneFlag("two_balls") + flags);
     EXPECT_EQ(outcome.exit_code, 2) << flags;
     EXPECT_THAT(outcome.errors, HasSubstr(why)) << flags;
   }

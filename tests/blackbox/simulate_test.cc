@@ -3,25 +3,19 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
 #include <string>
 #include <vector>
 
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
-#include "folders.h"
-#include "programs/run_command.h"
-#include "saltus/scene/scene_file.h"
+#include "programs/run_program.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
 
 using testing::HasSubstr;
 using Json = ProtocolJson;
-
-Scene LoadProblem(const std::string& name) {
-  return std::get<Scene>(LoadSceneFile(SourceFolder() + "/problems/" + name + ".yaml"));
-}
 
 Question AtTheGuess(const Scene& scene, Question::Kind kind) {
   Question question{kind, scene.steps, scene.duration, InitialState(scene), InitialControl(scene, scene.steps), {}};
@@ -31,11 +25,9 @@ Question AtTheGuess(const Scene& scene, Question::Kind kind) {
 
 // The lines that a program prints in answer to lines.
 std::vector<Json> AnswersOf(const std::string& program, const std::vector<std::string>& lines) {
-  const std::string file = testing::TempDir() + "/questions";
-  std::ofstream out(file);
-  for (const std::string& line : lines) out << line << "\n";
-  out.close();
-  const Outcome outcome = RunProgram(program + " <" + file);
+  std::string questions;
+  for (const std::string& line : lines) questions += line + "\n";
+  const Outcome outcome = RunProgram(program + " <" + TempFileWith("questions", questions));
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
   std::vector<Json> answers;
   std::stringstream text(outcome.output);
@@ -45,7 +37,7 @@ std::vector<Json> AnswersOf(const std::string& program, const std::vector<std::s
 
 // Loss and gradient of the task of two balls, from published exact values: 2.0591, and to four digits.
 TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
-  const Scene scene = LoadProblem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   Question gradient = AtTheGuess(scene, Question::Kind::kGradient);
   const std::vector<Json> first =
       AnswersOf("saltus_simulate --contact=event",
@@ -73,7 +65,7 @@ TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
 
 // Free flight and one impact on the ground, in closed form: task 1 ends at the height 1.1 - 2 t below the top.
 TEST(Simulate, StepsOneStep) {
-  const Scene scene = LoadProblem("bounce_once");
+  const Scene scene = ProblemScene("bounce_once");
   Question step{Question::Kind::kStep, 1, 0.5, InitialState(scene), {0, 0}, {}};
   const std::vector<Json> answers =
       AnswersOf("saltus_simulate --contact=event", {HelloLine(scene), QuestionLine(scene, step, 1)});
@@ -86,7 +78,7 @@ TEST(Simulate, StepsOneStep) {
 
 // The models of Brax take two steps of the grid at a time, under the mean of their forces.
 TEST(Simulate, ForcesOfAModelWithLongStepsAreTheirMean) {
-  Scene scene = LoadProblem("two_balls");
+  Scene scene = ProblemScene("two_balls");
   Speaker speaker("compliant_brax", Precision::kDouble, {});
   EXPECT_EQ(Json::parse(speaker.AnswerTo(HelloLine(scene)))["grid_steps"], 2);
   Question question = AtTheGuess(scene, Question::Kind::kGradient);
@@ -103,7 +95,7 @@ TEST(Simulate, ForcesOfAModelWithLongStepsAreTheirMean) {
 }
 
 TEST(Simulate, OneRowOfControlStandsForAll) {
-  const Scene scene = LoadProblem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   Question question = AtTheGuess(scene, Question::Kind::kSimulate);
   const std::string constant = QuestionLine(scene, question, 1);
   EXPECT_LT(constant.size(), 200u);
@@ -112,7 +104,7 @@ TEST(Simulate, OneRowOfControlStandsForAll) {
 }
 
 TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
-  const Scene scene = LoadProblem("two_balls");
+  const Scene scene = ProblemScene("two_balls");
   Speaker speaker("direct", Precision::kDouble, {.gradient = true, .step = false, .states = false});
   EXPECT_THAT(speaker.AnswerTo(R"({"id": 1, "simulate": {}})"), HasSubstr("\"scene\\\" before"));
   EXPECT_THAT(speaker.AnswerTo("{\"id\": 1"), HasSubstr("expected a JSON object"));
@@ -129,7 +121,7 @@ TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
 }
 
 TEST(Simulate, SaysWhatItCannotTake) {
-  Scene scene = LoadProblem("two_balls");
+  Scene scene = ProblemScene("two_balls");
   scene.contact.friction = 0.1;
   Speaker speaker("direct", Precision::kDouble, {});
   EXPECT_THAT(speaker.AnswerTo(HelloLine(scene)), HasSubstr(R"("not_applicable":"this model knows no friction")"));

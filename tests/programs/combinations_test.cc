@@ -78,8 +78,9 @@ contact: {restitution: 1.0}
 objective: {terminal: [{body: middle, quantity: position, target: [0.1, 0], weight: 1.0}]}
 optimize: velocity
 )";
-constexpr char kConstrained[] = R"(
-name: constrained
+// Two balls with bounds on the force; the target is to reach its place.
+std::string Bounded(const std::string& name, const std::string& how) {
+  return "name: " + name + R"(
 duration: 1.0
 steps: 24
 bodies:
@@ -87,21 +88,11 @@ bodies:
   - {name: target, radius: 0.2, mass: 1.0, position: [-1, -1]}
 contact: {restitution: 1.0}
 control: {bodies: [striker], initial: [[3, 3]], max: 8}
-objective: {terminal: [{body: target, quantity: position, target: [0, 0], hard: true}], effort: 0.1}
+objective: {terminal: [{body: target, quantity: position, target: [0, 0], )" +
+         how + R"(}], effort: 0.1}
 optimize: control
 )";
-constexpr char kBounded[] = R"(
-name: bounded
-duration: 1.0
-steps: 24
-bodies:
-  - {name: striker, radius: 0.2, mass: 1.0, position: [-2, -2]}
-  - {name: target, radius: 0.2, mass: 1.0, position: [-1, -1]}
-contact: {restitution: 1.0}
-control: {bodies: [striker], initial: [[3, 3]], max: 8}
-objective: {terminal: [{body: target, quantity: position, target: [0, 0], weight: 1.0}], effort: 0.1}
-optimize: control
-)";
+}
 constexpr char kStates[] = R"({"bodies": [{"name": "ball", "radius": 0.2}],
  "planes": [{"name": "ground", "point": [0, 0], "normal": [0, 1]}],
  "times": [0, 0.1], "states": [[[0, 1, 2, 0]], [[0.2, 1, 2, 0]]],
@@ -340,8 +331,8 @@ class Combinations : public testing::Test {
     write("edges.yaml", kEdges);
     write("table.yaml", kTable);
     write("at_once.yaml", kAtOnce);
-    write("constrained.yaml", kConstrained);
-    write("bounded.yaml", kBounded);
+    write("constrained.yaml", Bounded("constrained", "hard: true"));
+    write("bounded.yaml", Bounded("bounded", "weight: 1.0"));
     write("given.json", kGiven);
     write("states.json", kStates);
     json start;

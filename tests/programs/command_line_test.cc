@@ -113,9 +113,9 @@ TEST(CommandLine, AFailedPointIsARowWithItsReason) {
 }
 
 TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
-  const std::string bad = testing::TempDir() + "/bad.yaml";
-  std::ofstream(bad) << "name: bad\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"
-                        "bodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n";
+  const std::string bad = TempFileWith("bad.yaml",
+                                       "name: bad\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"
+                                       "bodies:\n  - {name: a, radius: -1, mass: 1, position: [0, 0]}\n");
   const struct {
     std::string command, message;
   } cases[] = {
@@ -208,8 +208,7 @@ TEST(CommandLine, MoreThreadsThanCoresAreNoMatterOfNote) {
 
 // A flag that would be ignored is an error that names who takes it, however it was given.
 TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
-  const std::string file = testing::TempDir() + "/flags_" + std::to_string(getpid());
-  std::ofstream(file) << "--iterations=5\n";
+  const std::string file = TempFileWith("flags", "--iterations=5\n");
   const struct {
     std::string command, message;
   } cases[] = {
@@ -256,7 +255,7 @@ TEST(CommandLine, AModelThatCannotTakeTheSceneIsARowBesideOthers) {
 }
 
 TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
-  const std::string dir = testing::TempDir() + "/surrogate_" + std::to_string(getpid());
+  const std::string dir = TempFile("surrogate");
   const std::string flags =
       " --surrogate=smoothed_zeroth --surrogate_samples=200 --surrogate_segments=24 "
       "--surrogate_sigma=0.1 --progress=none --contact=direct" +
@@ -355,7 +354,7 @@ TEST(CommandLine, TheAuditTellsRightFromWrongAndWhereAndWhy) {
 }
 
 TEST(CommandLine, TheAuditWritesTablesAndFigures) {
-  const std::string dir = testing::TempDir() + "/audit_" + std::to_string(getpid());
+  const std::string dir = TempFile("audit");
   const Outcome outcome =
       RunProgramIn(1000,
                    "saltus_audit --contact=direct_toi,toi_velocity --width_sweep --progress=none --output_dir=" + dir +
@@ -491,7 +490,7 @@ TEST(CommandLine, TablesFitTheTerminal) {
 
 // Position and velocity of 20 discs, and the first force on one: rows, not columns.
 TEST(CommandLine, AGradientOfManyDiscsHasARowAnEntry) {
-  const std::string scene = testing::TempDir() + "/gas_" + std::to_string(getpid()) + ".yaml";
+  const std::string scene = TempFile("gas.yaml");
   ASSERT_EQ(RunProgram("saltus_scene --discs=20 --steps=20 >" + scene).exit_code, 0);
   const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none --scene=" + scene);
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -523,7 +522,7 @@ TEST(CommandLine, SequencesAreReadFromAFlag) {
 
 // The published table of task 3 has four decimals of a gradient by hand. Its last column is of another loss.
 TEST(CommandLine, TheAuditFindsTheErrorInThePublishedAnalyticGradient) {
-  const std::string file = testing::TempDir() + "/published_" + std::to_string(getpid()) + ".json";
+  const std::string file = TempFile("published.json");
   std::ofstream(file) << R"({"name": "published", "tolerance": 5.1e-5,
                              "position": [[-0.3987, -0.3987], [-0.3213, null]], "control": [[[-0.0009, -0.0009]]]})";
   const std::string command =

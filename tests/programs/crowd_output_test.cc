@@ -7,7 +7,7 @@
 #include <sstream>
 #include <string>
 
-#include "programs/run_command.h"
+#include "programs/run_program.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -22,7 +22,7 @@ constexpr double kRadius = 0.1;
 
 // A scene file with 36 discs that fall into the gaps of those below.
 std::string BagFile() {
-  const std::string path = testing::TempDir() + "/bag_" + std::to_string(getpid()) + ".yaml";
+  const std::string path = TempFile("bag.yaml");
   std::ostringstream discs;
   for (int i = 0; i < 36; ++i) {
     const double x = kRadius * (1 + 2.05 * (i % 6) + i / 6 % 2), y = kRadius * (1 + 2.05 * (i / 6));

@@ -26,10 +26,6 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
 
-std::string PathFor(const std::string& name) {
-  return testing::TempDir() + "/ends_" + std::to_string(getpid()) + "_" + name;
-}
-
 // A command of each program that prints results, and ends with 0 where they can be printed.
 const std::string kResults[] = {
     "saltus_solve" + SceneFlag("two_balls") + "--contact=event --solver=ceres_event --progress=none",
@@ -55,7 +51,7 @@ TEST(Ends, OutputThatIsLostIsAnError) {
 }
 
 TEST(Ends, AProgramWithoutStandardStreamsPrintsIntoNoFileOfItsOwn) {
-  const std::string directory = PathFor("closed");
+  const std::string directory = TempFile("closed");
   const Outcome outcome = RunProgram(
       "saltus_sweep" + SceneFlag("two_balls") +
       "--contact=event --solver=none --sweep=steps=10,20 --progress=none --output_dir=" + directory + " <&- >&-");
@@ -78,7 +74,7 @@ TEST(Ends, AReaderThatHasSeenEnoughIsNoError) {
 
 // Files are written even if nobody takes the tables, and tables printed even if files cannot be written.
 TEST(Ends, OneLostOutputDoesNotCostTheOther) {
-  const std::string directory = PathFor("files");
+  const std::string directory = TempFile("files");
   const std::string solve = "saltus_solve" + SceneFlag("two_balls") +
                             "--contact=event --solver=ceres_event --progress=none --output_dir=" + directory;
   EXPECT_EQ(RunProgram(solve + " >/dev/full").exit_code, 1);
@@ -154,7 +150,7 @@ TEST(Ends, MemoryThatRunsOutIsSaidAndCostsOneRun) {
 // OpenBLAS, where it is installed, reserves memory for each thread.
 TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
-  const std::string directory = PathFor("memory");
+  const std::string directory = TempFile("memory");
   int without = 0;
   for (const int steps : {100000, 200000, 300000, 400000, 600000}) {
     std::filesystem::remove_all(directory);
@@ -182,7 +178,7 @@ TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
 TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   for (const std::string& flags :
-       {std::string(), std::string("--json "), "--json --output_dir=" + PathFor("memory") + " "}) {
+       {std::string(), std::string("--json "), "--json --output_dir=" + TempFile("memory") + " "}) {
     for (const int mebibytes : {256, 384, 512}) {
       const Outcome outcome =
           RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) + "; exec \"$@\"' sh " + BuildFolder() +
@@ -195,12 +191,12 @@ TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
       }
     }
   }
-  std::filesystem::remove_all(PathFor("memory"));
+  std::filesystem::remove_all(TempFile("memory"));
 }
 
 // More than a file may hold is an error like a full disk, and no signal.
 TEST(Ends, AFileThatBecomesTooLargeIsAnError) {
-  const std::string directory = PathFor("large");
+  const std::string directory = TempFile("large");
   const Outcome outcome = RunCommand("sh -c 'ulimit -f 4; exec \"$@\"' sh " + BuildFolder() +
                                      "/bin/saltus_solve --progress=none --contact=event --solver=none" +
                                      SceneFlag("two_balls") + "--output_dir=" + directory);
@@ -232,7 +228,7 @@ TEST(Ends, TheLogOfCeresIsOff) {
 }
 
 TEST(Ends, FilesThatAreNoneAreWrongInput) {
-  const std::string directory = PathFor("directory"), self = PathFor("self");
+  const std::string directory = TempFile("directory"), self = TempFile("self");
   std::filesystem::create_directories(directory);
   std::ofstream(self) << "--steps=10\n--flagfile=" << self << "\n";
   const std::string audit = "saltus_audit --contact=event --progress=none" + SceneFlag("two_balls");
@@ -277,7 +273,7 @@ TEST(Ends, LongArgumentsAreWrongInput) {
 }
 
 TEST(Ends, PipesAreFiles) {
-  const std::string scene = SourceFolder() + "/problems/two_balls.yaml", pipe = PathFor("pipe");
+  const std::string scene = SourceFolder() + "/problems/two_balls.yaml", pipe = TempFile("pipe");
   ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
   const std::string program = BuildFolder() + "/bin/";
   EXPECT_EQ(RunCommand("(cat " + scene + " >" + pipe + " & " + program +
@@ -293,7 +289,7 @@ TEST(Ends, PipesAreFiles) {
 }
 
 TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
-  const std::string file = PathFor("given.json");
+  const std::string file = TempFile("given.json");
   const std::string audit = "saltus_audit --progress=none --json" + SceneFlag("two_balls") + "--contact=";
   const json document = json::parse(RunProgram(audit + "event,direct_toi,compliant_brax").output);
   const auto given = [&](const json& gradient) {
@@ -338,11 +334,6 @@ TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
 // ---------------------------------------------------------------------------------------------------------------------
 // Interrupts.
 
-std::string Read(const std::string& path) {
-  std::ifstream file(path);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
-
 // A program at work, with what it prints in files.
 class AtWork {
  public:
@@ -366,7 +357,7 @@ class AtWork {
   // Waits for it, for as long as that takes. False if the program ends without.
   bool Says(const std::string& text) const {
     for (bool ended = false;; std::this_thread::sleep_for(5ms)) {
-      if (Read(errors_).find(text) != std::string::npos) return true;
+      if (ContentsOf(errors_).find(text) != std::string::npos) return true;
       if (ended) return false;
       siginfo_t end = {};
       waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOHANG | WNOWAIT);
@@ -381,13 +372,13 @@ class AtWork {
     waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOWAIT);
     Outcome outcome;
     outcome.exit_code = end.si_code == CLD_EXITED ? end.si_status : -1;
-    outcome.output = Read(output_);
-    outcome.errors = Read(errors_);
+    outcome.output = ContentsOf(output_);
+    outcome.errors = ContentsOf(errors_);
     return outcome;
   }
 
  private:
-  std::string output_ = PathFor("output"), errors_ = PathFor("errors");
+  std::string output_ = TempFile("output"), errors_ = TempFile("errors");
   pid_t process_ = -1;
 };
 
@@ -413,7 +404,7 @@ TEST(Interrupts, SolveKeepsWhatIsDoneAndWhatItWasAt) {
 
 // One gradient of this takes minutes.
 std::string SlowScene() {
-  const std::string path = PathFor("slow.yaml");
+  const std::string path = TempFile("slow.yaml");
   const Outcome outcome = RunProgram("saltus_scene --kind=gas --discs=60 --seed=2 --steps=4000");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
   std::ofstream(path) << outcome.output;
@@ -446,7 +437,7 @@ TEST(Interrupts, ProblemProgramsAndReproduceStopToo) {
     EXPECT_EQ(outcome.exit_code, 1);
     EXPECT_THAT(outcome.output, AllOf(HasSubstr("verdict"), HasSubstr("interrupted")));
   }
-  const std::string directory = PathFor("report");
+  const std::string directory = TempFile("report");
   AtWork program("saltus_reproduce --every_solver --threads=1 --progress=plain --output_dir=" + directory);
   ASSERT_TRUE(program.Says("comparison of solvers"));
   const Outcome outcome = program.Interrupt();

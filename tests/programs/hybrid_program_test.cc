@@ -12,7 +12,7 @@
 
 #include "problems/hybrid_systems.h"
 #include "programs/hybrid_document.h"
-#include "programs/run_command.h"
+#include "programs/run_program.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {
@@ -20,11 +20,6 @@ namespace {
 
 using nlohmann::json;
 using testing::HasSubstr;
-
-std::string ReadAll(const std::string& path) {
-  std::ifstream file(path);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
 
 json RunHybrid(const std::string& command, int exit_code = 0) {
   const Outcome outcome = RunProgram(command + " --json");
@@ -128,8 +123,7 @@ for line in sys.stdin:
 )";
 
 TEST(HybridProgram, AuditsABlackBox) {
-  const std::string script = testing::TempDir() + "/hybrid_box_" + std::to_string(getpid()) + ".py";
-  std::ofstream(script) << kBlackBox;
+  const std::string script = TempFileWith("hybrid_box.py", kBlackBox);
   const std::string set = " --solver=none --steps=10 --set=y=1.3,v=0.4,g=9.81,e=0.8,duration=0.8";
   const json by_steps = RunHybrid("bouncing_ball --audit" + set, 1)["audits"][0];
   const json by_lines = RunHybrid("bouncing_ball --simulate=\"box=python3 " + script + "\"" + set, 1)["audits"][0];
@@ -145,10 +139,10 @@ TEST(HybridProgram, AuditsABlackBox) {
 }
 
 TEST(HybridProgram, WritesAPageWithTheDocument) {
-  const std::string folder = testing::TempDir() + "/hybrid_page_" + std::to_string(getpid());
+  const std::string folder = TempFile("hybrid_page");
   const Outcome outcome = RunProgram("slip_hopper --solver=none --output_dir=" + folder);
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-  const std::string page = ReadAll(folder + "/report.html");
+  const std::string page = ContentsOf(folder + "/report.html");
   const std::string begin = "<script type=\"application/json\" id=\"document\">";
   const std::size_t at = page.find(begin);
   ASSERT_NE(at, std::string::npos);
@@ -158,7 +152,7 @@ TEST(HybridProgram, WritesAPageWithTheDocument) {
   EXPECT_GT(motion["times"].size(), 400u);
   EXPECT_EQ(motion["frames"].size(), motion["times"].size());
   EXPECT_EQ(motion["frames"][0]["circles"].size(), 1u);
-  EXPECT_EQ(json::parse(ReadAll(folder + "/result.json"))["program"], "slip_hopper");
+  EXPECT_EQ(json::parse(ContentsOf(folder + "/result.json"))["program"], "slip_hopper");
   std::filesystem::remove_all(folder);
 }
 
@@ -209,7 +203,7 @@ class BodiesProgram : public testing::Test {
     return json::parse(outcome.output, nullptr, /*allow_exceptions=*/false);
   }
 
-  const std::string path_ = testing::TempDir() + "/bodies_" + std::to_string(getpid()) + ".yaml";
+  const std::string path_ = TempFile("bodies.yaml");
 };
 
 TEST_F(BodiesProgram, AFileIsTheProgramOfTheSameProblem) {
@@ -332,8 +326,7 @@ for line in sys.stdin:
 )";
 
 TEST_F(BodiesProgram, AuditsASimulator) {
-  const std::string script = testing::TempDir() + "/disc_box_" + std::to_string(getpid()) + ".py";
-  std::ofstream(script) << kDiscBox;
+  const std::string script = TempFileWith("disc_box.py", kDiscBox);
   const json document = Document(R"(
 name: bounce
 duration: 0.5

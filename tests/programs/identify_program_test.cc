@@ -19,10 +19,6 @@ using testing::HasSubstr;
 
 constexpr double kRadius = 0.05, kGravity = 9.81, kRestitution = 0.8;
 
-std::string PathOf(const std::string& name) {
-  return testing::TempDir() + "/identify_" + std::to_string(getpid()) + "_" + name;
-}
-
 // The height of the centre, dropped from 1 m.
 double HeightAt(double time) {
   const double impact = std::sqrt(2 * (1 - kRadius) / kGravity);
@@ -32,16 +28,16 @@ double HeightAt(double time) {
 }
 
 std::string DropScene() {
-  const std::string path = PathOf("drop.yaml");
-  std::ofstream(path) << "name: drop\nduration: 1.0\nsteps: 60\ngravity: [0, -9.81]\n"
-                         "bodies:\n  - {name: ball, radius: 0.05, mass: 0.2, position: [0, 1]}\n"
-                         "planes:\n  - {name: floor, point: [0, 0], normal: [0, 1]}\n"
-                         "contact: {restitution: 0.5}\nobjective: {terminal: []}\noptimize: none\n";
-  return " --scene=" + path + " --progress=none ";
+  const std::string text =
+      "name: drop\nduration: 1.0\nsteps: 60\ngravity: [0, -9.81]\n"
+      "bodies:\n  - {name: ball, radius: 0.05, mass: 0.2, position: [0, 1]}\n"
+      "planes:\n  - {name: floor, point: [0, 0], normal: [0, 1]}\n"
+      "contact: {restitution: 0.5}\nobjective: {terminal: []}\noptimize: none\n";
+  return " --scene=" + TempFileWith("drop.yaml", text) + " --progress=none ";
 }
 
 std::string DropRecording() {
-  const std::string path = PathOf("drop.csv");
+  const std::string path = TempFile("drop.csv");
   std::ofstream csv(path);
   csv.precision(17);
   csv << "time,body,x,y,sigma\n";
@@ -67,18 +63,17 @@ TEST(IdentifyProgram, FindsTheRestitutionOfABall) {
 }
 
 TEST(IdentifyProgram, TablesAndFilesSayTheSame) {
-  const Outcome outcome =
-      RunProgram("saltus_identify" + DropScene() + "--recording=" + DropRecording() + " --output_dir=" + PathOf("out"));
+  const Outcome outcome = RunProgram("saltus_identify" + DropScene() + "--recording=" + DropRecording() +
+                                     " --output_dir=" + TempFile("out"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   EXPECT_THAT(outcome.output, HasSubstr("restitution"));
   EXPECT_THAT(outcome.output, HasSubstr("Outliers"));
-  std::ifstream parameters(PathOf("out") + "/drop_parameters.csv"), residuals(PathOf("out") + "/drop_residuals.csv");
-  std::stringstream text;
-  text << parameters.rdbuf();
+  const std::string text = ContentsOf(TempFile("out") + "/drop_parameters.csv");
+  const std::string residuals = ContentsOf(TempFile("out") + "/drop_residuals.csv");
   const std::string row = "event,restitution,0.5,";
-  ASSERT_THAT(text.str(), HasSubstr(row));
-  EXPECT_NEAR(std::stod(text.str().substr(text.str().find(row) + row.size())), kRestitution, 1e-4);
-  EXPECT_EQ(std::count(std::istreambuf_iterator<char>(residuals), {}, '\n'), 41);
+  ASSERT_THAT(text, HasSubstr(row));
+  EXPECT_NEAR(std::stod(text.substr(text.find(row) + row.size())), kRestitution, 1e-4);
+  EXPECT_EQ(std::count(residuals.begin(), residuals.end(), '\n'), 41);
 }
 
 // The same data under models whose gradient is right, wrong and of no restitution.
@@ -102,23 +97,18 @@ TEST(IdentifyProgram, ComparesContactModelsWithTheExactOne) {
 // One impact, so one point of the law.
 TEST(IdentifyProgram, LearnsTheLawOfImpact) {
   const Outcome outcome = RunProgram("saltus_identify --json --law=network:2" + DropScene() +
-                                     "--recording=" + DropRecording() + " --output_dir=" + PathOf("law"));
+                                     "--recording=" + DropRecording() + " --output_dir=" + TempFile("law"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const json law = json::parse(outcome.output)["fits"][0]["law"];
   EXPECT_EQ(law["impacts"], 1);
   EXPECT_EQ(law["parameters"].size(), 7u);
   EXPECT_NEAR(law["curve"][0]["speed"].get<double>(), std::sqrt(2 * kGravity * (1 - kRadius)), 0.01);
   EXPECT_NEAR(law["curve"][0]["restitution"].get<double>(), kRestitution, 1e-3);
-  EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.csv").good());
-  EXPECT_TRUE(std::ifstream(PathOf("law") + "/drop_law.svg").good());
+  EXPECT_TRUE(std::ifstream(TempFile("law") + "/drop_law.csv").good());
+  EXPECT_TRUE(std::ifstream(TempFile("law") + "/drop_law.svg").good());
 }
 
 const std::string kDrops = SourceFolder() + "/problems/drops/";
-
-std::string TextOf(const std::string& path) {
-  std::ifstream file(path);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
 
 // The problem that comes with saltus: what a network has learned, beside the law that made the recordings. The more
 // units, the longer are the valleys in which a fit creeps.
@@ -131,9 +121,9 @@ TEST_P(ShippedDrops, TeachTheirLaw) {
   }
   const Outcome outcome = RunProgram("saltus_identify --progress=none --law=" + GetParam() + " --scene=" + folder +
                                      "drops.yaml --law_beside=" + folder + "law.csv --recording=" + recordings +
-                                     " --output_dir=" + PathOf("drops"));
+                                     " --output_dir=" + TempFile("drops"));
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
-  std::istringstream law(TextOf(PathOf("drops") + "/drops_law.csv"));
+  std::istringstream law(ContentsOf(TempFile("drops") + "/drops_law.csv"));
   std::string line;
   ASSERT_TRUE(std::getline(law, line));
   EXPECT_EQ(line, "speed,sliding,restitution,standard error,friction,standard error of friction,known restitution");
@@ -149,15 +139,15 @@ TEST_P(ShippedDrops, TeachTheirLaw) {
 INSTANTIATE_TEST_SUITE_P(IdentifyProgram, ShippedDrops, testing::Values("network:3", "network:4", "network:6"));
 
 TEST(IdentifyProgram, TheDropsAreWhatTheirProgramWrites) {
-  const std::string written = PathOf("written");
+  const std::string written = TempFile("written");
   ASSERT_EQ(RunProgram("record_drops " + written).exit_code, 0);
   for (const char* name : {"drop_1.csv", "drop_2.csv", "drop_3.csv", "drop_4.csv", "law.csv"}) {
-    EXPECT_EQ(TextOf(written + "/" + name), TextOf(kDrops + name)) << name;
+    EXPECT_EQ(ContentsOf(written + "/" + name), ContentsOf(kDrops + name)) << name;
   }
 }
 
 TEST(IdentifyProgram, AKnownLawThatIsWrongIsRefusedWithItsLine) {
-  const std::string path = PathOf("known.csv");
+  const std::string path = TempFile("known.csv");
   const auto errors = [&](const std::string& text) {
     std::ofstream(path) << text;
     const Outcome outcome = RunProgram("saltus_identify --law=network --law_beside=" + path + DropScene() +
@@ -174,15 +164,12 @@ TEST(IdentifyProgram, AKnownLawThatIsWrongIsRefusedWithItsLine) {
 
 // Where the floor is, and what it does to the ball, from a scene that has it 1 cm too low.
 TEST(IdentifyProgram, LearnsEventFunctions) {
-  const std::string path = PathOf("low.yaml");
-  std::string scene = TextOf(PathOf("drop.yaml"));
-  if (scene.empty()) {
-    DropScene();
-    scene = TextOf(PathOf("drop.yaml"));
-  }
-  std::ofstream(path) << scene.replace(scene.find("point: [0, 0]"), 13, "point: [0, -0.01]");
+  DropScene();
+  std::string scene = ContentsOf(TempFile("drop.yaml"));
+  const std::string path =
+      TempFileWith("low.yaml", scene.replace(scene.find("point: [0, 0]"), 13, "point: [0, -0.01]"));
   const std::string arguments =
-      " --scene=" + path + " --progress=none --recording=" + DropRecording() + " --output_dir=" + PathOf("events");
+      " --scene=" + path + " --progress=none --recording=" + DropRecording() + " --output_dir=" + TempFile("events");
   for (const std::string kind : {"affine", "profile:2"}) {
     const Outcome outcome = RunProgram("saltus_identify --json --events=" + kind + arguments);
     ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -194,7 +181,7 @@ TEST(IdentifyProgram, LearnsEventFunctions) {
     EXPECT_NEAR(impact["beyond_plane"].get<double>(), 0.01, 1e-3) << kind;
     EXPECT_NEAR(-impact["after"][1].get<double>() / impact["before"][1].get<double>(), kRestitution, 1e-2) << kind;
   }
-  EXPECT_THAT(TextOf(PathOf("events") + "/drop_events.csv"), HasSubstr("floor,"));
+  EXPECT_THAT(ContentsOf(TempFile("events") + "/drop_events.csv"), HasSubstr("floor,"));
   const Outcome table = RunProgram("saltus_identify --events=affine" + arguments);
   EXPECT_THAT(table.output, HasSubstr("drop: event functions"));
   EXPECT_THAT(table.output, HasSubstr("Impacts by the learned event functions"));
@@ -221,7 +208,7 @@ TEST(IdentifyProgram, ReadsArchivesToo) {
     time.push_back(0.02 * i);
     position.insert(position.end(), {0, HeightAt(time.back())});
   }
-  const std::string path = PathOf("drop.npz");
+  const std::string path = TempFile("drop.npz");
   ASSERT_TRUE(WriteNpz(path,
                        {{"time", {{40}, time}},
                         {"body", {{40}, std::vector<std::string>(40, "ball")}},
@@ -234,8 +221,8 @@ TEST(IdentifyProgram, ReadsArchivesToo) {
 }
 
 TEST(IdentifyProgram, WrongInputIsRefusedWithItsPlace) {
-  const std::string recording = " --recording=" + DropRecording(), wrong = PathOf("wrong.csv");
-  const std::string scalar = PathOf("scalar.npz");
+  const std::string recording = " --recording=" + DropRecording(), wrong = TempFile("wrong.csv");
+  const std::string scalar = TempFile("scalar.npz");
   ASSERT_TRUE(WriteNpz(scalar,
                        {{"time", {{2}, std::vector<double>{0.1, 0.2}}},
                         {"body", {{2}, std::vector<std::string>(2, "ball")}},

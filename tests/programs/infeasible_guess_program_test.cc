@@ -30,8 +30,7 @@ optimize: control
 )";
 
 TEST(InfeasibleGuessProgram, AnAnswerThatMeetsTheConstraintsIsExitCodeZero) {
-  const std::string file = testing::TempDir() + "/" + std::to_string(getpid()) + "_hard_from_rest.yaml";
-  std::ofstream(file) << kHardFromRest;
+  const std::string file = TempFileWith("hard_from_rest.yaml", kHardFromRest);
   const std::string command =
       "saltus_solve --progress=none --contact=event --solver=ceres_phases,mode_search --scene=" + file;
   const Outcome text = RunProgramIn(300, command);

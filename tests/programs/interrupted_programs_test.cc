@@ -26,7 +26,7 @@ namespace fs = std::filesystem;
 constexpr std::chrono::seconds kBound = 60s;
 
 fs::path Folder(const std::string& name) {
-  const fs::path folder = fs::path(testing::TempDir()) / (std::to_string(getpid()) + "_" + name);
+  const fs::path folder = fs::path(TempFile(name));
   fs::remove_all(folder);
   fs::create_directories(folder / "files");
   return folder;
@@ -66,7 +66,7 @@ void ExpectWholeCsv(const std::string& text, const std::string& name) {
 
 void ExpectWholeFile(const fs::path& path) {
   const std::string extension = path.extension(), name = path.filename();
-  const std::string text = ReadWhole(path);
+  const std::string text = ContentsOf(path);
   if (name.find(".sqlite") != std::string::npos) return;  // SQLite itself recovers what a program leaves
   if (extension == ".csv") {
     ExpectWholeCsv(text, name);
@@ -109,9 +109,7 @@ std::string CrowdFile() {
   static const std::string& path = *new std::string([] {
     const Outcome outcome = RunProgram("saltus_scene --kind=gas --discs=120 --seed=2 --steps=400");
     EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-    const std::string file = testing::TempDir() + "/" + std::to_string(getpid()) + "_crowd.yaml";
-    std::ofstream(file) << outcome.output;
-    return file;
+    return TempFileWith("crowd.yaml", outcome.output);
   }());
   return path;
 }
@@ -302,7 +300,7 @@ TEST(Interrupted, ASolutionIsWrittenThoughItsStatesAreLeftOut) {
     ASSERT_TRUE(arrays->count("control"));
     EXPECT_EQ(std::get<std::vector<double>>(arrays->at("control").data)[0], run["control"][0][0][0].get<double>());
   }
-  EXPECT_THAT(ReadWhole(files / "report.html"), HasSubstr("</html>"));
+  EXPECT_THAT(ContentsOf(files / "report.html"), HasSubstr("</html>"));
   fs::remove_all(folder);
 }
 

@@ -9,19 +9,12 @@
 #include <chrono>
 #include <csignal>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <string>
 #include <thread>
 
-#include "folders.h"
+#include "programs/run_program.h"
 
 namespace saltus {
-
-inline std::string ReadWhole(const std::filesystem::path& path) {
-  std::ifstream file(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
 
 class ProcessAtWork {
  public:
@@ -50,8 +43,8 @@ class ProcessAtWork {
     waitpid(process_, nullptr, 0);
   }
 
-  std::string output() const { return ReadWhole(output_); }
-  std::string errors() const { return ReadWhole(errors_); }
+  std::string output() const { return ContentsOf(output_); }
+  std::string errors() const { return ContentsOf(errors_); }
   bool has_ended() {
     siginfo_t end = {};
     if (ended_ || waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOHANG | WNOWAIT) != 0) return ended_;

@@ -3,7 +3,6 @@
 
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "output/npz.h"
@@ -22,14 +21,7 @@ json Solve(const std::string& flags) {
   return json::parse(outcome.output);
 }
 
-std::string TempFile(const std::string& name) {
-  return testing::TempDir() + "/" + std::to_string(getpid()) + "_" + name;
-}
-
-std::string Write(const std::string& name, const json& document) {
-  std::ofstream(TempFile(name)) << document;
-  return TempFile(name);
-}
+std::string Write(const std::string& name, const json& document) { return TempFileWith(name, document.dump()); }
 
 const std::vector<double>& Doubles(const NpyArray& array) { return std::get<std::vector<double>>(array.data); }
 
@@ -159,9 +151,7 @@ TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {
   ASSERT_FALSE(run["exact_touches"].empty()) << run.dump().substr(0, 500);
   EXPECT_EQ(run["exact_touches"][0]["b"], "gate");
   EXPECT_NEAR(run["exact_touches"][0]["begin"].get<double>(), std::sqrt(2 * 0.9 / 9.8), 1e-9);
-  std::stringstream page;
-  page << std::ifstream(folder + "/report.html").rdbuf();
-  EXPECT_THAT(page.str(),
+  EXPECT_THAT(ContentsOf(folder + "/report.html"),
               HasSubstr(R"("outlines":[{"name":"gate","solid":"neither","points":[[-1.0,0.0],[1.0,0.0]]}])"));
 }
 

@@ -21,7 +21,7 @@ constexpr const char* kRight = "  - {name: right, radius: 0.1, mass: 1, position
 
 // --scene=FILE with the two targets in this order.
 std::string SceneWith(const std::string& first, const std::string& second) {
-  const std::string path = testing::TempDir() + "/ties_" + std::to_string(getpid()) + ".yaml";
+  const std::string path = TempFile("ties.yaml");
   std::ofstream(path) << "name: strikes_two\n"
                          "duration: 1.0\n"
                          "steps: 100\n"

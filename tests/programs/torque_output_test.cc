@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "output/npz.h"
@@ -14,24 +13,15 @@ namespace {
 using nlohmann::json;
 using testing::HasSubstr;
 
-std::string TempFile(const std::string& name) {
-  return testing::TempDir() + "/" + std::to_string(getpid()) + "_" + name;
-}
-
-std::string Write(const std::string& name, const std::string& text) {
-  std::ofstream(TempFile(name)) << text;
-  return TempFile(name);
-}
-
 // The second disc is pushed and turned, the first one pushed only.
 std::string SceneFile() {
-  return Write("turned.yaml",
-               "name: turned\nduration: 1\nsteps: 8\nbodies:\n"
-               "  - {name: a, radius: 0.3, mass: 1, position: [0, 0]}\n"
-               "  - {name: b, radius: 0.3, mass: 2, position: [2, 0], inertia: solid}\n"
-               "control: {bodies: [a, b], torque: [b], initial: [[0, 0], [0, 0, 0.02]]}\n"
-               "objective:\n  terminal:\n    - {body: b, quantity: angle, target: 1}\n"
-               "    - {body: a, quantity: position, target: [0.5, 0]}\n  effort: 0.1\noptimize: control\n");
+  return TempFileWith("turned.yaml",
+                      "name: turned\nduration: 1\nsteps: 8\nbodies:\n"
+                      "  - {name: a, radius: 0.3, mass: 1, position: [0, 0]}\n"
+                      "  - {name: b, radius: 0.3, mass: 2, position: [2, 0], inertia: solid}\n"
+                      "control: {bodies: [a, b], torque: [b], initial: [[0, 0], [0, 0, 0.02]]}\n"
+                      "objective:\n  terminal:\n    - {body: b, quantity: angle, target: 1}\n"
+                      "    - {body: a, quantity: position, target: [0.5, 0]}\n  effort: 0.1\noptimize: control\n");
 }
 
 json JsonOf(const std::string& program, const std::string& flags) {
@@ -57,7 +47,7 @@ TEST(TorqueOutput, ComesBackAsItWent) {
   EXPECT_EQ(numbers[5], run["control"][0][1][2].get<double>());
 
   // From either file it is the same motion.
-  const std::string saved = Write("solution.json", json{{"control", run["control"]}}.dump());
+  const std::string saved = TempFileWith("solution.json", json{{"control", run["control"]}}.dump());
   for (const std::string& from : {saved, file}) {
     const json again = JsonOf("saltus_solve", "--solver=none --contact=event --control=" + from)["runs"][0];
     EXPECT_NEAR(again["exact_loss"], run["exact_loss"].get<double>(), 1e-14);
@@ -65,8 +55,7 @@ TEST(TorqueOutput, ComesBackAsItWent) {
   }
   const std::string page = TempFile("torque.html");
   EXPECT_EQ(RunProgram("saltus_replay " + file + " --output=" + page).exit_code, 0);
-  std::ifstream text(page);
-  EXPECT_THAT(std::string(std::istreambuf_iterator<char>(text), {}), HasSubstr("\"torques\":"));
+  EXPECT_THAT(ContentsOf(page), HasSubstr("\"torques\":"));
 }
 
 TEST(TorqueOutput, GradientsAreByTheTorque) {
@@ -82,7 +71,7 @@ TEST(TorqueOutput, GradientsAreByTheTorque) {
 
 TEST(TorqueOutput, SaysWhatIsWrongWithAControl) {
   const auto errors = [](const json& row) {
-    const std::string file = Write("wrong.json", json{{"control", json::array({row})}}.dump());
+    const std::string file = TempFileWith("wrong.json", json{{"control", json::array({row})}}.dump());
     const Outcome outcome = RunProgram("saltus_solve --solver=none --scene=" + SceneFile() + " --control=" + file);
     EXPECT_EQ(outcome.exit_code, 2);
     return outcome.errors;
