@@ -22,7 +22,7 @@
 namespace saltus {
 
 template <int kTurn>
-struct CompliantWarpOf {
+struct CompliantWarpOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {.name = "compliant_warp",
                                           .summary = "spring, damper and Coulomb friction at the start of the step",
                                           .source = "Warp (Macklin 2022); Zhong, Han, Brikis 2022",
@@ -30,16 +30,9 @@ struct CompliantWarpOf {
                                           .rebound = Rebound::kEmergent,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   static constexpr int kTapedFrom = 12;  // discs
   template <typename T>
-  using State = BodyState<T, kRotation>;
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
-  }
+  using State = BodyState<T, kTurn>;
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
@@ -60,10 +53,7 @@ struct CompliantWarpOf {
       const T speed = Length(sliding);
       const bool slides = speed > S(1e-6);
       if (slides) force -= Scale(T(in.contact.friction * SafeAbs(normal_force)), Quotient(sliding, speed));
-      in.Report(c,
-                !(in.contact.friction > S(0)) ? ContactMode::kFrictionless
-                : slides                      ? ContactMode::kSlip
-                                              : ContactMode::kStick);
+      in.Report(c, ModeOf(in.contact.friction > S(0), !slides));
       PushContact<kTurn>(in, c, at.normal, force, [&](int i, const auto& change) { acceleration[i] += change; });
     }
     for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler(in.h, acceleration[i], x[i]);

@@ -24,7 +24,7 @@
 namespace saltus {
 
 template <bool kTimeOfImpact, int kTurn>
-struct ConvexOf {
+struct ConvexOf : ExplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {
       .name = kTimeOfImpact ? "convex_toi" : "convex",
       .summary = kTimeOfImpact ? "impulse by a cone program, position corrected by the time of impact"
@@ -33,15 +33,8 @@ struct ConvexOf {
       .published_jacobian = true,
       .compared = true,
       .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return ExplicitEuler(in, i, x);
-  }
+  using State = BodyState<T, kTurn>;
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {

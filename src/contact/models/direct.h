@@ -18,7 +18,7 @@
 namespace saltus {
 
 template <bool kTimeOfImpact>
-struct DirectRule {
+struct DirectRule : SemiImplicitFlight<0> {
   static constexpr ModelTraits kTraits = {
       .name = kTimeOfImpact ? "direct_toi" : "direct",
       .summary = kTimeOfImpact ? "direct velocity impulse, position corrected by the time of impact"
@@ -27,14 +27,8 @@ struct DirectRule {
       .friction = false,
       .compared = true,
       .relative = true};
-  static constexpr int kRotation = 0;
   template <typename T>
-  using State = BodyState<T, kRotation>;
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
-  }
+  using State = BodyState<T, 0>;
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {

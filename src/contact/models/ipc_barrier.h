@@ -188,13 +188,11 @@ struct IpcBarrierOf {
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
-  enum class Integrator { kImplicitEuler, kTrapezoidal };
-
   double range = kRange;     // m, at most kRange
   double kappa = 1e5;        // N/m
   double slip_speed = 1e-3;  // m/s
   int substeps = 10;
-  Integrator integrator = Integrator::kImplicitEuler;
+  bool trapezoidal = false;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
     visit(ModelOption{"range", "gap below which the barrier acts, m", 1e-6, kRange}, range);
@@ -204,9 +202,7 @@ struct IpcBarrierOf {
             "slip_speed", "sliding speed below which friction is less than mu times the normal force, m/s", 1e-6, 1},
         slip_speed);
     visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
-    bool trapezoidal = integrator == Integrator::kTrapezoidal;
     visit(ModelOption{"trapezoidal", "1: the trapezoidal rule instead of implicit Euler", 0, 1}, trapezoidal);
-    integrator = trapezoidal ? Integrator::kTrapezoidal : Integrator::kImplicitEuler;
   }
 
   // Bodies that touch from the start have no gap to keep.
@@ -249,15 +245,11 @@ struct IpcBarrierOf {
     const H h = SubstepLength(in);
     const Vec2<T> before = x->v;
     x->v += Scale(h, in.Acceleration(i));
-    if (integrator == Integrator::kImplicitEuler) {
-      x->p += Scale(h, x->v);
-    } else {
-      x->p += Scale(H(0.5 * h), Vec2<T>(before + x->v));
-    }
+    x->p += trapezoidal ? Scale(H(0.5 * h), Vec2<T>(before + x->v)) : Scale(h, x->v);
     if constexpr (kTurn == kSpin) {
       const T spin = x->rotation[1];
       x->rotation[1] += h * in.AngularAcceleration(i);
-      const T mean = integrator == Integrator::kImplicitEuler ? x->rotation[1] : T(0.5 * (spin + x->rotation[1]));
+      const T mean = trapezoidal ? T(0.5 * (spin + x->rotation[1])) : x->rotation[1];
       x->rotation[0] += h * mean;
     }
   }
@@ -284,7 +276,7 @@ struct IpcBarrierOf {
       State<T>& s = state[discs[i]];
       const Vec2<T> p(solution[unknown], solution[unknown + 1]);
       const Vec2<T> mean(Divide(T(p[0] - s.p[0]), h), Divide(T(p[1] - s.p[1]), h));
-      s.v = integrator == Integrator::kImplicitEuler ? mean : Vec2<T>(Scale(2.0, mean) - s.v);
+      s.v = trapezoidal ? Vec2<T>(Scale(2.0, mean) - s.v) : mean;
       s.p = p;
       if constexpr (kTurn == kSpin) TurnBy<T>(in, discs[i], solution, energy.discs[i].rim, &s);
     }
@@ -297,7 +289,7 @@ struct IpcBarrierOf {
     const T turn = rim < 0 ? T(h * s->rotation[1]) : Divide(solution[rim], in.bodies[disc].radius);
     const T mean = Divide(turn, h);
     s->rotation[0] += turn;
-    s->rotation[1] = integrator == Integrator::kImplicitEuler ? mean : T(2.0 * mean - s->rotation[1]);
+    s->rotation[1] = trapezoidal ? T(2.0 * mean - s->rotation[1]) : mean;
   }
 
   template <typename T>
@@ -305,8 +297,8 @@ struct IpcBarrierOf {
                                   std::span<const State<T>> state) const {
     using Energy = internal::BarrierEnergy<T>;
     const double h = SubstepLength(in);
-    const bool euler = integrator == Integrator::kImplicitEuler;
-    Energy energy{kappa, range, slip_speed * h, (euler ? 1.0 : 0.25) * h * h, (euler ? 1.0 : 0.5) * h * h, {}, {}, 0};
+    Energy energy{
+        kappa, range, slip_speed * h, (trapezoidal ? 0.25 : 1.0) * h * h, (trapezoidal ? 0.5 : 1.0) * h * h, {}, {}, 0};
     std::pmr::vector<int> place(state.size(), -1, in.scratch);
     for (const int disc : discs) {
       State<T> flying = state[disc];
@@ -334,7 +326,7 @@ struct IpcBarrierOf {
                                  in.ContactDistance(c),
                                  Perpendicular(at.normal),
                                  T(in.contact.friction * force)});
-      if (euler) continue;
+      if (!trapezoidal) continue;
       ApplyImpulse(in, c, Scale(T(energy.barrier_weight * force), at.normal), [&](int disc, const Vec2<T>& change) {
         energy.discs[place[disc]].target += change;
       });
@@ -372,14 +364,11 @@ struct IpcBarrierOf {
       const auto in_range = [&](std::span<const double> unknowns) {
         return energy.SeparationAt(unknowns, side).distance - side.touching < range;
       };
-      const bool acts = in_range(at) || (integrator == Integrator::kTrapezoidal && in_range(from));
+      const bool acts = in_range(at) || (trapezoidal && in_range(from));
       if (reported[i] || !(acts || side.friction > 0)) continue;
       reported[i] = 1;
       const bool slips = std::abs(energy.Slid(at, side)) > energy.slip;
-      in.Report(group.contact(i).candidate,
-                !(in.contact.friction > 0.0) ? ContactMode::kFrictionless
-                : slips                      ? ContactMode::kSlip
-                                             : ContactMode::kStick);
+      in.Report(group.contact(i).candidate, ModeOf(in.contact.friction > 0.0, !slips));
     }
   }
 };

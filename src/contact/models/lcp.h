@@ -45,7 +45,7 @@
 namespace saltus {
 
 template <int kTurn>
-struct LcpOf {
+struct LcpOf : ExplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {.name = "lcp",
                                           .summary = "linear complementarity problem with the published Jacobian",
                                           .source = "NimblePhysics 0.7.2 (Werling et al. 2021)",
@@ -53,10 +53,8 @@ struct LcpOf {
                                           .published_jacobian = true,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
 
   bool complementarity_aware = false;
 
@@ -68,11 +66,6 @@ struct LcpOf {
                       1,
                       true},
           complementarity_aware);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return ExplicitEuler(in, i, x);
   }
 
   template <typename T>

@@ -131,7 +131,7 @@ struct KktEquations {
 }  // namespace internal
 
 template <int kTurn>
-struct LcpKktOf {
+struct LcpKktOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {.name = "lcp_kkt",
                                           .summary = "complementarity by an interior point, impacts by halved steps",
                                           .source = "lcp-physics (de Avila Belbute-Peres et al. 2018)",
@@ -140,10 +140,8 @@ struct LcpKktOf {
                                           .allocates = true,
                                           .accuracy = 1e-9,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
@@ -161,11 +159,6 @@ struct LcpKktOf {
         ModelOption{
             "released_backward", "1: the backward pass of the source, which is wrong with friction", 0, 1, true},
         released_backward);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>
@@ -339,10 +332,7 @@ struct LcpKktOf {
       if (known || !acts) continue;
       known = 1;
       const bool slips = equations.has_friction && z[first + 3] > 1e-6;
-      in.Report(group.contact(touching[k]).candidate,
-                !equations.has_friction ? ContactMode::kFrictionless
-                : slips                 ? ContactMode::kSlip
-                                        : ContactMode::kStick);
+      in.Report(group.contact(touching[k]).candidate, ModeOf(equations.has_friction, !slips));
     }
   }
 

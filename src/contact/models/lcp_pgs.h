@@ -82,7 +82,7 @@ class GaussSeidelSweeps {
 };
 
 template <bool kAdjoint, int kTurn>
-struct LcpPgsOf {
+struct LcpPgsOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {
       .name = kAdjoint ? "lcp_pgs_adjoint" : "lcp_pgs",
       .summary = kAdjoint ? "projected Gauss-Seidel, differentiated by reverse sweeps"
@@ -91,10 +91,8 @@ struct LcpPgsOf {
       .double_engine = true,
       .rebound = Rebound::kEmergent,
       .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
@@ -106,11 +104,6 @@ struct LcpPgsOf {
     visit(ModelOption{"sweeps", "number of Gauss-Seidel sweeps", 1, 1e5}, sweeps);
     visit(ModelOption{"erp", "fraction of the overlap that a step corrects", 0, 1}, erp);
     visit(ModelOption{"cfm", "softness of the constraints, 1/kg", 0, 1e3}, cfm);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

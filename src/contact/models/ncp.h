@@ -166,7 +166,7 @@ struct NcpEquations {
 }  // namespace internal
 
 template <bool kRestitution, int kTurn>
-struct NcpOf {
+struct NcpOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {
       .name = kRestitution ? "ncp_restitution" : "ncp",
       .summary = kRestitution ? "interior point with Newton's restitution at velocity level"
@@ -178,10 +178,8 @@ struct NcpOf {
       .allocates = true,
       .accuracy = 1e-12,
       .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
@@ -194,11 +192,6 @@ struct NcpOf {
         ModelOption{
             "kappa_grad", "central-path parameter at which derivatives are taken; kappa if it is smaller", 0, 1, true},
         kappa_grad);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>
@@ -331,13 +324,12 @@ struct NcpOf {
   static void ReportContacts(const StepInput<T>& in, const Group<T>& group, const Equations<double>& equations,
                              const Eigen::VectorXd& z) {
     for (int i = 0; i < group.num_contacts(); ++i) {
-      ContactMode mode = ContactMode::kFrictionless;
-      if (equations.has_friction) {
-        const int at = equations.num_velocities + i * equations.per_contact();
-        const bool slips = std::abs(z[at + 2]) > 0.99 * equations.friction * z[at];
-        mode = slips ? ContactMode::kSlip : ContactMode::kStick;
-      }
-      in.Report(group.contact(i).candidate, mode, -1, kRestitution ? ContactKind::kImpact : ContactKind::kSustained);
+      const int at = equations.num_velocities + i * equations.per_contact();
+      const bool slips = equations.has_friction && std::abs(z[at + 2]) > 0.99 * equations.friction * z[at];
+      in.Report(group.contact(i).candidate,
+                ModeOf(equations.has_friction, !slips),
+                -1,
+                kRestitution ? ContactKind::kImpact : ContactKind::kSustained);
     }
   }
 };

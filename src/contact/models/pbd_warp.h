@@ -169,10 +169,7 @@ struct PbdWarpOf {
         change -= Scale(MinOf(speed, bound), c.plane ? first_plane[c.a] : own);
         slips = bound < speed;
       }
-      in.Report(c,
-                !(in.contact.friction > S(0)) ? ContactMode::kFrictionless
-                : slips && !contact.held      ? ContactMode::kSlip
-                                              : ContactMode::kStick);
+      in.Report(c, ModeOf(in.contact.friction > S(0), contact.held || !slips));
       ApplyCorrection(in, contact, change, [&](int i, const Twist<T, kTurn>& dv) { Kick(dv, &next[i]); });
     }
   }

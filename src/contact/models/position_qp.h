@@ -32,7 +32,7 @@
 
 namespace saltus {
 
-struct PositionQpRule {
+struct PositionQpRule : SemiImplicitFlight<0> {
   static constexpr ModelTraits kTraits = {.name = "position_qp",
                                           .summary = "positions projected by a quadratic program",
                                           .source = "Liang et al. 2019; Qiao et al. 2020",
@@ -43,9 +43,8 @@ struct PositionQpRule {
                                           .projects = true,
                                           .allocates = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, 0>;
 
   bool restitution = false;
   bool normal_gradient = true;
@@ -55,11 +54,6 @@ struct PositionQpRule {
           restitution);
     visit(ModelOption{"normal_gradient", "0: normals are constants, as in the released program", 0, 1, true},
           normal_gradient);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

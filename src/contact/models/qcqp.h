@@ -42,17 +42,15 @@ StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd
                                  int passes, double tolerance);
 
 template <int kTurn>
-struct QcqpOf {
+struct QcqpOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {.name = "qcqp",
                                           .summary = "staggered programs for normal and friction impulses",
                                           .source = "Le Lidec et al. 2021",
                                           .double_engine = true,
                                           .allocates = true,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
@@ -62,11 +60,6 @@ struct QcqpOf {
   void VisitOptions(const Visit& visit) {
     visit(ModelOption{"passes", "passes over the two programs", 1, 1e6}, passes);
     visit(ModelOption{"tolerance", "tolerance of the impulses, relative to the largest", 1e-15, 1e-3}, tolerance);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

@@ -35,7 +35,9 @@ struct HuntCrossley {
 };
 
 template <int kTurn>
-struct SmoothCompliantOf : HuntCrossley {
+struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
+  using Flight = SubstepFlight<kTurn, 4>;
+  using Flight::substeps;
   static constexpr ModelTraits kTraits = {.name = "smooth_compliant",
                                           .summary = "smooth spring with Hunt-Crossley dissipation, in substeps",
                                           .source = "Hunt, Crossley 1975; Drake; IPC toolkit (Li et al. 2020)",
@@ -43,16 +45,13 @@ struct SmoothCompliantOf : HuntCrossley {
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
 
   double exponent = 3;            // of the overlap; 1.5 is Hertz's
   double reference_depth = 0.01;  // m
   double reference_speed = 5;     // m/s
   double slip_speed = 1e-2;       // m/s
-  int substeps = 4;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
     visit(ModelOption{"exponent", "exponent of the overlap; 1.5 is Hertz's", 1, 10}, exponent);
@@ -67,16 +66,10 @@ struct SmoothCompliantOf : HuntCrossley {
     visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
   }
 
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next = x;
-    for (int substep = 0; substep < substeps; ++substep) Advance(in, AccelerationOf<kTurn>(in, i), &next);
-    return next;
-  }
-
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     std::copy(x.begin(), x.end(), next.begin());
+    const Base<T> h = this->SubstepLength(in);
     const Law<T> law = LawOf(in);
     std::pmr::vector<char> reported(in.candidates.size(), 0, in.scratch);
     std::pmr::vector<Twist<T, kTurn>> acceleration(x.size(), in.scratch);
@@ -93,7 +86,7 @@ struct SmoothCompliantOf : HuntCrossley {
         reported[i] = 1;
         PushContact<kTurn>(in, c, normal, force, [&](int disc, const auto& change) { acceleration[disc] += change; });
       }
-      for (std::size_t i = 0; i < x.size(); ++i) Advance(in, acceleration[i], &next[i]);
+      for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler(h, acceleration[i], next[i]);
     }
   }
 
@@ -133,17 +126,8 @@ struct SmoothCompliantOf : HuntCrossley {
     const T y = MinOf(Divide(SafeAbs(sliding), S(slip_speed)), T(S(1)));
     const T friction = in.contact.friction * normal_force * y * (S(2) - y) * SignOf(sliding);
     *force = Scale(normal_force, at.normal) - Scale(friction, tangent);
-    *mode = !(in.contact.friction > S(0)) ? ContactMode::kFrictionless
-            : y < S(1)                    ? ContactMode::kStick
-                                          : ContactMode::kSlip;
+    *mode = ModeOf(in.contact.friction > S(0), y < S(1));
     return true;
-  }
-
-  template <typename T, typename H>
-  void Advance(const StepInput<T, H>& in, const Twist<T, kTurn>& acceleration, State<T>* x) const {
-    const H h = in.h / Base<T>(substeps);
-    Accelerate(h, acceleration, x);
-    Drift(h, x);
   }
 };
 

@@ -34,7 +34,7 @@
 namespace saltus {
 
 template <int kTurn>
-struct SoftConvexOf {
+struct SoftConvexOf : SemiImplicitFlight<kTurn> {
   static constexpr ModelTraits kTraits = {.name = "soft_convex",
                                           .summary = "regularised convex program with impedance",
                                           .source = "MuJoCo (Todorov 2014)",
@@ -42,10 +42,8 @@ struct SoftConvexOf {
                                           .double_engine = true,
                                           .rebound = Rebound::kEmergent,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Group = ContactGroup<T, kTurn>;
 
@@ -71,11 +69,6 @@ struct SoftConvexOf {
     visit(ModelOption{"dmin", "impedance at zero overlap", 1e-4, 0.9999}, impedance.at_contact);
     visit(ModelOption{"dmax", "impedance at an overlap of `width` or more", 1e-4, 0.9999}, impedance.at_width);
     visit(ModelOption{"width", "overlap over which the impedance rises, m", 1e-9, 1}, impedance.width);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

@@ -188,30 +188,21 @@ double LargestResidual(const SpringStep<T, kTurn>& problem, std::type_identity_t
 
 // What both models share: options, and substeps around the solution that each finds in its own way.
 template <int kTurn>
-class SpringDescent {
+class SpringDescent : public SubstepFlight<kTurn, 10> {
+  using Flight = SubstepFlight<kTurn, 10>;
+
  public:
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
+  using Flight::substeps, Flight::SubstepLength;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, kTurn>;
   template <typename T>
   using Problem = SpringStep<T, kTurn>;
 
   double kf = 1e3;  // N s/m
   int iterations = 20;
   double alpha = 1;
-  int substeps = 10;
   bool implicit = true;
   double tolerance = 1e-6;  // m/s
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next = x;
-    for (int substep = 0; substep < substeps; ++substep) {
-      next = SemiImplicitEuler(SubstepLength(in), AccelerationOf<kTurn>(in, i), next);
-    }
-    return next;
-  }
 
  protected:
   static constexpr double kReferenceDepth = 0.01;  // m
@@ -265,11 +256,6 @@ class SpringDescent {
   }
 
  private:
-  template <typename T, typename H>
-  H SubstepLength(const StepInput<T, H>& in) const {
-    return in.h / Base<T>(substeps);
-  }
-
   template <typename T>
   Problem<T> Pose(const StepInput<T>& in, double exponent, int num_discs) const {
     const T stiffness = in.contact.stiffness * std::pow(kReferenceDepth, 2 - exponent);
@@ -377,10 +363,7 @@ class SpringDescent {
     for (std::size_t i = 0; i < touched.size(); ++i) {
       if (!touched[i] || (*reported)[i]) continue;
       (*reported)[i] = 1;
-      in.Report(in.candidates[i],
-                !(in.contact.friction > 0.0)                   ? ContactMode::kFrictionless
-                : problem.Press(z, problem.contacts[i]).sticks ? ContactMode::kStick
-                                                               : ContactMode::kSlip);
+      in.Report(in.candidates[i], ModeOf(in.contact.friction > 0.0, problem.Press(z, problem.contacts[i]).sticks));
     }
   }
 };

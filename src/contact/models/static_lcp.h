@@ -27,7 +27,7 @@
 
 namespace saltus {
 
-struct StaticLcp {
+struct StaticLcp : SemiImplicitFlight<0> {
   static constexpr ModelTraits kTraits = {.name = "static_lcp",
                                           .summary = "static contact: no tangential motion at active contacts",
                                           .source = "DiffPD (Du et al. 2021)",
@@ -38,9 +38,8 @@ struct StaticLcp {
                                           .projects = true,
                                           .allocates = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
   template <typename T>
-  using State = BodyState<T, kRotation>;
+  using State = BodyState<T, 0>;
 
   bool source_anchor = false;
   int rounds = 10;
@@ -51,11 +50,6 @@ struct StaticLcp {
           source_anchor);
     visit(ModelOption{"rounds", "rounds of the active-set update of contacts", 1, 1e4}, rounds);
     visit(ModelOption{"omega", "penalty weight of tangential motion, kg", 1, 1e12}, omega);
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return SemiImplicitEuler(in, i, x);
   }
 
   template <typename T>

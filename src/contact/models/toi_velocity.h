@@ -22,24 +22,15 @@
 
 namespace saltus {
 
-struct ToiVelocityRule {
+struct ToiVelocityRule : SemiImplicitFlight<0> {
   static constexpr ModelTraits kTraits = {.name = "toi_velocity",
                                           .summary = "direct velocity impulse, velocities and position at the impact",
                                           .source = "Zhong, Han, Dey, Brikis 2023",
                                           .friction = false,
                                           .compared = true,
                                           .relative = true};
-  static constexpr int kRotation = 0;
   template <typename T>
-  using State = BodyState<T, kRotation>;
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next;
-    next.v = VelocityAfter(in, T(in.h), i, x);
-    next.p = x.p + Scale(in.h, next.v);
-    return next;
-  }
+  using State = BodyState<T, 0>;
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
@@ -72,8 +63,8 @@ struct ToiVelocityRule {
   }
 
  private:
-  template <typename T, typename H>
-  static Vec2<T> VelocityAfter(const StepInput<T, H>& in, const T& time, int i, const State<T>& x) {
+  template <typename T>
+  static Vec2<T> VelocityAfter(const StepInput<T>& in, const T& time, int i, const State<T>& x) {
     return x.v + Scale(time, in.Acceleration(i));
   }
 };

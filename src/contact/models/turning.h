@@ -1,5 +1,5 @@
-// Discs that spin, in models that step through time: what such a model says of velocities it says of the points of
-// contact, and what pushes there turns the discs too.
+// What models have in common that step through time: free flight, and discs that spin. What such a model says of
+// velocities it says of the points of contact, and what pushes there turns the discs too.
 //
 // A model is written once, for states with spin and without (kTurn is kSpin or 0): where discs cannot spin, nothing is
 // added to what it computes, to the last bit. t = Perpendicular(n), n towards disc a.
@@ -97,17 +97,63 @@ BodyState<T, kSpin> SemiImplicitEuler(const StepInput<T, H>& in, int i, const Bo
   return SemiImplicitEuler(in.h, AccelerationOf<kSpin>(in, i), x);
 }
 
-// An explicit step: the position with the velocity before.
-template <typename T, int kTurn, typename H>
-BodyState<T, kTurn> ExplicitEuler(const StepInput<T, H>& in, int i, const BodyState<T, kTurn>& x) {
-  BodyState<T, kTurn> next;
-  next.v = x.v + Scale(in.h, in.Acceleration(i));
-  next.p = x.p + Scale(in.h, x.v);
-  if constexpr (kTurn == kSpin) {
-    next.rotation[1] = x.rotation[1] + in.h * in.AngularAcceleration(i);
-    next.rotation[0] = x.rotation[0] + in.h * x.rotation[1];
+// Bases of models: free flight by a semi-implicit Euler step,
+template <int kTurn>
+struct SemiImplicitFlight {
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
+
+  template <typename T, typename H>
+  BodyState<T, kTurn> Free(const StepInput<T, H>& in, int i, const BodyState<T, kTurn>& x) const {
+    return SemiImplicitEuler(in, i, x);
   }
-  return next;
+};
+
+// by several,
+template <int kTurn, int kDefaultSubsteps>
+struct SubstepFlight {
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
+
+  int substeps = kDefaultSubsteps;
+
+  template <typename T, typename H>
+  H SubstepLength(const StepInput<T, H>& in) const {
+    return in.h / Base<T>(substeps);
+  }
+
+  template <typename T, typename H>
+  BodyState<T, kTurn> Free(const StepInput<T, H>& in, int i, const BodyState<T, kTurn>& x) const {
+    BodyState<T, kTurn> next = x;
+    for (int substep = 0; substep < substeps; ++substep) {
+      next = SemiImplicitEuler(SubstepLength(in), AccelerationOf<kTurn>(in, i), next);
+    }
+    return next;
+  }
+};
+
+// and by an explicit one: the position with the velocity before.
+template <int kTurn>
+struct ExplicitFlight {
+  static constexpr int kRotation = kTurn;
+  static constexpr bool kLinearRotation = kTurn == kSpin;
+
+  template <typename T, typename H>
+  BodyState<T, kTurn> Free(const StepInput<T, H>& in, int i, const BodyState<T, kTurn>& x) const {
+    BodyState<T, kTurn> next;
+    next.v = x.v + Scale(in.h, in.Acceleration(i));
+    next.p = x.p + Scale(in.h, x.v);
+    if constexpr (kTurn == kSpin) {
+      next.rotation[1] = x.rotation[1] + in.h * in.AngularAcceleration(i);
+      next.rotation[0] = x.rotation[0] + in.h * x.rotation[1];
+    }
+    return next;
+  }
+};
+
+// The mode of a contact that pushes.
+inline ContactMode ModeOf(bool has_friction, bool sticks) {
+  return !has_friction ? ContactMode::kFrictionless : sticks ? ContactMode::kStick : ContactMode::kSlip;
 }
 
 // How fast, or how far, a's point of contact moves along t relative to b's as the discs turn by what `turn(i)` says.

@@ -32,7 +32,9 @@
 namespace saltus {
 
 template <int kTurn>
-struct XpbdOf {
+struct XpbdOf : SubstepFlight<kTurn, 10> {
+  using Flight = SubstepFlight<kTurn, 10>;
+  using Flight::substeps, Flight::SubstepLength;
   static constexpr ModelTraits kTraits = {.name = "xpbd",
                                           .summary = "extended position-based dynamics in substeps",
                                           .source = "Macklin et al. 2016, 2019; Mueller et al. 2020",
@@ -40,33 +42,16 @@ struct XpbdOf {
                                           .projects = true,
                                           .sequential = true,
                                           .relative = true};
-  static constexpr int kRotation = kTurn;
-  static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
-  using State = BodyState<T, kRotation>;
-
-  enum class FrictionBound { kTotalImpulse, kPublished };
+  using State = BodyState<T, kTurn>;
 
   double compliance = 0;  // m/N
-  int substeps = 10;
-  FrictionBound friction_bound = FrictionBound::kTotalImpulse;
+  bool published_bound = false;
   template <typename Visit>
   void VisitOptions(const Visit& visit) {
     visit(ModelOption{"compliance", "compliance of contacts, m/N", 0, 1}, compliance);
     visit(ModelOption{"substeps", "substeps of a step", 1, 1e4}, substeps);
-    bool published = friction_bound == FrictionBound::kPublished;
-    visit(ModelOption{"published_bound", "1: the position pass alone bounds the friction", 0, 1}, published);
-    friction_bound = published ? FrictionBound::kPublished : FrictionBound::kTotalImpulse;
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    State<T> next = x;
-    for (int substep = 0; substep < substeps; ++substep) {
-      Accelerate(SubstepLength(in), AccelerationOf<kTurn>(in, i), &next);
-      Drift(SubstepLength(in), &next);
-    }
-    return next;
+    visit(ModelOption{"published_bound", "1: the position pass alone bounds the friction", 0, 1}, published_bound);
   }
 
   template <typename T>
@@ -112,11 +97,6 @@ struct XpbdOf {
     T multiplier;  // lambda, kg m
     bool held;     // by static friction
   };
-
-  template <typename T, typename H>
-  H SubstepLength(const StepInput<T, H>& in) const {
-    return in.h / Base<T>(substeps);
-  }
 
   // What moves a disc from one state to another.
   template <typename T>
@@ -180,7 +160,7 @@ struct XpbdOf {
       const Vec2<T> tangent = Perpendicular(n);
       const T sliding = Dot(tangent, w);
       T bound = Divide(contact.multiplier, h);
-      if (friction_bound == FrictionBound::kTotalImpulse) bound += normal_impulse;
+      if (!published_bound) bound += normal_impulse;
       const T largest = in.contact.friction * MaxOf(T(S(0)), bound);
       const T stopping = SlidingMass<kTurn>(in, c) * SafeAbs(sliding);
       impulse -= Scale(T(SignOf(sliding) * MinOf(largest, stopping)), tangent);
