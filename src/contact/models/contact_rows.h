@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 #include <memory_resource>
+#include <numeric>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -52,15 +53,11 @@ class ContactGroup {
   const Candidate& candidate(int row) const { return contact(NormalOf(row)).candidate; }
   const Vec2<T>& Direction(int row) const { return IsNormal(row) ? contact(row).normal : tangents_[NormalOf(row)]; }
 
-  // Relative velocity along a row when the discs have the velocities that `velocity(i)` says.
-  template <typename VelocityOf>
-  T Along(int row, const VelocityOf& velocity) const {
-    return Dot(Direction(row), RelativeVelocity<T>(candidate(row), velocity));
-  }
-  // The same when they have the twists that `twist(i)` says.
+  // Relative velocity along a row when the discs have the twists that `twist(i)` says.
   template <typename TwistOfDisc>
-  T AlongTwists(int row, const TwistOfDisc& twist) const {
-    const T along = Along(row, [&](int i) -> Vec2<T> { return twist(i).v; });
+  T Along(int row, const TwistOfDisc& twist) const {
+    const T along =
+        Dot(Direction(row), RelativeVelocity<T>(candidate(row), [&](int i) -> Vec2<T> { return twist(i).v; }));
     if constexpr (kTurn == kSpin) {
       if (!IsNormal(row)) return along + AlongByTurning(*in_, candidate(row), [&](int i) -> T { return twist(i).w; });
     }
@@ -93,19 +90,22 @@ class ContactGroup {
     return values;
   }
 
-  // Adds M^-1 J^T impulse to velocities: calls apply(disc, change of its velocity).
+  // Adds M^-1 J^T impulse to velocities: calls apply(disc, change of its twist).
   template <typename Apply>
   void Push(std::span<const T> impulse, const Apply& apply) const {
     for (int row = 0; row < size(); ++row) {
-      ApplyImpulse(*in_, candidate(row), Scale(impulse[row], Direction(row)), apply);
-    }
-  }
-  // The same with apply(disc, change of its twist).
-  template <typename Apply>
-  void PushTwists(std::span<const T> impulse, const Apply& apply) const {
-    for (int row = 0; row < size(); ++row) {
       PushContact<kTurn>(
           *in_, candidate(row), contact(NormalOf(row)).normal, Scale(impulse[row], Direction(row)), apply);
+    }
+  }
+
+  // Reports the contacts whose normals push. `class_of(row)` is the LcpClass of a row.
+  template <typename ClassOf>
+  void Report(const ClassOf& class_of) const {
+    for (int i = 0; i < num_contacts(); ++i) {
+      if (class_of(i) == LcpClass::kFree) continue;
+      const bool sticks = friction_ && class_of(i + num_contacts()) == LcpClass::kClamping;
+      in_->Report(contact(i).candidate, ModeOf(friction_, sticks));
     }
   }
 
@@ -139,48 +139,78 @@ class ContactGroup {
   std::pmr::vector<Vec2<T>> tangents_;
 };
 
-// The pairs whose gap is `active`, by group, when the discs are where `position(i)` says. The order of groups is that
-// of their first contacts.
-template <int kTurn = 0, typename T, typename PositionOf, typename Active>
-std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& in, int num_discs,
-                                                           const PositionOf& position, const Active& active) {
-  const std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
-  std::size_t num_contacts = 0;
-  std::pmr::vector<int> parent(num_discs, in.scratch);
-  for (int i = 0; i < num_discs; ++i) parent[i] = i;
+// Of each of some contacts, which have a Candidate: the number of its group. Groups count in the order of their first
+// contacts.
+template <typename T, typename Contacts>
+std::pmr::vector<std::size_t> NumbersOfGroups(const StepInput<T>& in, std::size_t num_discs, const Contacts& contacts) {
+  std::pmr::vector<int> parent(num_discs, in.scratch), group_of(num_discs, -1, in.scratch);
+  std::iota(parent.begin(), parent.end(), 0);
   const auto root = [&](int i) {
     while (parent[i] != i) i = parent[i] = parent[parent[i]];
     return i;
   };
-  for (const Candidate& c : in.candidates) {
-    const Separation<T> at = SeparationAt(in, c, position);
-    const T gap = at.distance - in.ContactDistance(c);
-    if (!active(gap)) continue;
-    contacts[num_contacts++] = {c, at.normal, gap};
+  for (const auto& contact : contacts) {
+    const Candidate& c = contact.candidate;
     if (!c.plane && !in.bodies[c.a].fixed && !in.bodies[c.b].fixed) parent[root(c.a)] = root(c.b);
   }
-  std::pmr::vector<ContactGroup<T, kTurn>> groups(in.scratch);
-  std::pmr::vector<int> group_of(num_discs, -1, in.scratch);
-  groups.reserve(num_contacts);
-  for (const GapContact<T>& contact : contacts.first(num_contacts)) {
+  std::pmr::vector<std::size_t> numbers(in.scratch);
+  int count = 0;
+  for (const auto& contact : contacts) {
     const Candidate& c = contact.candidate;
     int& group = group_of[root(in.bodies[c.a].fixed ? c.b : c.a)];
-    if (group < 0) {
-      group = static_cast<int>(groups.size());
-      groups.emplace_back(in, Value(in.contact.friction) > 0);
-    }
-    groups[group].Add(contact);
+    if (group < 0) group = count++;
+    numbers.push_back(group);
   }
-  return groups;
+  return numbers;
 }
 
-// The same when they are where the states `x` say.
+// The pairs whose gap is `active`, by group, when the discs are where the states `x` say.
 template <typename T, int kTurn, typename Active>
 std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& in,
                                                            std::span<const BodyState<T, kTurn>> x,
                                                            const Active& active) {
-  return FindContactGroups<kTurn>(
-      in, static_cast<int>(x.size()), [&](int i) -> const Vec2<T>& { return x[i].p; }, active);
+  std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
+  std::size_t num_contacts = 0;
+  for (const Candidate& c : in.candidates) {
+    const Separation<T> at = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; });
+    const T gap = at.distance - in.ContactDistance(c);
+    if (active(gap)) contacts[num_contacts++] = {c, at.normal, gap};
+  }
+  contacts = contacts.first(num_contacts);
+  std::pmr::vector<ContactGroup<T, kTurn>> groups(in.scratch);
+  groups.reserve(num_contacts);
+  const std::pmr::vector<std::size_t> numbers = NumbersOfGroups(in, x.size(), contacts);
+  for (std::size_t i = 0; i < num_contacts; ++i) {
+    if (numbers[i] == groups.size()) groups.emplace_back(in, Value(in.contact.friction) > 0);
+    groups[numbers[i]].Add(contacts[i]);
+  }
+  return groups;
+}
+
+// The discs of a group, each once, in the order of its contacts.
+struct GroupDiscs {
+  template <typename Group>
+  GroupDiscs(const Group& group, std::size_t num_discs, std::pmr::memory_resource* scratch)
+      : discs(scratch), place(num_discs, -1, scratch) {
+    for (int i = 0; i < group.num_contacts(); ++i) {
+      const Candidate& c = group.contact(i).candidate;
+      for (const int disc : {c.a, c.plane ? c.a : c.b}) {
+        if (place[disc] >= 0) continue;
+        place[disc] = static_cast<int>(discs.size());
+        discs.push_back(disc);
+      }
+    }
+  }
+  std::pmr::vector<int> discs;
+  std::pmr::vector<int> place;  // of each disc in `discs`; -1 if it is not there
+};
+
+// The value of a candidate's gap when the discs are where `position(i)` says, values too.
+template <typename T, typename PositionOf>
+double GapValue(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
+  const Separation<double> at =
+      c.plane ? Separate<double>(position(c.a), in.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
+  return at.distance - in.ContactDistance(c);
 }
 
 // Lets those discs of a group fly freely that no reported contact has. For models that step groups in several

@@ -26,7 +26,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <memory_resource>
@@ -220,16 +219,10 @@ struct IpcBarrierOf {
     FreeFlight(*this, in, x, next);
     const auto groups = FindContactGroups(in, x, [](const T&) { return true; });
     for (const Group<T>& group : groups) {
-      std::pmr::vector<int> discs(in.scratch);
-      for (int i = 0; i < group.num_contacts(); ++i) {
-        const Candidate& c = group.contact(i).candidate;
-        for (const int disc : {c.a, c.plane ? c.a : c.b}) {
-          if (std::find(discs.begin(), discs.end(), disc) == discs.end()) discs.push_back(disc);
-        }
-      }
-      for (const int disc : discs) next[disc] = x[disc];
+      const GroupDiscs members(group, x.size(), in.scratch);
+      for (const int disc : members.discs) next[disc] = x[disc];
       std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
-      for (int substep = 0; substep < substeps; ++substep) Advance<T>(in, group, discs, next, reported);
+      for (int substep = 0; substep < substeps; ++substep) Advance<T>(in, group, members, next, reported);
       FlyUnlessReported<IpcBarrierOf, T>(*this, in, group, reported, x, next);
     }
   }
@@ -255,13 +248,13 @@ struct IpcBarrierOf {
   }
 
   template <typename T>
-  void Advance(const StepInput<T>& in, const Group<T>& group, std::span<const int> discs, std::span<State<T>> state,
+  void Advance(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members, std::span<State<T>> state,
                std::span<char> reported) const {
-    const internal::BarrierEnergy<T> energy = Pose<T>(in, group, discs, state);
+    const internal::BarrierEnergy<T> energy = Pose<T>(in, group, members, state);
     const internal::BarrierEnergy<double> values = energy.template Cast<double>();
     const std::span<const double> found = in.Solved([&] { return Minimize(in, values); });
     if (found.empty()) {
-      for (const int disc : discs) Fly(in, disc, &state[disc]);
+      for (const int disc : members.discs) Fly(in, disc, &state[disc]);
       return;
     }
     const Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
@@ -270,15 +263,15 @@ struct IpcBarrierOf {
     if constexpr (!std::is_same_v<T, double>) hessian = LinearizeByUnknowns(values, x).jacobian;
     const std::vector<T> solution = CorrectInT(energy, x, hessian);
     const double h = SubstepLength(in);
-    for (std::size_t i = 0; i < discs.size(); ++i) {
-      const int unknown = energy.discs[i].unknown;
+    for (std::size_t i = 0; i < members.discs.size(); ++i) {
+      const int disc = members.discs[i], unknown = energy.discs[i].unknown;
       if (unknown < 0) continue;
-      State<T>& s = state[discs[i]];
+      State<T>& s = state[disc];
       const Vec2<T> p(solution[unknown], solution[unknown + 1]);
       const Vec2<T> mean(Divide(T(p[0] - s.p[0]), h), Divide(T(p[1] - s.p[1]), h));
       s.v = trapezoidal ? Vec2<T>(Scale(2.0, mean) - s.v) : mean;
       s.p = p;
-      if constexpr (kTurn == kSpin) TurnBy<T>(in, discs[i], solution, energy.discs[i].rim, &s);
+      if constexpr (kTurn == kSpin) TurnBy<T>(in, disc, solution, energy.discs[i].rim, &s);
     }
   }
 
@@ -293,18 +286,16 @@ struct IpcBarrierOf {
   }
 
   template <typename T>
-  internal::BarrierEnergy<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const int> discs,
+  internal::BarrierEnergy<T> Pose(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members,
                                   std::span<const State<T>> state) const {
     using Energy = internal::BarrierEnergy<T>;
     const double h = SubstepLength(in);
     Energy energy{
         kappa, range, slip_speed * h, (trapezoidal ? 0.25 : 1.0) * h * h, (trapezoidal ? 0.5 : 1.0) * h * h, {}, {}, 0};
-    std::pmr::vector<int> place(state.size(), -1, in.scratch);
-    for (const int disc : discs) {
+    for (const int disc : members.discs) {
       State<T> flying = state[disc];
       Fly(in, disc, &flying);
       const bool fixed = in.bodies[disc].fixed;
-      place[disc] = static_cast<int>(energy.discs.size());
       energy.discs.push_back({state[disc].p, flying.p, in.bodies[disc].mass, fixed ? -1 : energy.num_unknowns});
       if (!fixed) energy.num_unknowns += 2;
       if constexpr (kTurn == kSpin) {
@@ -320,15 +311,15 @@ struct IpcBarrierOf {
       const Candidate& c = group.contact(i).candidate;
       const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return state[disc].p; });
       const T force = -kappa * Energy::BarrierSlope(T(at.distance - in.ContactDistance(c)), range);
-      energy.contacts.push_back({place[c.a],
-                                 c.plane ? -1 : place[c.b],
+      energy.contacts.push_back({members.place[c.a],
+                                 c.plane ? -1 : members.place[c.b],
                                  c.plane ? in.planes[c.b] : Wall<double>{},
                                  in.ContactDistance(c),
                                  Perpendicular(at.normal),
                                  T(in.contact.friction * force)});
       if (!trapezoidal) continue;
       ApplyImpulse(in, c, Scale(T(energy.barrier_weight * force), at.normal), [&](int disc, const Vec2<T>& change) {
-        energy.discs[place[disc]].target += change;
+        energy.discs[members.place[disc]].target += change;
       });
     }
     return energy;

@@ -38,7 +38,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "contact/models/turning.h"
+#include "contact/models/contact_rows.h"
 #include "contact/solvers/lcp_solver.h"
 #include "saltus/contact/contact_model.h"
 
@@ -139,33 +139,21 @@ struct LcpOf : ExplicitFlight<kTurn> {
   static std::pmr::vector<Group<T>> FindGroups(const StepInput<T>& in, std::span<const State<T>> x,
                                                std::span<const State<T>> flying) {
     using S = Base<T>;
-    std::pmr::vector<int> parent(x.size(), in.scratch);
-    for (size_t i = 0; i < x.size(); ++i) parent[i] = static_cast<int>(i);
-    const auto root = [&](int i) {
-      while (parent[i] != i) i = parent[i] = parent[parent[i]];
-      return i;
+    struct Touching {
+      Candidate candidate;
+      Separation<T> at;
     };
-    const auto moving = [&](const Candidate& c) { return in.bodies[c.a].fixed ? c.b : c.a; };
-    std::pmr::vector<Candidate> contacts(in.scratch);
-    std::pmr::vector<Separation<T>> separations(in.scratch);
+    std::pmr::vector<Touching> contacts(in.scratch);
     for (const Candidate& c : in.candidates) {
       const Separation<T> at = SeparationAt(in, c, [&](int i) -> Vec2<T> { return x[i].p; });
       const T depth = in.ContactDistance(c) - at.distance;
-      if (!(depth >= S(0) && depth <= S(kMaxDepth))) continue;
-      contacts.push_back(c);
-      separations.push_back(at);
-      if (!c.plane && !in.bodies[c.a].fixed && !in.bodies[c.b].fixed) parent[root(c.a)] = root(c.b);
+      if (depth >= S(0) && depth <= S(kMaxDepth)) contacts.push_back({c, at});
     }
-
     std::pmr::vector<Group<T>> groups(in.scratch);
-    std::pmr::vector<int> group_of(x.size(), -1, in.scratch);
-    for (size_t i = 0; i < contacts.size(); ++i) {
-      int& group = group_of[root(moving(contacts[i]))];
-      if (group < 0) {
-        group = static_cast<int>(groups.size());
-        groups.emplace_back();
-      }
-      AddRows<T>(in, contacts[i], separations[i], flying, &groups[group]);
+    const std::pmr::vector<std::size_t> numbers = NumbersOfGroups(in, x.size(), contacts);
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      if (numbers[i] == groups.size()) groups.emplace_back();
+      AddRows<T>(in, contacts[i].candidate, contacts[i].at, flying, &groups[numbers[i]]);
     }
     return groups;
   }
@@ -266,11 +254,8 @@ struct LcpOf : ExplicitFlight<kTurn> {
     for (int i = 0; i < static_cast<int>(group.size()); ++i) {
       const bool idle = solution.x[i] == 0 && !complementarity_aware;
       if (group[i].normal != i || idle) continue;
-      ContactMode mode = ContactMode::kFrictionless;
-      if (HasFriction(in) && solution.classes[i + 1] != LcpClass::kFree) {
-        mode = solution.classes[i + 1] == LcpClass::kClamping ? ContactMode::kStick : ContactMode::kSlip;
-      }
-      in.Report(group[i].candidate, mode);
+      const LcpClass tangent = HasFriction(in) ? solution.classes[i + 1] : LcpClass::kFree;
+      in.Report(group[i].candidate, ModeOf(tangent != LcpClass::kFree, tangent == LcpClass::kClamping));
     }
   }
 

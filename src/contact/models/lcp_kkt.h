@@ -164,10 +164,10 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    std::pmr::vector<Group<T>> groups = FindContactGroups(in, x, [](const T&) { return true; });
+    const auto groups = FindContactGroups(in, x, [](const T&) { return true; });
     for (const Group<T>& group : groups) {
-      Members members(group, x.size(), in.scratch);
-      if (Overlap<T>(in, group, next) <= tolerance && !AnyContact<T>(in, group, x)) continue;
+      const GroupDiscs members(group, x.size(), in.scratch);
+      if (Overlap<T>(in, group, next) <= tolerance && Touching<T>(in, group, x).empty()) continue;
       for (const int disc : members.discs) next[disc] = x[disc];
       std::pmr::vector<char> reported(group.num_contacts(), 0, in.scratch);
       Advance<T>(in, group, members, next, reported);
@@ -176,54 +176,35 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
   }
 
  private:
-  struct Members {
-    template <typename Group>
-    Members(const Group& group, std::size_t num_discs, std::pmr::memory_resource* scratch)
-        : discs(scratch), place(num_discs, -1, scratch) {
-      for (int i = 0; i < group.num_contacts(); ++i) {
-        const Candidate& c = group.contact(i).candidate;
-        for (const int disc : {c.a, c.plane ? c.a : c.b}) {
-          if (place[disc] >= 0) continue;
-          place[disc] = static_cast<int>(discs.size());
-          discs.push_back(disc);
-        }
-      }
-    }
-    std::pmr::vector<int> discs, place;
-  };
-
   template <typename T>
   static double Gap(const StepInput<T>& in, const Candidate& c, std::span<const State<T>> x) {
-    return Value(SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; }).distance) - in.ContactDistance(c);
+    return GapValue(in, c, [&](int i) -> Vec2d { return {Value(x[i].p[0]), Value(x[i].p[1])}; });
   }
   template <typename T>
   static double Overlap(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x) {
     double deepest = 0;
     for (int i = 0; i < group.num_contacts(); ++i) {
-      deepest = std::max(deepest, -Gap(in, group.contact(i).candidate, x));
+      deepest = std::max(deepest, -Gap<T>(in, group.contact(i).candidate, x));
     }
     return deepest;
   }
   template <typename T>
-  bool AnyContact(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x) const {
+  std::pmr::vector<int> Touching(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x) const {
+    std::pmr::vector<int> touching(in.scratch);
     for (int i = 0; i < group.num_contacts(); ++i) {
-      if (Gap(in, group.contact(i).candidate, x) <= eps) return true;
+      if (Gap<T>(in, group.contact(i).candidate, x) <= eps) touching.push_back(i);
     }
-    return false;
+    return touching;
   }
 
   // The whole step of one group; not a number if kMaxSubsteps do not get to its end.
   template <typename T>
-  void Advance(const StepInput<T>& in, const Group<T>& group, const Members& members, std::span<State<T>> x,
+  void Advance(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members, std::span<State<T>> x,
                std::span<char> reported) const {
     std::pmr::vector<Twist<T, kTurn>> velocity(members.discs.size(), in.scratch);
-    std::pmr::vector<int> touching(in.scratch);
     double rest = in.h;
     for (int substep = 0; substep < kMaxSubsteps && rest > 0; ++substep) {
-      touching.clear();
-      for (int i = 0; i < group.num_contacts(); ++i) {
-        if (Gap<T>(in, group.contact(i).candidate, x) <= eps) touching.push_back(i);
-      }
+      const std::pmr::vector<int> touching = Touching<T>(in, group, x);
       const std::span<const double> found =
           in.Solved([&] { return FindSubstep<T>(in, group, members, touching, x, rest); });
       const double length = found[0];
@@ -258,7 +239,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
 
   // The length of the next substep and, if anything touches, the unknowns of its equations.
   template <typename T>
-  Eigen::VectorXd FindSubstep(const StepInput<T>& in, const Group<T>& group, const Members& members,
+  Eigen::VectorXd FindSubstep(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members,
                               std::span<const int> touching, std::span<const State<T>> x, double rest) const {
     std::pmr::vector<Twist<T, kTurn>> velocity(members.discs.size(), in.scratch);
     std::pmr::vector<State<T>> tried(x.begin(), x.end(), in.scratch);
@@ -299,8 +280,8 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
   }
 
   template <typename T>
-  static void FreeVelocities(const StepInput<T>& in, const Members& members, std::span<const State<T>> x, double length,
-                             std::span<Twist<T, kTurn>> velocity) {
+  static void FreeVelocities(const StepInput<T>& in, const GroupDiscs& members, std::span<const State<T>> x,
+                             double length, std::span<Twist<T, kTurn>> velocity) {
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       const int disc = members.discs[i];
       State<T> next = x[disc];
@@ -311,7 +292,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
 
   // Those of the moving discs from the unknowns of the equations.
   template <typename T>
-  static void TakeVelocities(const StepInput<T>& in, const Members& members, const std::vector<T>& unknowns,
+  static void TakeVelocities(const StepInput<T>& in, const GroupDiscs& members, const std::vector<T>& unknowns,
                              std::span<Twist<T, kTurn>> velocity) {
     int next = 0;
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
@@ -337,7 +318,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
   }
 
   template <typename T>
-  static internal::KktEquations<T, kTurn> Pose(const StepInput<T>& in, const Group<T>& group, const Members& members,
+  static internal::KktEquations<T, kTurn> Pose(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members,
                                                std::span<const int> touching, std::span<const State<T>> x,
                                                std::span<const Twist<T, kTurn>> free_velocity) {
     internal::KktEquations<T, kTurn> equations;

@@ -15,7 +15,7 @@ GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const 
   }
 }
 
-SweepClass GaussSeidelSweeps::ClassOf(int row) const { return updates_[updates_.size() - x_.size() + row].kind; }
+LcpClass GaussSeidelSweeps::ClassOf(int row) const { return updates_[updates_.size() - x_.size() + row].kind; }
 
 GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
   const int n = static_cast<int>(x_.size());
@@ -29,7 +29,7 @@ GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
     x[i] = updates_[k].overwritten;
     cotangent[i] = 0;
     switch (updates_[k].kind) {
-      case SweepClass::kFree: {
+      case LcpClass::kClamping: {
         const double w = g / A_[i * n + i];
         d.by_b[i] += w;
         d.by_A[i * n + i] -= w * assigned;
@@ -40,14 +40,14 @@ GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
         }
         break;
       }
-      case SweepClass::kUpper:
-      case SweepClass::kLower: {
-        const double sign = updates_[k].kind == SweepClass::kUpper ? 1 : -1;
+      case LcpClass::kUpperBound:
+      case LcpClass::kLowerBound: {
+        const double sign = updates_[k].kind == LcpClass::kUpperBound ? 1 : -1;
         cotangent[i - num_normals_] += sign * friction_ * g;
         d.by_friction += sign * x[i - num_normals_] * g;
         break;
       }
-      case SweepClass::kOff:
+      case LcpClass::kFree:
         break;
     }
   }

@@ -24,14 +24,11 @@
 
 namespace saltus {
 
-// How an update of the sweeps ended.
-enum class SweepClass : char { kFree, kOff, kUpper, kLower };
-
 // One update of a row of A x = b with all others held, within its bounds: of the normals, rows [0, num_normals), and of
-// tangents, row num_normals + i with normal i.
+// tangents, row num_normals + i with normal i. Returns how it ended.
 template <typename T>
-SweepClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction, int num_normals, int i,
-                     std::span<T> x) {
+LcpClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction, int num_normals, int i,
+                   std::span<T> x) {
   const int n = static_cast<int>(b.size());
   T rest = b[i];
   for (int j = 0; j < n; ++j) {
@@ -41,11 +38,11 @@ SweepClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& fricti
   if (i < num_normals) {
     const bool free = y > 0.0;
     x[i] = free ? y : T(0.0);
-    return free ? SweepClass::kFree : SweepClass::kOff;
+    return free ? LcpClass::kClamping : LcpClass::kFree;
   }
   const T bound = friction * x[i - num_normals];
-  const auto kind = y > bound ? SweepClass::kUpper : y < -bound ? SweepClass::kLower : SweepClass::kFree;
-  x[i] = kind == SweepClass::kUpper ? bound : kind == SweepClass::kLower ? T(-bound) : y;
+  const auto kind = y > bound ? LcpClass::kUpperBound : y < -bound ? LcpClass::kLowerBound : LcpClass::kClamping;
+  x[i] = kind == LcpClass::kUpperBound ? bound : kind == LcpClass::kLowerBound ? T(-bound) : y;
   return kind;
 }
 
@@ -59,7 +56,7 @@ class GaussSeidelSweeps {
 
   std::span<const double> x() const { return x_; }
   // Of the last update of a row.
-  SweepClass ClassOf(int row) const;
+  LcpClass ClassOf(int row) const;
 
   // Derivative of x[row] by A, which lies as A does, b and friction.
   struct Derivative {
@@ -70,7 +67,7 @@ class GaussSeidelSweeps {
 
  private:
   struct Update {
-    SweepClass kind;
+    LcpClass kind;
     double overwritten;  // the value of x before
   };
 
@@ -113,13 +110,12 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
     for (const Group<T>& group : groups) {
       std::pmr::vector<T> b(in.scratch);
       for (int row = 0; row < group.size(); ++row) {
-        const T speed = group.AlongTwists(row, [&](int i) { return TwistOf(next[i]); });
+        const T speed = group.Along(row, [&](int i) { return TwistOf(next[i]); });
         b.push_back(group.IsNormal(row)
                         ? T(-(in.contact.restitution + 1.0) * speed - Divide(T(erp * group.contact(row).gap), in.h))
                         : T(-speed));
       }
-      group.PushTwists(Impulses(in, group, b),
-                       [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
+      group.Push(Impulses(in, group, b), [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
     }
   }
 
@@ -139,7 +135,7 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
     }
     const GaussSeidelSweeps solution(
         A_values, b_values, Value(in.contact.friction), group.num_contacts(), sweeps, in.scratch);
-    Report(in, group, solution);
+    group.Report([&](int row) { return solution.ClassOf(row); });
     std::pmr::vector<T> x(n, T(0.0), in.scratch);
     if constexpr (std::is_same_v<T, double>) {
       for (int i = 0; i < n; ++i) x[i] = solution.x()[i];
@@ -159,19 +155,6 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       }
     }
     return x;
-  }
-
-  template <typename T>
-  static void Report(const StepInput<T>& in, const Group<T>& group, const GaussSeidelSweeps& solution) {
-    for (int i = 0; i < group.num_contacts(); ++i) {
-      if (solution.ClassOf(i) == SweepClass::kOff) continue;
-      ContactMode mode = ContactMode::kFrictionless;
-      if (group.friction()) {
-        const bool sticks = solution.ClassOf(i + group.num_contacts()) == SweepClass::kFree;
-        mode = sticks ? ContactMode::kStick : ContactMode::kSlip;
-      }
-      in.Report(group.contact(i).candidate, mode);
-    }
   }
 };
 

@@ -198,12 +198,12 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
     // Restitution is for contacts that a free step would close; otherwise everything within the push gap takes part.
-    const auto position = [&](int i) -> const Vec2<T>& { return kRestitution ? next[i].p : x[i].p; };
+    const std::span<const State<T>> at = kRestitution ? std::span<const State<T>>(next) : x;
     const auto active = [&](const T& gap) {
       if constexpr (kRestitution) return gap <= 0.0;
       return gap < kTraits.push_gap;
     };
-    const auto groups = FindContactGroups<kTurn>(in, static_cast<int>(x.size()), position, active);
+    const auto groups = FindContactGroups(in, at, active);
     for (const Group<T>& group : groups) Solve<T>(in, group, x, next);
   }
 
@@ -214,8 +214,8 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
   template <typename T>
   void Solve(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
              std::span<State<T>> next) const {
-    std::pmr::vector<int> discs(in.scratch);
-    const Equations<T> equations = Pose<T>(in, group, x, next, &discs);
+    const GroupDiscs members(group, x.size(), in.scratch);
+    const Equations<T> equations = Pose<T>(in, group, members, x, next);
     Equations<double> values = equations.template Cast<double>();
     const auto solve_at = [&](double end) {
       Eigen::VectorXd z = Start(&values);
@@ -237,33 +237,29 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
       const std::vector<T> corrected = CorrectInT(equations, z, LinearizeByUnknowns(values, z).jacobian);
       for (int i = 0; i < z.size(); ++i) solution[i].v = corrected[i].v;
     }
-    for (std::size_t i = 0; i < discs.size(); ++i) {
-      const int unknown = equations.discs[i].unknown;
+    for (std::size_t i = 0; i < members.discs.size(); ++i) {
+      const int disc = members.discs[i], unknown = equations.discs[i].unknown;
       if (unknown < 0) continue;
-      State<T>& after = next[discs[i]];
+      State<T>& after = next[disc];
       after.v = {solution[unknown], solution[unknown + 1]};
-      after.p = x[discs[i]].p + Scale(in.h, after.v);
+      after.p = x[disc].p + Scale(in.h, after.v);
       if constexpr (kTurn == kSpin) {
-        after.rotation[1] = Divide(solution[unknown + 2], in.bodies[discs[i]].radius);
-        after.rotation[0] = x[discs[i]].rotation[0] + in.h * after.rotation[1];
+        after.rotation[1] = Divide(solution[unknown + 2], in.bodies[disc].radius);
+        after.rotation[0] = x[disc].rotation[0] + in.h * after.rotation[1];
       }
     }
   }
 
   template <typename T>
-  Equations<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
-                    std::span<const State<T>> flying, std::pmr::vector<int>* discs) const {
+  Equations<T> Pose(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members,
+                    std::span<const State<T>> x, std::span<const State<T>> flying) const {
     Equations<T> equations;
     equations.h = in.h;
     equations.restitution = in.contact.restitution;
     equations.friction = in.contact.friction;
     equations.has_friction = group.friction();
-    std::pmr::vector<int> place(x.size(), -1, in.scratch);
-    const auto add = [&](int disc) {
-      if (place[disc] >= 0) return place[disc];
+    for (const int disc : members.discs) {
       const bool fixed = in.bodies[disc].fixed;
-      place[disc] = static_cast<int>(discs->size());
-      discs->push_back(disc);
       equations.discs.push_back(
           {x[disc].p, x[disc].v, flying[disc].v, in.bodies[disc].inverse_mass, fixed ? -1 : equations.num_velocities});
       if constexpr (kTurn == kSpin) {
@@ -272,14 +268,15 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
         equations.discs.back().rim_mobility = body.radius * body.radius * body.inverse_inertia;
       }
       if (!fixed) equations.num_velocities += kTurn == kSpin ? 3 : 2;
-      return place[disc];
-    };
+    }
     for (int i = 0; i < group.num_contacts(); ++i) {
       const Candidate& c = group.contact(i).candidate;
-      const int a = add(c.a), b = c.plane ? -1 : add(c.b);
       const auto now = [&](int disc) -> const Vec2<T>& { return x[disc].p; };
-      equations.contacts.push_back(
-          {a, b, c.plane ? in.planes[c.b] : Wall<double>{}, in.ContactDistance(c), SeparationAt(in, c, now).normal});
+      equations.contacts.push_back({members.place[c.a],
+                                    c.plane ? -1 : members.place[c.b],
+                                    c.plane ? in.planes[c.b] : Wall<double>{},
+                                    in.ContactDistance(c),
+                                    SeparationAt(in, c, now).normal});
     }
     return equations;
   }

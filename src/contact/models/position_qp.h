@@ -61,15 +61,27 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     FreeFlight(*this, in, x, next);
     const std::span<GapContact<T>> contacts = Contacts<T>(in, next);
     const std::span<const double> found = in.Solved([&] { return Multipliers<T>(in, contacts, next); });
-    ContactGroup<T> pushing = Pushing<T>(in, contacts, found);
-    if (pushing.num_contacts() == 0) return;
-    const std::pmr::vector<T> multipliers = Differentiated(in, pushing, Gaps(in, pushing), Positive(found));
-    std::pmr::vector<T> approach(in.scratch);
-    for (int i = 0; i < pushing.size(); ++i) {
-      in.Report(pushing.candidate(i));
-      approach.push_back(pushing.Along(i, [&](int disc) -> const Vec2<T>& { return next[disc].v; }));
+    // Of the contacts whose multiplier is not zero (or not a number).
+    ContactGroup<T> pushing(in, /*friction=*/false);
+    std::vector<double> values;
+    std::pmr::vector<T> gaps(in.scratch), approach(in.scratch);
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      if (found[i] == 0) continue;
+      in.Report(contacts[i].candidate);
+      pushing.Add(contacts[i]);
+      values.push_back(found[i]);
+      gaps.push_back(contacts[i].gap);
+      approach.push_back(pushing.Along(pushing.size() - 1, [&](int disc) { return TwistOf(next[disc]); }));
     }
-    MoveApart<T>(in, pushing, multipliers, x, next);
+    if (values.empty()) return;
+    const Eigen::Map<const Eigen::VectorXd> multipliers(values.data(), values.size());
+    const std::vector<LcpClass> classes(values.size(), LcpClass::kClamping);
+    pushing.Push(ImpulsesInClasses<T>(in, pushing, gaps, multipliers, classes),
+                 [&](int disc, const Twist<T, 0>& change) {
+                   if (in.bodies[disc].fixed) return;
+                   next[disc].p += change.v;
+                   for (int j = 0; j < 2; ++j) next[disc].v[j] = Divide(T(next[disc].p[j] - x[disc].p[j]), in.h);
+                 });
     if (restitution) Bounce<T>(in, pushing, approach, next);
   }
 
@@ -105,7 +117,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
       }
       const std::size_t known = active.size();
       for (std::size_t i = 0; i < contacts.size(); ++i) {
-        if (is_active[i] || !(GapAt(in, contacts[i].candidate, at) < 0)) continue;
+        if (is_active[i] || !(GapValue(in, contacts[i].candidate, [&](int disc) { return at[disc]; }) < 0)) continue;
         is_active[i] = 1;
         active.push_back(i);
         group.Add(contacts[i]);
@@ -139,56 +151,6 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     if (!c.plane) (*at)[c.b] -= Value(in.InverseMassB(c)) * push;
   }
 
-  template <typename T>
-  static double GapAt(const StepInput<T>& in, const Candidate& c, const std::vector<Vec2d>& at) {
-    const double distance =
-        c.plane ? Separate<double>(at[c.a], in.planes[c.b]).distance : Separate<double>(at[c.a], at[c.b]).distance;
-    return distance - in.ContactDistance(c);
-  }
-
-  // The contacts whose number is not zero (or not a number).
-  template <typename T>
-  static ContactGroup<T> Pushing(const StepInput<T>& in, std::span<const GapContact<T>> contacts,
-                                 std::span<const double> numbers) {
-    ContactGroup<T> group(in, /*friction=*/false);
-    for (std::size_t i = 0; i < contacts.size(); ++i) {
-      if (numbers[i] != 0) group.Add(contacts[i]);
-    }
-    return group;
-  }
-  static Eigen::VectorXd Positive(std::span<const double> numbers) {
-    std::vector<double> kept;
-    for (const double number : numbers) {
-      if (number != 0) kept.push_back(number);
-    }
-    return Eigen::Map<const Eigen::VectorXd>(kept.data(), kept.size());
-  }
-
-  template <typename T>
-  static std::pmr::vector<T> Gaps(const StepInput<T>& in, const ContactGroup<T>& group) {
-    std::pmr::vector<T> gaps(in.scratch);
-    for (int i = 0; i < group.num_contacts(); ++i) gaps.push_back(group.contact(i).gap);
-    return gaps;
-  }
-
-  // A x + c = 0 in all rows.
-  template <typename T>
-  static std::pmr::vector<T> Differentiated(const StepInput<T>& in, const ContactGroup<T>& group,
-                                            const std::pmr::vector<T>& c, const Eigen::VectorXd& x) {
-    const std::vector<LcpClass> classes(group.size(), LcpClass::kClamping);
-    return ImpulsesInClasses<T>(in, group, c, x, classes);
-  }
-
-  template <typename T>
-  static void MoveApart(const StepInput<T>& in, const ContactGroup<T>& group, const std::pmr::vector<T>& multipliers,
-                        std::span<const State<T>> x, std::span<State<T>> next) {
-    group.Push(multipliers, [&](int disc, const Vec2<T>& change) {
-      if (in.bodies[disc].fixed) return;
-      next[disc].p += change;
-      for (int j = 0; j < 2; ++j) next[disc].v[j] = Divide(T(next[disc].p[j] - x[disc].p[j]), in.h);
-    });
-  }
-
   // `approach`: n . v_f,rel of each contact.
   template <typename T>
   static void Bounce(const StepInput<T>& in, const ContactGroup<T>& pushing, const std::pmr::vector<T>& approach,
@@ -199,7 +161,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     for (int i = 0; i < pushing.num_contacts(); ++i) {
       if (!(approach[i] < 0.0)) continue;
       closing.Add(pushing.contact(i));
-      const T speed = pushing.Along(i, [&](int disc) -> const Vec2<T>& { return next[disc].v; });
+      const T speed = pushing.Along(i, [&](int disc) { return TwistOf(next[disc]); });
       c.push_back(speed + in.contact.restitution * approach[i]);
       values.push_back(Value(c.back()));
     }
@@ -210,7 +172,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     for (const double impulse : found) classes.push_back(impulse == 0 ? LcpClass::kFree : LcpClass::kClamping);
     const Eigen::VectorXd impulses = Eigen::Map<const Eigen::VectorXd>(found.data(), found.size());
     closing.Push(ImpulsesInClasses<T>(in, closing, c, impulses, classes),
-                 [&](int disc, const Vec2<T>& change) { next[disc].v += change; });
+                 [&](int disc, const Twist<T, 0>& change) { Kick(change, &next[disc]); });
   }
 };
 

@@ -1,8 +1,10 @@
 #include "contact/models/qcqp.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "base/linear_algebra.h"
+#include "contact/solvers/complementarity.h"
 
 namespace saltus {
 namespace {
@@ -13,13 +15,11 @@ constexpr int kMaxSweeps = 20000;
 bool DescendCoordinates(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
                         const Eigen::VectorXd& high, Eigen::VectorXd* x) {
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
-    double change = 0;
-    for (int i = 0; i < x->size(); ++i) {
+    const double change = GaussSeidelSweep(x->size(), [&](std::ptrdiff_t i) {
       const double slope = c[i] + A.row(i).dot(*x);
       const double moved = std::clamp((*x)[i] - slope / A(i, i), low[i], high[i]);
-      change = std::max(change, std::abs(moved - (*x)[i]));
-      (*x)[i] = moved;
-    }
+      return std::abs(moved - std::exchange((*x)[i], moved));
+    });
     if (change <= 1e-15 * x->cwiseAbs().maxCoeff()) return true;
   }
   return false;

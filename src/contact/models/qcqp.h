@@ -72,13 +72,13 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
       for (int row = 0; row < group.size(); ++row) values[row] = Value(c[row]);
       const StaggeredImpulses solution = SolveStaggered(
           group.CouplingValues(), values, Value(in.contact.friction), group.num_contacts(), passes, tolerance);
-      Report(in, group, solution);
+      group.Report([&](int row) { return solution.classes[row]; });
       std::pmr::vector<T> impulse = ImpulsesInClasses(in, group, c, solution.x, solution.classes);
       if (!solution.converged) {
         in.Fail("the programs for normal and friction impulses do not come to agree");
         impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
       }
-      group.PushTwists(impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
+      group.Push(impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
     }
   }
 
@@ -89,24 +89,12 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
                                         std::span<const State<T>> flying) {
     std::pmr::vector<T> c(in.scratch);
     for (int row = 0; row < group.size(); ++row) {
-      c.push_back(group.AlongTwists(row, [&](int i) { return TwistOf(flying[i]); }));
+      c.push_back(group.Along(row, [&](int i) { return TwistOf(flying[i]); }));
       if (!group.IsNormal(row)) continue;
-      const T before = group.Along(row, [&](int i) -> const Vec2<T>& { return x[i].v; });
+      const T before = group.Along(row, [&](int i) { return TwistOf(x[i]); });
       if (before < 0.0) c.back() += in.contact.restitution * before;
     }
     return c;
-  }
-
-  template <typename T>
-  static void Report(const StepInput<T>& in, const Group<T>& group, const StaggeredImpulses& solution) {
-    for (int i = 0; i < group.num_contacts(); ++i) {
-      if (solution.classes[i] == LcpClass::kFree) continue;
-      const bool sticks = group.friction() && solution.classes[i + group.num_contacts()] == LcpClass::kClamping;
-      in.Report(group.contact(i).candidate,
-                !group.friction() ? ContactMode::kFrictionless
-                : sticks          ? ContactMode::kStick
-                                  : ContactMode::kSlip);
-    }
   }
 };
 

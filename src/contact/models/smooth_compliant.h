@@ -37,7 +37,7 @@ struct HuntCrossley {
 template <int kTurn>
 struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
   using Flight = SubstepFlight<kTurn, 4>;
-  using Flight::substeps;
+  using Flight::substeps, Flight::SubstepLength;
   static constexpr ModelTraits kTraits = {.name = "smooth_compliant",
                                           .summary = "smooth spring with Hunt-Crossley dissipation, in substeps",
                                           .source = "Hunt, Crossley 1975; Drake; IPC toolkit (Li et al. 2020)",
@@ -69,7 +69,7 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     std::copy(x.begin(), x.end(), next.begin());
-    const Base<T> h = this->SubstepLength(in);
+    const Base<T> h = SubstepLength(in);
     const Law<T> law = LawOf(in);
     std::pmr::vector<char> reported(in.candidates.size(), 0, in.scratch);
     std::pmr::vector<Twist<T, kTurn>> acceleration(x.size(), in.scratch);

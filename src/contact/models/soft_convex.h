@@ -82,7 +82,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     for (const Group<T>& group : groups) {
       const Program<T> program = Pose<T>(in, group, x, acceleration);
       const std::pmr::vector<T> force = SolveProgram(in, group, program);
-      group.PushTwists(force, [&](int i, const Twist<T, kTurn>& change) {
+      group.Push(force, [&](int i, const Twist<T, kTurn>& change) {
         Accelerate(in.h, change, &next[i]);
         next[i].p += Scale(in.h * in.h, change.v);
         if constexpr (kTurn == kSpin) next[i].rotation[0] += in.h * in.h * change.w;
@@ -100,9 +100,6 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
   using MatrixMap = Eigen::Map<Eigen::MatrixXd>;
   using VectorMap = Eigen::Map<Eigen::VectorXd>;
 
-  // How a contact pushes: not at all, freely in its cone, or along the edge (1, +-mu).
-  enum class Edge { kOpen, kInside, kUpper, kLower };
-
   template <typename T>
   Program<T> Pose(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
                   std::span<const Twist<T, kTurn>> acceleration) const {
@@ -119,10 +116,10 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
       const T d = ImpedanceAt(T(-gap));
       const T coupling = group.Coupling(row, row), softness = Divide(T(S(1) - d), d);
       program.diagonal[row] = coupling + (row < n ? softness : Divide(softness, S(impratio))) * coupling;
-      const T speed = group.AlongTwists(row, [&](int i) { return TwistOf(x[i]); });
+      const T speed = group.Along(row, [&](int i) { return TwistOf(x[i]); });
       T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
-      program.c[row] = group.AlongTwists(
+      program.c[row] = group.Along(
                            row, [&](int i) -> const auto& { return acceleration[i]; }) -
                        reference;
     }
@@ -163,20 +160,14 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
   // The forces of the group's rows.
   template <typename T>
   std::pmr::vector<T> SolveProgram(const StepInput<T>& in, const Group<T>& group, const Program<T>& program) const {
-    const int n = group.num_contacts(), size = group.size();
+    const int size = group.size();
     MatrixMap H(in.template Array<double>(size * size).data(), size, size);
     for (int i = 0; i < size; ++i) {
       for (int j = 0; j < size; ++j) H(i, j) = i == j ? Value(program.diagonal[i]) : group.CouplingValue(i, j);
     }
     const std::span<const double> found = in.Solved([&] { return Minimize<T>(in, group, H, program.c); });
-    const auto edge = [&](int i) { return static_cast<Edge>(static_cast<int>(found[size + i])); };
-    for (int i = 0; i < n; ++i) {
-      if (edge(i) == Edge::kOpen) continue;
-      in.Report(group.contact(i).candidate,
-                !group.friction()          ? ContactMode::kFrictionless
-                : edge(i) == Edge::kInside ? ContactMode::kStick
-                                           : ContactMode::kSlip);
-    }
+    const auto edge = [&](int i) { return static_cast<LcpClass>(static_cast<int>(found[size + i])); };
+    group.Report([&](int row) { return edge(group.NormalOf(row)); });
     std::pmr::vector<T> f(found.begin(), found.begin() + size, in.scratch);
     if constexpr (!std::is_same_v<T, Base<T>>) Differentiate(in, group, program, H, edge, &f);
     return f;
@@ -196,7 +187,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
       before = f;
       for (int i = 0; i < n; ++i) {
-        const Edge edge = SolveContact(group, H, c, Value(in.contact.friction), i, f);
+        const LcpClass edge = SolveContact(group, H, c, Value(in.contact.friction), i, f);
         found[size + i] = static_cast<int>(edge);
       }
       change = (f - before).cwiseAbs().maxCoeff();
@@ -209,17 +200,18 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     return found;
   }
 
-  // The best force of contact i while the others stay.
+  // The best force of contact i while the others stay. Returns how it pushes: not at all, freely in its cone, or along
+  // the edge (1, +-mu).
   template <typename T>
-  static Edge SolveContact(const Group<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
-                           VectorMap f) {
+  static LcpClass SolveContact(const Group<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
+                               VectorMap f) {
     const auto pull = [&](int row, int without) {
       return c[row] + H.row(row).dot(f) - H(row, row) * f[row] - (without < 0 ? 0 : H(row, without) * f[without]);
     };
     if (!group.friction()) {
       const double best = -pull(i, -1) / H(i, i);
       f[i] = std::max(0.0, best);
-      return best > 0 ? Edge::kInside : Edge::kOpen;
+      return best > 0 ? LcpClass::kClamping : LcpClass::kFree;
     }
     // Normal and tangent of one contact do not couple: they are orthogonal.
     const int t = i + group.num_contacts();
@@ -227,12 +219,12 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     if (f_n > 0 && std::abs(f_t) <= mu * f_n) {
       f[i] = f_n;
       f[t] = f_t;
-      return Edge::kInside;
+      return LcpClass::kClamping;
     }
     const double side = c_t < 0 ? 1 : -1, slope = c_n + side * mu * c_t;
     f[i] = slope < 0 ? -slope / (H(i, i) + mu * mu * H(t, t)) : 0;
     f[t] = side * mu * f[i];
-    return !(slope < 0) ? Edge::kOpen : side > 0 ? Edge::kUpper : Edge::kLower;
+    return !(slope < 0) ? LcpClass::kFree : side > 0 ? LcpClass::kUpperBound : LcpClass::kLowerBound;
   }
 
   // f in T: with E the active edges, f = E alpha and E^T (H f + c) = 0, H = A + R.
@@ -248,10 +240,10 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     };
     std::pmr::vector<Column> columns(in.scratch);
     for (int i = 0; i < n; ++i) {
-      if (edge(i) == Edge::kOpen) continue;
-      const double slope = edge(i) == Edge::kInside ? 0 : edge(i) == Edge::kUpper ? 1 : -1;
+      if (edge(i) == LcpClass::kFree) continue;
+      const double slope = edge(i) == LcpClass::kClamping ? 0 : edge(i) == LcpClass::kUpperBound ? 1 : -1;
       columns.push_back({i, slope});
-      if (edge(i) == Edge::kInside && group.friction()) columns.push_back({i + n, 0});
+      if (edge(i) == LcpClass::kClamping && group.friction()) columns.push_back({i + n, 0});
     }
     const auto follow_normals = [&] {
       for (const Column& column : columns) {

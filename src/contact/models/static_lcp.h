@@ -57,13 +57,9 @@ struct StaticLcp : SemiImplicitFlight<0> {
     FreeFlight(*this, in, x, next);
     // One number for each pair, not zero of those in A; then the unknowns.
     const std::span<const double> found = in.Solved([&] { return FindContacts<T>(in, x, next); });
-    Rows<T> rows(in, x.size());
-    for (std::size_t i = 0; i < in.candidates.size(); ++i) {
-      if (found[i] == 0) continue;
-      in.Report(in.candidates[i], ContactMode::kStick);
-      AddRow(in, i, x, &rows);
-    }
+    const Rows<T> rows(in, x, found);
     if (rows.contacts.empty()) return;
+    for (const GapContact<T>& contact : rows.contacts) in.Report(contact.candidate, ContactMode::kStick);
     const std::pmr::vector<T> moved = Differentiated<T>(in, rows, next, found.subspan(in.candidates.size()));
     for (std::size_t k = 0; k < rows.discs.size(); ++k) {
       State<T>& to = next[rows.discs[k]];
@@ -81,8 +77,21 @@ struct StaticLcp : SemiImplicitFlight<0> {
   // of the normals, p, and of the tangents, f = omega t . d_rel.
   template <typename T>
   struct Rows {
-    Rows(const StepInput<T>& in, std::size_t num_bodies)
-        : contacts(in.scratch), discs(in.scratch), place(num_bodies, -1, in.scratch) {}
+    // `in_contact`: one number for each pair, not zero of those in A.
+    Rows(const StepInput<T>& in, std::span<const State<T>> x, std::span<const double> in_contact)
+        : contacts(in.scratch), discs(in.scratch), place(x.size(), -1, in.scratch) {
+      for (std::size_t i = 0; i < in.candidates.size(); ++i) {
+        if (in_contact[i] == 0) continue;
+        const Candidate& c = in.candidates[i];
+        const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return x[disc].p; });
+        contacts.push_back({c, at.normal, at.distance - in.ContactDistance(c)});
+        for (const int disc : {c.a, c.plane ? c.a : c.b}) {
+          if (in.bodies[disc].fixed || place[disc] >= 0) continue;
+          place[disc] = static_cast<int>(discs.size());
+          discs.push_back(disc);
+        }
+      }
+    }
     std::pmr::vector<GapContact<T>> contacts;
     std::pmr::vector<int> discs;
     std::pmr::vector<int> place;  // of each disc in `discs`; -1 if it is not held, or fixed
@@ -98,18 +107,6 @@ struct StaticLcp : SemiImplicitFlight<0> {
       if (!c.plane && place[c.b] >= 0) visit(2 * place[c.b], -1.0);
     }
   };
-
-  template <typename T>
-  static void AddRow(const StepInput<T>& in, std::size_t candidate, std::span<const State<T>> x, Rows<T>* rows) {
-    const Candidate& c = in.candidates[candidate];
-    const Separation<T> at = SeparationAt(in, c, [&](int disc) -> const Vec2<T>& { return x[disc].p; });
-    rows->contacts.push_back({c, at.normal, at.distance - in.ContactDistance(c)});
-    for (const int disc : {c.a, c.plane ? c.a : c.b}) {
-      if (in.bodies[disc].fixed || rows->place[disc] >= 0) continue;
-      rows->place[disc] = static_cast<int>(rows->discs.size());
-      rows->discs.push_back(disc);
-    }
-  }
 
   // F(z) of M (d - d*) + T^T f - N^T p = 0, N d = g and T d = f / omega. `flying`: with the velocities v_f.
   template <typename T, typename Z>
@@ -179,29 +176,19 @@ struct StaticLcp : SemiImplicitFlight<0> {
                                    std::span<const State<T>> flying) const {
     std::vector<double> found(in.candidates.size(), 0.0);
     for (int round = 0; round <= rounds; ++round) {
-      Rows<T> rows(in, x.size());
-      std::vector<std::size_t> members;
-      for (std::size_t i = 0; i < in.candidates.size(); ++i) {
-        if (found[i] == 0) continue;
-        members.push_back(i);
-        AddRow(in, i, x, &rows);
-      }
+      const std::vector<double> held = found;
+      const Rows<T> rows(in, x, held);
       const Eigen::VectorXd z = Solve(in, rows, flying);
-      bool changed = false;
       const Eigen::VectorXd normal = NormalForces(in, rows, flying, z);
-      for (std::size_t k = 0; k < members.size(); ++k) {
-        if (!(normal[k] < 0)) continue;
-        found[members[k]] = 0;
-        changed = true;
+      int contact = 0;
+      for (std::size_t i = 0; i < held.size(); ++i) {
+        if (held[i] != 0) {
+          if (normal[contact++] < 0) found[i] = 0;
+        } else if (GapAfter(in, rows, in.candidates[i], x, flying, z) < -kJoins) {
+          found[i] = 1;
+        }
       }
-      std::vector<char> held(in.candidates.size(), 0);
-      for (const std::size_t i : members) held[i] = 1;
-      for (std::size_t i = 0; i < in.candidates.size(); ++i) {
-        if (held[i] || !(GapAfter(in, rows, in.candidates[i], x, flying, z) < -kJoins)) continue;
-        found[i] = 1;
-        changed = true;
-      }
-      if (changed) continue;
+      if (found != held) continue;
       found.insert(found.end(), z.begin(), z.end());
       return found;
     }
@@ -212,10 +199,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
   static std::vector<double> NoResult(const StepInput<T>& in, std::span<const State<T>> x, std::vector<double> found) {
     in.Fail("contacts that stick do not settle");
     if (std::count(found.begin(), found.end(), 0.0) == std::ptrdiff_t(found.size())) found[0] = 1;
-    Rows<T> rows(in, x.size());
-    for (std::size_t i = 0; i < in.candidates.size(); ++i) {
-      if (found[i] != 0) AddRow(in, i, x, &rows);
-    }
+    const Rows<T> rows(in, x, found);
     found.resize(found.size() + rows.size(), std::numeric_limits<double>::quiet_NaN());
     return found;
   }
@@ -261,9 +245,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
       if (place < 0) return {Value(flying[disc].p[0]), Value(flying[disc].p[1])};
       return {Value(x[disc].p[0]) + z[2 * place], Value(x[disc].p[1]) + z[2 * place + 1]};
     };
-    const double distance = c.plane ? Separate<double>(position(c.a), in.planes[c.b]).distance
-                                    : Separate<double>(position(c.a), position(c.b)).distance;
-    return distance - in.ContactDistance(c);
+    return GapValue(in, c, position);
   }
 };
 

@@ -97,7 +97,7 @@ BodyState<T, kSpin> SemiImplicitEuler(const StepInput<T, H>& in, int i, const Bo
   return SemiImplicitEuler(in.h, AccelerationOf<kSpin>(in, i), x);
 }
 
-// Bases of models: free flight by a semi-implicit Euler step,
+// The base of a model whose discs fly by a semi-implicit Euler step.
 template <int kTurn>
 struct SemiImplicitFlight {
   static constexpr int kRotation = kTurn;
@@ -109,7 +109,7 @@ struct SemiImplicitFlight {
   }
 };
 
-// by several,
+// The base of a model whose discs fly by several such steps.
 template <int kTurn, int kDefaultSubsteps>
 struct SubstepFlight {
   static constexpr int kRotation = kTurn;
@@ -132,7 +132,7 @@ struct SubstepFlight {
   }
 };
 
-// and by an explicit one: the position with the velocity before.
+// The base of a model whose discs fly by an explicit step: the position with the velocity before.
 template <int kTurn>
 struct ExplicitFlight {
   static constexpr int kRotation = kTurn;

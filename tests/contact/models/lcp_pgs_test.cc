@@ -119,10 +119,10 @@ TEST(GaussSeidelSweepsTest, DerivativeConvergesToTheExactOne) {
   std::vector<int> rows;
   Eigen::MatrixXd follow = Eigen::MatrixXd::Identity(6, 6);  // x of all rows by x of the free ones
   for (int i = 0; i < 6; ++i) {
-    const SweepClass kind = limit.ClassOf(i);
-    if (kind == SweepClass::kFree) rows.push_back(i);
-    if (kind == SweepClass::kUpper) follow(i, i - 3) = problem.friction;
-    if (kind == SweepClass::kLower) follow(i, i - 3) = -problem.friction;
+    const LcpClass kind = limit.ClassOf(i);
+    if (kind == LcpClass::kClamping) rows.push_back(i);
+    if (kind == LcpClass::kUpperBound) follow(i, i - 3) = problem.friction;
+    if (kind == LcpClass::kLowerBound) follow(i, i - 3) = -problem.friction;
   }
   ASSERT_GE(rows.size(), 2u);
   const Eigen::MatrixXd Q = (problem.A * follow)(rows, rows);
