@@ -53,7 +53,8 @@ struct ConvexOf : ExplicitFlight<kTurn> {
       const Vec2<S> n(Value(at.normal[0]), Value(at.normal[1]));
       const Vec2<S> t = Perpendicular(n);
       const Vec2<T> frozen = n.template cast<T>();
-      const Projection<T> f = Solve<T>(in, c, -Dot(n, w), -Dot(t, ContactVelocity<kTurn>(in, c, frozen, twist)));
+      const Projection<T> f = ProjectOnCone<T>(
+          -Dot(n, w), -Dot(t, ContactVelocity<kTurn>(in, c, frozen, twist)), in.contact.friction, MassRatio(in, c));
       in.Report(c, f.mode);
       const T scale = (in.contact.restitution + S(1)) * in.EffectiveMass(c);
       const Vec2<T> impulse = Scale(scale, Vec2<T>(Scale(f.normal, n) + Scale(f.tangential, t)));
@@ -74,33 +75,24 @@ struct ConvexOf : ExplicitFlight<kTurn> {
     ContactMode mode;
   };
 
+  // m_eff / m_t.
   template <typename T>
-  static Projection<T> Solve(const StepInput<T>& in, const Candidate& c, const T& a_n, const T& a_t) {
+  static auto MassRatio(const StepInput<T>& in, const Candidate& c) {
     if constexpr (kTurn == kSpin) {
-      return ProjectOnCone(a_n, a_t, in.contact.friction, T(Divide(in.EffectiveMass(c), in.TangentialMass(c))));
+      return T(Divide(in.EffectiveMass(c), in.TangentialMass(c)));
     } else {
-      return ProjectOnCone(a_n, a_t, in.contact.friction);
+      return Base<T>(1);
     }
   }
 
-  // The point of the cone |f_t| <= mu f_n where (f_n - a_n)^2 + ratio (f_t - a_t / ratio)^2 is least. Precondition: as
-  // below.
-  template <typename T>
-  static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu, const T& ratio) {
+  // The point of the cone |f_t| <= mu f_n where (f_n - a_n)^2 + ratio (f_t - a_t / ratio)^2 is least. Precondition: a_n
+  // > 0.
+  template <typename T, typename R>
+  static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu, const R& ratio) {
     using S = Base<T>;
     const T size = SafeAbs(a_t), stuck = Divide(a_t, ratio);
     if (mu > S(0) && SafeAbs(stuck) <= mu * a_n) return {a_n, stuck, ContactMode::kStick};
     const T normal = Divide(T(a_n + mu * size), T(S(1) + mu * mu * ratio));
-    return {normal, T(mu * SignOf(a_t) * normal), mu > S(0) ? ContactMode::kSlip : ContactMode::kFrictionless};
-  }
-
-  // The point of the cone |f_t| <= mu f_n that is nearest to (a_n, a_t). Precondition: a_n > 0.
-  template <typename T>
-  static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu) {
-    using S = Base<T>;
-    const T size = SafeAbs(a_t);
-    if (mu > S(0) && size <= mu * a_n) return {a_n, a_t, ContactMode::kStick};
-    const T normal = Divide(T(a_n + mu * size), T(S(1) + mu * mu));
     return {normal, T(mu * SignOf(a_t) * normal), mu > S(0) ? ContactMode::kSlip : ContactMode::kFrictionless};
   }
 };
