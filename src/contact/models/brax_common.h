@@ -149,4 +149,19 @@ class Averages {
   std::pmr::vector<Sum> sums_;
 };
 
+// Adds the contributions of a contact between discs in the states x: `push` moves disc a, `grip` turns it; disc b gets
+// the opposite of both.
+template <bool of_scene, typename T, typename States>
+void AddPush(const StepInput<T>& in, const Contact<T>& contact, const States& x, const Vec2<T>& push,
+             const Vec2<T>& grip, Averages<T>* sums) {
+  const auto add = [&](int disc, const Vec2<T>& moved, const Vec2<T>& gripped) {
+    const Vec2<T> arm = contact.point - x[disc].p;
+    sums->Add(disc,
+              Scale(in.bodies[disc].inverse_mass, moved),
+              InverseInertia<of_scene>(in.bodies[disc]) * Torque(arm, gripped));
+  };
+  add(contact.candidate.a, push, grip);
+  if (!contact.candidate.plane) add(contact.candidate.b, -push, -grip);
+}
+
 }  // namespace saltus::brax

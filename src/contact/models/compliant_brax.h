@@ -98,14 +98,7 @@ struct CompliantBraxIn {
       const Vec2<T> tangential = relative - Scale(approach, contact.normal);
       const Vec2<T> impulse =
           Scale(normal_impulse, contact.normal) - Friction(in, c, normal_impulse, tangential, &mode);
-      const auto apply = [&](int disc, const Vec2<T>& force) {
-        const Vec2<T> arm = contact.point - x[disc].p;
-        changes.Add(disc,
-                    Scale(in.bodies[disc].inverse_mass, force),
-                    brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, force));
-      };
-      apply(c.a, impulse);
-      if (!c.plane) apply(c.b, -impulse);
+      brax::AddPush<kOfScene>(in, contact, x, impulse, impulse, &changes);
       if (!reported[i]) in.Report(c, mode);
       reported[i] = 1;
     }

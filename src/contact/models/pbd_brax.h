@@ -211,15 +211,7 @@ struct PbdBraxIn {
       if (holds) grip = Scale(T(-hold), tangent);
       push += grip;
       if (friction > S(0)) touching.mode = holds ? ContactMode::kStick : ContactMode::kSlip;
-
-      const auto apply = [&](int disc, const Vec2<T>& moved, const Vec2<T>& gripped) {
-        const Vec2<T> arm = contact.point - x[disc].p;
-        moves.Add(disc,
-                  Scale(in.bodies[disc].inverse_mass, moved),
-                  brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, gripped));
-      };
-      apply(c.a, push, grip);
-      if (!c.plane) apply(c.b, -push, -grip);
+      brax::AddPush<kOfScene>(in, contact, x, push, grip, &moves);
     }
     moves.ForEach(S(brax::kEpsilon), [&](int disc, const Vec2<T>& dp, const T& turn) {
       State<T>& body = x[disc];
@@ -248,14 +240,7 @@ struct PbdBraxIn {
       const T before = Dot(contact.normal, velocity_in(unprojected));
       const Vec2<T> impulse = Restitution<T>(in, x, contact, Dot(contact.normal, velocity), before) -
                               Friction<T>(in, x, Tangential(velocity, contact.normal), &touching);
-      const auto apply = [&](int disc, const Vec2<T>& force) {
-        const Vec2<T> arm = contact.point - x[disc].p;
-        changes.Add(disc,
-                    Scale(in.bodies[disc].inverse_mass, force),
-                    brax::InverseInertia<kOfScene>(in.bodies[disc]) * brax::Torque(arm, force));
-      };
-      apply(c.a, impulse);
-      if (!c.plane) apply(c.b, -impulse);
+      brax::AddPush<kOfScene>(in, contact, x, impulse, impulse, &changes);
       in.Report(c, touching.mode);
     }
     changes.ForEach(S(brax::kEpsilon), [&](int disc, const Vec2<T>& dv, const T& dw) {
