@@ -7,6 +7,10 @@
 namespace saltus {
 namespace {
 
+// The degrees of freedom of a disc.
+template <int kTurn>
+inline constexpr int kDofs = kTurn == kSpin ? 3 : 2;
+
 // The degrees of freedom of a group of up to kMaxRows rows: each row connects at most two moving discs, of two
 // directions and, if they spin, a turn.
 template <int kMaxRows>
@@ -21,16 +25,20 @@ using DofsByRows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::
 template <int kMaxRows>
 using RowsByDofs = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxRows, kMaxDofs<kMaxRows>>;
 
-// Places the degrees of freedom of moving discs, `width` of each; those of fixed ones are dropped.
+// Places the degrees of freedom of the discs of some rows, `width` of each; those of fixed ones are dropped.
 class Dofs {
  public:
-  Dofs(const StepInput<double>& in, int num_discs, int width)
-      : in_(in), width_(width), index_(num_discs, -1, in.scratch), discs_(in.scratch) {}
-
-  void Add(int disc) {
-    if (in_.bodies[disc].fixed || index_[disc] >= 0) return;
-    index_[disc] = width_ * static_cast<int>(discs_.size());
-    discs_.push_back(disc);
+  template <typename Rows>
+  Dofs(const StepInput<double>& in, std::size_t num_discs, int width, const Rows& rows)
+      : width_(width), index_(num_discs, -1, in.scratch), discs_(in.scratch) {
+    for (const auto& row : rows) {
+      const Candidate& c = row.candidate;
+      for (const int disc : {c.a, c.plane ? c.a : c.b}) {
+        if (in.bodies[disc].fixed || index_[disc] >= 0) continue;
+        index_[disc] = size();
+        discs_.push_back(disc);
+      }
+    }
   }
   int size() const { return width_ * static_cast<int>(discs_.size()); }
   bool spins() const { return width_ > 2; }
@@ -39,20 +47,9 @@ class Dofs {
   int operator[](int disc) const { return index_[disc]; }
 
  private:
-  const StepInput<double>& in_;
   int width_;
   std::pmr::vector<int> index_, discs_;
 };
-
-template <int kTurn, typename Rows>
-Dofs DofsOf(const StepInput<double>& in, int num_discs, const Rows& rows) {
-  Dofs dofs(in, num_discs, kTurn == kSpin ? 3 : 2);
-  for (const auto& row : rows) {
-    dofs.Add(row.candidate.a);
-    if (!row.candidate.plane) dofs.Add(row.candidate.b);
-  }
-  return dofs;
-}
 
 template <int kMaxRows>
 DofVector<kMaxRows> ImpulseDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction) {
@@ -167,7 +164,7 @@ void LcpOf<kTurn>::PullBack(const StepInput<double>& in, std::span<const State<d
     Eigen::MatrixXd A_preferred = A, B_preferred = B;
     LinearizeGroup(in, flying, group, solution, /*with_bounces=*/true, A, B);
     LinearizeGroup(in, flying, group, preferred, /*with_bounces=*/false, A_preferred, B_preferred);
-    const Dofs dofs = DofsOf<kTurn>(in, n, group);
+    const Dofs dofs(in, n, kDofs<kTurn>, group);
     const auto size = [&](const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
       return SizeOfGradient<kTurn>(in, dofs.discs(), a.transpose() * cotangent, b.transpose() * cotangent);
     };
@@ -201,7 +198,7 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
                                   bool with_bounces, Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B) {
   using Vector = DofVector<kMaxRows>;
   using Matrix = DofMatrix<kMaxRows>;
-  const Dofs dofs = DofsOf<kTurn>(in, static_cast<int>(flying.size()), group);
+  const Dofs dofs(in, flying.size(), kDofs<kTurn>, group);
   const int size = dofs.size();
   const int num_clamping = static_cast<int>(solution.clamping.size());
   Vector inverse_mass(size), free_velocity(size);
@@ -273,12 +270,12 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
   }
 
   const Matrix X = BounceMatrix<kMaxRows>(bounces, in.contact.restitution);
-  constexpr int kSize = 4 + kTurn, kDofs = kTurn == kSpin ? 3 : 2;
+  constexpr int kSize = 4 + kTurn;
   for (int row : dofs.discs()) {
     for (int column : dofs.discs()) {
-      for (int i = 0; i < kDofs; ++i) {
+      for (int i = 0; i < kDofs<kTurn>; ++i) {
         const int place = kSize * row + kPlace[i], rate = kSize * row + kRate[i], from = dofs[row] + i;
-        for (int j = 0; j < kDofs; ++j) {
+        for (int j = 0; j < kDofs<kTurn>; ++j) {
           const int by_place = kSize * column + kPlace[j], by_rate = kSize * column + kRate[j], by = dofs[column] + j;
           A(place, by_place) = X(from, by);
           A(place, by_rate) = in.h * X(from, by);
