@@ -8,8 +8,8 @@
 
 #include "audit/gradient/events_at_once.h"
 #include "audit/gradient/own_differences.h"
-#include "audit/gradient/statistics.h"
 #include "base/number_text.h"
+#include "base/statistics.h"
 #include "exact/closed_forms.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"

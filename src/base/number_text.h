@@ -23,6 +23,13 @@ inline std::string ToText(double value, int digits) {
   return {text, std::to_chars(text, text + sizeof(text), value, std::chars_format::general, digits).ptr};
 }
 
+// As printf does.
+inline std::string FormatNumbers(const char* format, double a, double b = 0, double c = 0) {
+  char text[240];
+  std::snprintf(text, sizeof text, format, a, b, c);
+  return text;
+}
+
 // The number with so many significant digits.
 inline double RoundedTo(int digits, double value) {
   char text[32];

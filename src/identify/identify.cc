@@ -7,7 +7,7 @@
 #include <optional>
 #include <set>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 #include "identify/fit.h"
 #include "identify/statistics.h"
 #include "identify/unknowns.h"

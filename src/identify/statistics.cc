@@ -4,8 +4,8 @@
 #include <cmath>
 #include <utility>
 
-#include "audit/gradient/statistics.h"
 #include "base/linear_algebra.h"
+#include "base/statistics.h"
 #include "identify/unknowns.h"
 
 namespace saltus {

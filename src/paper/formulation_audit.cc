@@ -6,7 +6,7 @@
 #include <cmath>
 #include <map>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 #include "output/table.h"
 #include "paper/experiments.h"
 #include "programs/audit_output.h"

@@ -7,7 +7,7 @@
 #include <optional>
 #include <set>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 #include "sweep/options.h"
 
 namespace saltus {

@@ -5,7 +5,7 @@
 #include <fstream>
 #include <new>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 #include "output/table.h"
 #include "programs/audit.h"
 #include "programs/feedback_study.h"

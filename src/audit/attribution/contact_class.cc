@@ -7,7 +7,8 @@
 #include <vector>
 
 #include "audit/attribution/contact_run.h"
-#include "audit/gradient/statistics.h"
+#include "base/number_text.h"
+#include "base/statistics.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"

@@ -9,7 +9,8 @@
 #include "audit/blackbox/black_box_head_on.h"
 #include "audit/blackbox/black_box_simulator.h"
 #include "audit/gradient/own_differences.h"
-#include "audit/gradient/statistics.h"
+#include "base/number_text.h"
+#include "base/statistics.h"
 #include "saltus/control/objective.h"
 #include "simulate/flight.h"
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 
 namespace saltus {
 namespace {

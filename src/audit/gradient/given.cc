@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "audit/gradient/statistics.h"
+#include "base/statistics.h"
 #include "saltus/audit/audit.h"
 
 namespace saltus {

@@ -11,7 +11,6 @@
 #include <utility>
 #include <vector>
 
-#include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/scene/scene_parameter.h"
@@ -276,6 +275,19 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
     audits.push_back(std::move(audit));
   }
   return audits;
+}
+
+double LargestSpeed(const Simulator& simulator) {
+  double largest = 0;
+  std::vector<double> x(simulator.state_size());
+  for (int k = 0; k <= simulator.num_steps(); ++k) {
+    simulator.GetState(k, x);
+    for (int i = 0; i < simulator.num_bodies(); ++i) {
+      const double* v = &x[i * simulator.body_size() + 2];
+      largest = std::max(largest, std::hypot(v[0], v[1]));
+    }
+  }
+  return largest;
 }
 
 }  // namespace saltus

@@ -14,6 +14,11 @@
 
 namespace saltus {
 
+// Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
+// more than one needs a contact model whose simulators may run at the same time.
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
+                                         int threads = 1);
+
 // The same of parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out are those
 // that neither gradient nor differences depend on. Empty where the model cannot take the scene, or has derivatives by
 // parameters in other precisions only.
@@ -22,9 +27,7 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
 // Those of `contact`, gravity, the masses, and those that the scene optimizes; empty of scenes with many discs.
 std::vector<std::string> ParametersToCompare(const Scene& scene);
 
-// Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
-// more than one needs a contact model whose simulators may run at the same time.
-OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
-                                         int threads = 1);
+// The largest speed of a disc in the simulator's last rollout, m/s.
+double LargestSpeed(const Simulator& simulator);
 
 }  // namespace saltus

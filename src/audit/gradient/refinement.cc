@@ -9,8 +9,8 @@
 #include <utility>
 
 #include "audit/gradient/judgement.h"
-#include "audit/gradient/statistics.h"
 #include "base/parallel_for.h"
+#include "base/statistics.h"
 #include "saltus/audit/audit.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"

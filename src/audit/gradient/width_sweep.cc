@@ -9,8 +9,9 @@
 #include <utility>
 
 #include "audit/gradient/judgement.h"
-#include "audit/gradient/statistics.h"
+#include "audit/gradient/own_differences.h"
 #include "base/number_text.h"
+#include "base/statistics.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"

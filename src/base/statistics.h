@@ -1,23 +1,12 @@
-// Small functions of numbers, texts and of rollouts that several parts of the audit need.
+// Norms, medians and powers of some numbers.
 #pragma once
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <span>
-#include <string>
 #include <vector>
 
-#include "saltus/simulate/simulator.h"
-
 namespace saltus {
-
-// As printf does.
-inline std::string FormatNumbers(const char* format, double a, double b = 0, double c = 0) {
-  char text[240];
-  std::snprintf(text, sizeof text, format, a, b, c);
-  return text;
-}
 
 // The Euclidean norm.
 inline double Norm(const std::vector<double>& entries) {
@@ -38,20 +27,6 @@ inline double Median(std::vector<double> values) {
   const auto middle = values.begin() + values.size() / 2;
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
-}
-
-// The largest speed of a disc in the simulator's last rollout, m/s.
-inline double LargestSpeed(const Simulator& simulator) {
-  double largest = 0;
-  std::vector<double> x(simulator.state_size());
-  for (int k = 0; k <= simulator.num_steps(); ++k) {
-    simulator.GetState(k, x);
-    for (int i = 0; i < simulator.num_bodies(); ++i) {
-      const double* v = &x[i * simulator.body_size() + 2];
-      largest = std::max(largest, std::hypot(v[0], v[1]));
-    }
-  }
-  return largest;
 }
 
 // p of y ~ x^p, by least squares of the logarithms.
