@@ -81,7 +81,11 @@ done < <(tr '\t' '\037' <"$list")
 
 failed=0
 if ((${#ids[@]} > 0)); then
-  # Only files that are newer here, or in which a run that was killed has left a fault.
+  # Files that are no longer here go; those that are newer here are copied, or in which a run that was killed has left a
+  # fault.
+  LC_ALL=C comm -z -13 <(git ls-files --cached --others --exclude-standard -z | LC_ALL=C sort -z) \
+    <(cd "$tree" && find . -path ./build -prune -o -type f -printf '%P\0' | LC_ALL=C sort -z) |
+    (cd "$tree" && xargs -0 -r rm)
   git ls-files --cached --others --exclude-standard -z | xargs -0 cp --parents -p -u -t "$tree"
   perl -F'\t' -lane 'print $F[1] if @F == 5 && $F[0] ne "id"' "$list" | sort -u | while read -r file; do
     cmp -s "$file" "$tree/$file" || cp "$file" "$tree/$file"
