@@ -430,14 +430,17 @@ TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
   std::string script = SimulatorOfPage();
   const std::string impulse = "if distance < 0.4 and approach < 0:\n";
   script.insert(script.find(impulse) + impulse.size(), "            approach -= 0.1 * (0.4 - distance) / h\n");
-  const Outcome outcome =
-      RunProgram("saltus_audit" + SceneFlag("two_balls") +
-                 "--steps=60 --progress=none --json --simulate='fed=python3 " + TempFileWith("fed.py", script) + "'");
-  EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-  const Json fed = Json::parse(outcome.output)["audits"][0];
-  EXPECT_NEAR(fed["e"].get<double>(), 1.1, 1e-6);
-  EXPECT_NEAR(fed["keep"].get<double>(), 1.1, 1e-6);
-  EXPECT_NEAR(fed["feed"].get<double>(), -0.2, 1e-6);
+  const auto box =
+      std::make_shared<CommandBox>(CommandOptions{"fed", "exec python3 " + TempFileWith("fed.py", script), 1, 60});
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  AuditOptions options;
+  options.attribution = false;
+  const ModelAudit audit = AuditBlackBox(box, scene, ExactGradientOf(scene), options);
+  ASSERT_TRUE(audit.black_box && audit.black_box->head_on);
+  EXPECT_NEAR(audit.black_box->head_on->e, 1.1, 1e-6);
+  EXPECT_NEAR(audit.black_box->head_on->keep, 1.1, 1e-6);
+  EXPECT_NEAR(audit.black_box->head_on->feed, -0.2, 1e-6);
 }
 
 TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {
