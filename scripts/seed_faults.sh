@@ -81,8 +81,8 @@ done < <(tr '\t' '\037' <"$list")
 
 failed=0
 if ((${#ids[@]} > 0)); then
-  # Files that are no longer here go; those that are newer here are copied, or in which a run that was killed has left a
-  # fault.
+  # The copy loses the files that the sources have lost. It gets those that are newer in the sources, and those in which
+  # a run that was killed has left a fault.
   LC_ALL=C comm -z -13 <(git ls-files --cached --others --exclude-standard -z | LC_ALL=C sort -z) \
     <(cd "$tree" && find . -path ./build -prune -o -type f -printf '%P\0' | LC_ALL=C sort -z) |
     (cd "$tree" && xargs -0 -r rm)

@@ -17,27 +17,24 @@ inline std::string ToText(double value) {
   return {text, std::to_chars(text, text + sizeof(text), value).ptr};
 }
 
-// With so many significant digits, as printf's %g writes it.
+// The number with so many significant digits, as printf's %g writes it.
 inline std::string ToText(double value, int digits) {
   char text[32];
   return {text, std::to_chars(text, text + sizeof(text), value, std::chars_format::general, digits).ptr};
 }
 
-// As printf does.
+// The text of a printf format with up to three numbers, cut off after 239 characters.
 inline std::string FormatNumbers(const char* format, double a, double b = 0, double c = 0) {
   char text[240];
   std::snprintf(text, sizeof text, format, a, b, c);
   return text;
 }
 
-// The number with so many significant digits.
-inline double RoundedTo(int digits, double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.*g", digits, value);
-  return std::strtod(text, nullptr);
-}
+// The number rounded to so many significant digits.
+inline double RoundedTo(int digits, double value) { return std::strtod(ToText(value, digits).c_str(), nullptr); }
 
-// The number that the whole text is. Nothing if it is none, or none that is finite and that a Number holds.
+// Reads the whole text as a number. There is none if the text is something else, or if the number is not finite or out
+// of the range of its type.
 template <typename Number>
 std::optional<Number> FromText(std::string_view text) {
   Number number = 0;

@@ -1,4 +1,4 @@
-// Norms, medians and powers of some numbers.
+// Norms and medians of numbers, and the exponent of a power law.
 #pragma once
 
 #include <algorithm>

@@ -424,8 +424,10 @@ TEST(BlackBox, TheSimulatorOfThePageIsAudited) {
   EXPECT_THAT(audits[1]["reason"].get<std::string>(), HasSubstr("exit code 127"));
 }
 
-// The same with a fifth of the overlap taken away in each step by a further impulse. The overlap is that of half a
-// step, in the middle of the phases; a displacement is in the velocity from the step on, half a step after the impact.
+// The simulator of the page, whose impulse also takes away a fifth of the overlap within a step. On the median the
+// impact is half a step before the impulse, so the overlap is what the discs close in half a step. A displacement d
+// before the impact changes the speed of separation by -0.2 d / h from the impulse on: relative to a change of speed at
+// the impact, that is 0.1 d more of displacement.
 TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
   std::string script = SimulatorOfPage();
   const std::string impulse = "if distance < 0.4 and approach < 0:\n";

@@ -189,9 +189,8 @@ TEST(EventRest, SlidingOffADisc) {
   EXPECT_NEAR(leaving[1] / reach, 2.0 / 3 * std::cos(start), 0.003) << "one step changes it by 0.0026";
 }
 
-// A disc that slides around another and is lifted has more angular momentum: it goes on faster when its bounces are
-// over. These take a time of the order of the square root of the lift, which the difference of the two motions has too
-// much.
+// A disc that is lifted as it slides around another has more angular momentum, so it goes on faster when its bounces
+// are over. The bounces take a time of the order of the square root of the lift, by which the difference is off.
 TEST(EventRest, LiftedAsItSlidesOffADisc) {
   const double start = 0.1, reach = 0.5, speed = 0.8, lift = 1e-6;
   const Vec2d normal(std::sin(start), std::cos(start)), tangent(std::cos(start), -std::sin(start));
