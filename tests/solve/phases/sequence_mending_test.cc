@@ -1,8 +1,14 @@
 // Solvers along a sequence of impacts that is not that of an optimum: what it is mended to, and what is said of it.
+#include "solve/phases/sequence_mending.h"
+
 #include <gmock/gmock.h>
 
 #include <cmath>
 #include <numbers>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "box_scene.h"
 #include "saltus/simulate/exact_run.h"
@@ -243,6 +249,157 @@ TEST(CeresPhases, ConvergesToAKinkUnderABound) {
   double largest = 0;
   for (const double force : report.control) largest = std::max(largest, std::abs(force));
   EXPECT_NEAR(largest, 1.5, 1e-9);
+}
+
+// ---- Without a system: which plans come after what a solve along a plan finds, and which motion is reported
+
+// A motion is its loss and its events.
+struct PlainMotion {
+  struct Event {
+    double time = 0;
+  };
+  struct Exact {
+    bool ok = true;
+    std::string reason;
+    double loss = 0;
+    bool only_impacts = true;
+    std::vector<int> contacts;
+    std::vector<Event> events;
+  };
+  std::vector<double> control = {0}, durations = {1};
+  Exact exact;
+};
+
+PlainMotion MotionWith(double loss, std::vector<int> events) {
+  PlainMotion motion;
+  motion.exact.loss = loss;
+  motion.exact.contacts = std::move(events);
+  return motion;
+}
+
+// Events are numbers. Control does nothing, so that only the attempts that a test makes up matter.
+class PlainRun {
+ public:
+  using Event = int;
+  using Motion = PlainMotion;
+  using Plan = PlanOf<Event>;
+
+  explicit PlainRun(Motion guess) : guess_(std::move(guess)) {}
+
+  // The loss at which a motion is said to be stationary.
+  double stationary_loss = -1;
+
+  const SolverOptions& options() const { return options_; }
+  const Motion& guess() const { return guess_; }
+  const std::optional<std::vector<Event>>& given_sequence() const { return given_; }
+  SolveReport& report() { return report_; }
+  bool IsOutOfIterations() const { return false; }
+  bool IsPossible(const Plan&) const { return true; }
+  double MeritOf(const Motion& motion) const { return motion.exact.loss; }
+  double ViolationOf(const Motion&) const { return 0; }
+  Motion WithinBounds(const Motion& motion) const { return motion; }
+  void MoveWithin(Motion*) const {}
+  void Simulate(Motion*) const {}
+  void BlendStart(const Motion&, const Motion&, double, Motion*) const {}
+  int control_width() const { return 1; }
+  // The cuts are at equal distances.
+  void PlanAlong(const std::vector<Event>& sequence, const Motion&, Plan* plan, std::vector<double>* times) const {
+    plan->cuts.assign(sequence.begin(), sequence.end());
+    for (size_t k = 1; k <= sequence.size(); ++k) times->push_back(double(k) / double(sequence.size() + 1));
+  }
+  std::vector<std::pair<size_t, int>> RegimesAtBorders(const Plan&, const Motion&) const { return {}; }
+  bool HasCertificate() const { return true; }
+  Certificate Certify(const Motion& motion) const {
+    Certificate certificate;
+    const bool stationary = motion.exact.loss == stationary_loss;
+    certificate.verdict = stationary ? Certificate::Verdict::kStationary : Certificate::Verdict::kNotStationary;
+    return certificate;
+  }
+  std::vector<Motion> LeaveSaddle(const Motion&, const Curvature&) const { return {}; }
+  std::string NameOf(const std::vector<Event>&) const { return ""; }
+  std::string NameOf(const Plan&) const { return ""; }
+  std::string NamesOf(const std::vector<Plan>&) const { return ""; }
+  std::string KinksOf(const Plan&) const { return ""; }
+  std::string DescribeMiss(const Motion&) const { return ""; }
+  std::string WhyNotRealized(const Motion&, const std::vector<Event>&) const { return ""; }
+  SolveReport Finish(const Motion&, double loss, Termination termination, const std::string& reason) const {
+    SolveReport report;
+    report.final_loss = loss;
+    report.termination = termination;
+    report.reason = reason;
+    return report;
+  }
+
+ private:
+  SolverOptions options_;
+  Motion guess_;
+  std::optional<std::vector<Event>> given_;
+  SolveReport report_;
+};
+
+using PlainAttempt = PlanAttemptOf<PlainMotion>;
+
+// An optimum along a plan whose events all close their gaps at unit speed.
+PlainAttempt OptimumAlong(const PlainRun::Plan& plan, const PlanStartOf<PlainMotion>& start, double loss) {
+  PlainAttempt attempt;
+  attempt.valid = attempt.converged = attempt.realized = true;
+  attempt.times = start.times;
+  attempt.times.push_back(1);
+  attempt.speeds.assign(plan.cuts.size(), -1);
+  attempt.trial = MotionWith(loss, plan.Sequence());
+  return attempt;
+}
+
+// The plans that are tried after one along `events` whose last event has become a graze.
+std::vector<PlainRun::Plan> PlansAfterAGrazeAtTheEndOf(const std::vector<int>& events) {
+  PlainRun run(MotionWith(3, events));
+  std::vector<PlainRun::Plan> plans;
+  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+    plans.push_back(plan);
+    if (plans.size() > 1) return PlainAttempt();
+    PlainAttempt attempt = OptimumAlong(plan, start, 2);
+    attempt.speeds.back() = 0;
+    return attempt;
+  });
+  EXPECT_FALSE(plans.empty());
+  if (!plans.empty()) plans.erase(plans.begin());
+  return plans;
+}
+
+TEST(SequenceUpdate, KeepsTheGapOfAGrazeOpen) {
+  const std::vector<PlainRun::Plan> plans = PlansAfterAGrazeAtTheEndOf({1, 2});
+  ASSERT_EQ(plans.size(), 1u);
+  EXPECT_THAT(plans[0].Sequence(), testing::ElementsAre(1));
+  EXPECT_THAT(plans[0].apart, testing::ElementsAre(2));
+}
+
+// Else the gap would have to stay open near the event that goes on, where it closes.
+TEST(SequenceUpdate, LetsTheGapOfAGrazeCloseBesideTheSameEvent) {
+  const std::vector<PlainRun::Plan> plans = PlansAfterAGrazeAtTheEndOf({2, 2});
+  ASSERT_EQ(plans.size(), 1u);
+  EXPECT_THAT(plans[0].Sequence(), testing::ElementsAre(2));
+  EXPECT_THAT(plans[0].apart, testing::IsEmpty());
+}
+
+// Along the only sequence that is tried the optimum is worse than the guess.
+SolveReport WhereTheOptimumIsWorse(double stationary_loss) {
+  PlainRun run(MotionWith(1, {1}));
+  run.stationary_loss = stationary_loss;
+  return SolveMending<PlainRun>(
+      &run, [&](const auto& plan, const auto& start, const auto&) { return OptimumAlong(plan, start, 2); });
+}
+
+TEST(SequenceUpdate, TakesTheBestMotionIfItIsStationary) {
+  const SolveReport report = WhereTheOptimumIsWorse(1);
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.final_loss, 1);
+}
+
+TEST(SequenceUpdate, SaysThatTheBestMotionIsNoOptimum) {
+  const SolveReport report = WhereTheOptimumIsWorse(2);
+  EXPECT_EQ(report.termination, Termination::kNoProgress);
+  EXPECT_EQ(report.final_loss, 1);
+  EXPECT_THAT(report.reason, HasSubstr("no optimum found is better than a motion that is none"));
 }
 
 }  // namespace
