@@ -10,14 +10,13 @@
 //   Throughput gradients per second of a batch, by number of threads (wall clock)
 #include <benchmark/benchmark.h>
 
-#include <chrono>
 #include <cmath>
 #include <memory>
 
 #include "base/normal_stream.h"
 #include "saltus/control/batch.h"
-#include "saltus/control/objective.h"
 #include "saltus/optimality/certificate.h"
+#include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_generators.h"
 #include "timing.h"

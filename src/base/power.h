@@ -3,8 +3,6 @@
 
 #include <cmath>
 
-#include "saltus/base/scalar.h"
-
 namespace saltus {
 
 // x^n for x > 0.

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "contact/event/event_roots.h"
+
 namespace saltus {
 namespace {
 

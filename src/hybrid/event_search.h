@@ -9,7 +9,6 @@
 #include <cstddef>
 #include <vector>
 
-#include "contact/event/event_roots.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {

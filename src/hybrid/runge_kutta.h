@@ -115,7 +115,6 @@ void PullBackThroughStages(int size, int num_parameters, int num_controls, doubl
 class RungeKutta {
  public:
   static constexpr int kStages = cooper_verner::kStages;
-  static constexpr int kOrder = 8;
 
   explicit RungeKutta(const HybridFunctions& functions);
 

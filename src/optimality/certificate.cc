@@ -10,7 +10,6 @@
 #include "optimality/optimality_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
-#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
 

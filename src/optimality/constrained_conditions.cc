@@ -19,7 +19,6 @@
 #include <utility>
 #include <vector>
 
-#include "base/time_grid.h"
 #include "control/control_bounds.h"
 #include "optimality/cone_conditions.h"
 #include "optimality/optimality_conditions.h"

@@ -18,7 +18,7 @@
 
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
+#include "saltus/contact/step_input.h"
 #include "saltus/scene/scene.h"
 #include "simulate/costate_sweep.h"
 

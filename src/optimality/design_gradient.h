@@ -6,7 +6,7 @@
 
 #include "saltus/optimality/certificate.h"
 #include "saltus/scene/scene.h"
-#include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/events.h"
 
 namespace saltus {
 

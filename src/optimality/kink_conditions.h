@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "saltus/optimality/certificate.h"
-#include "saltus/simulate/events.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -3,12 +3,11 @@
 #pragma once
 
 #include <cstddef>
-#include <span>
 #include <string>
 #include <vector>
 
-#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "output/replay.h"
-#include "saltus/scene/scene.h"
 
 namespace saltus {
 

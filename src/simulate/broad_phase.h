@@ -22,7 +22,7 @@
 #include <span>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
+#include "saltus/contact/step_input.h"
 #include "saltus/scene/walls.h"
 
 namespace saltus {

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "scene/units.h"
 #include "simulate/lane_simulator.h"
 
 namespace saltus {

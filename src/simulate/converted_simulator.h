@@ -4,7 +4,6 @@
 #include <memory>
 
 #include "saltus/simulate/simulator.h"
-#include "scene/units.h"
 
 namespace saltus {
 

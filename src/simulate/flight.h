@@ -5,7 +5,6 @@
 #include <array>
 #include <optional>
 #include <span>
-#include <string>
 #include <vector>
 
 #include "base/short_vector.h"

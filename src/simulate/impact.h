@@ -15,7 +15,6 @@
 #pragma once
 
 #include <array>
-#include <cmath>
 #include <optional>
 
 #include "contact/law/impact.h"

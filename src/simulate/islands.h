@@ -4,7 +4,7 @@
 #include <span>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
+#include "saltus/contact/step_input.h"
 
 namespace saltus {
 

@@ -9,7 +9,6 @@
 
 #include "control/design_difference.h"
 #include "optimality/design_gradient.h"
-#include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 
 namespace saltus {

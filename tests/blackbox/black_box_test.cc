@@ -6,7 +6,6 @@
 
 #include <cerrno>
 #include <chrono>
-#include <cmath>
 #include <fstream>
 #include <set>
 #include <string>

@@ -12,7 +12,6 @@
 #include <functional>
 #include <memory>
 #include <string>
-#include <variant>
 #include <vector>
 
 #include "feedback/bouncing_disc.h"

@@ -6,7 +6,6 @@
 #include <memory_resource>
 #include <random>
 #include <span>
-#include <vector>
 
 #include "own_model.h"
 #include "saltus/base/scalar.h"

@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <numeric>
 
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/exact_run.h"

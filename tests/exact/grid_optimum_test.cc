@@ -2,8 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-
 #include "exact/exact_scenes.h"
 
 namespace saltus {

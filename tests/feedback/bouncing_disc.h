@@ -11,7 +11,6 @@
 #include <Eigen/Core>
 #include <cmath>
 #include <cstdint>
-#include <utility>
 
 #include "base/linear_algebra.h"
 #include "base/normal_stream.h"

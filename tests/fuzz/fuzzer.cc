@@ -1,7 +1,6 @@
 // The entry of libFuzzer: runs the target that the environment variable SALTUS_FUZZ_TARGET names.
 #include <glog/logging.h>
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>

@@ -9,7 +9,6 @@
 #include <cmath>
 #include <memory>
 #include <random>
-#include <string>
 #include <vector>
 
 #include "base/linear_algebra.h"

@@ -21,7 +21,6 @@
 #include "hybrid/mechanical_problems.h"
 #include "problems/hybrid_systems.h"
 #include "saltus/hybrid/hybrid_problem.h"
-#include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"
 
 namespace saltus {

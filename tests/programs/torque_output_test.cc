@@ -1,7 +1,6 @@
 // Torques in the files and documents of saltus_solve: a third column, and solutions that come back as they went.
 #include <gmock/gmock.h>
 
-#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "output/npz.h"

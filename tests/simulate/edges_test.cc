@@ -8,7 +8,6 @@
 #include <random>
 
 #include "saltus/control/contact_sequence.h"
-#include "saltus/control/objective.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 #include "simulate/broad_phase.h"

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "constrained_reference.h"
 #include "saltus/simulate/exact_run.h"

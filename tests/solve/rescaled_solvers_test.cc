@@ -5,7 +5,6 @@
 
 #include "box_scene.h"
 #include "rescaled_scene.h"
-#include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"

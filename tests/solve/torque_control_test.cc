@@ -6,7 +6,6 @@
 #include <string>
 
 #include "saltus/optimality/certificate.h"
-#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
 #include "spin_control.h"

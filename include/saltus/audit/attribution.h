@@ -19,7 +19,6 @@
 
 #include <functional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "saltus/simulate/registry.h"

@@ -25,7 +25,6 @@
 
 #include <optional>
 #include <string>
-#include <string_view>
 
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"

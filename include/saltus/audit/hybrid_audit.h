@@ -12,7 +12,6 @@
 #include <array>
 #include <functional>
 #include <limits>
-#include <memory>
 #include <string>
 #include <utility>
 #include <vector>

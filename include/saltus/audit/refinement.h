@@ -29,7 +29,6 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "saltus/audit/gradients.h"

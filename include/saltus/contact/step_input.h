@@ -60,7 +60,10 @@ struct Candidate {
 
 // kPocketed: a disc has fallen into a pocket, and is out of play.
 enum class ContactMode { kFrictionless, kSlip, kStick, kPocketed };
-const char* ContactModeToString(ContactMode mode);
+inline const char* ContactModeToString(ContactMode mode) {
+  constexpr const char* kNames[] = {"frictionless", "slip", "stick", "pocketed"};
+  return kNames[static_cast<int>(mode)];
+}
 
 // An impact changes velocities at once; a sustained contact presses for a while; a grazing one is so slow that the
 // model's rule for it decides, and the derivative is one-sided.

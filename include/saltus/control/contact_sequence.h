@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "saltus/contact/contact_model.h"
+#include "saltus/contact/step_input.h"
 #include "saltus/scene/scene.h"
 
 namespace saltus {

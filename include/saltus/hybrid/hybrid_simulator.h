@@ -20,7 +20,6 @@
 // the cubic through its values and rates there comes within a half of the smaller value of zero.
 #pragma once
 
-#include <cstddef>
 #include <memory>
 #include <optional>
 #include <span>

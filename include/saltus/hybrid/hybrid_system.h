@@ -48,7 +48,6 @@
 #include <memory>
 #include <string>
 #include <utility>
-#include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
 

@@ -10,7 +10,6 @@
 #include <cmath>
 #include <functional>
 #include <span>
-#include <type_traits>
 #include <utility>
 #include <vector>
 

@@ -15,7 +15,6 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <span>
 #include <string>

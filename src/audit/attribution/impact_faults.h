@@ -22,7 +22,7 @@
 #include <optional>
 #include <string>
 
-#include "saltus/contact/contact_model.h"
+#include "saltus/contact/step_input.h"
 
 namespace saltus {
 

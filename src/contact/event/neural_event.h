@@ -14,7 +14,6 @@
 
 #include <ceres/cost_function.h>
 
-#include <cmath>
 #include <limits>
 #include <memory>
 #include <utility>

@@ -49,12 +49,6 @@ ImpulseParts<T> ImpulseInMode(ContactMode mode, const T& speed, const T& sliding
   if (mode == ContactMode::kStick) return {normal, T(-stick_mass * sliding)};
   return {normal, T(-friction * sign * normal)};
 }
-// Of discs that do not spin.
-template <typename T, typename P>
-ImpulseParts<T> ImpulseInMode(ContactMode mode, const T& speed, const T& sliding, double sign, const P& mass,
-                              const P& bounce, const P& friction) {
-  return ImpulseInMode(mode, speed, sliding, sign, mass, mass, bounce, friction);
-}
 
 // Precondition: |normal| = 1. `sliding` is v_t, `stick_mass` the mass of a stick. An impact that slides by no more than
 // `head_on` of its speed has no direction of sliding. With friction it slips or sticks by Coulomb's law, or as `mode`

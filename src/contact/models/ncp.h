@@ -24,7 +24,6 @@
 #pragma once
 
 #include <limits>
-#include <memory_resource>
 #include <vector>
 
 #include "contact/models/contact_rows.h"

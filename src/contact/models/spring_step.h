@@ -23,8 +23,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <memory_resource>
-#include <string_view>
 #include <type_traits>
 #include <vector>
 

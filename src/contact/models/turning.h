@@ -5,8 +5,6 @@
 // added to what it computes, to the last bit. t = Perpendicular(n), n towards disc a.
 #pragma once
 
-#include <type_traits>
-
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

@@ -8,7 +8,6 @@
 
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
-#include "saltus/control/objective.h"
 #include "scene/units.h"
 #include "simulate/impact.h"
 

@@ -14,9 +14,9 @@
 #include <optional>
 #include <vector>
 
-#include "control/own_term_cost.h"
 #include "control/phase_costs.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/control/own_term.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
 #include "solve/phases/augmented_lagrangian.h"

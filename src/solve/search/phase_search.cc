@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "control/control_bounds.h"
-#include "saltus/control/objective.h"
 #include "scene/units.h"
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_run.h"

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "contact/random_scene.h"
-#include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -4,7 +4,6 @@
 
 #include <cmath>
 #include <functional>
-#include <numeric>
 #include <optional>
 
 #include "contact/event/event_run.h"

@@ -1,7 +1,5 @@
 #include "contact/models/qcqp.h"
 
-#include <random>
-
 #include "contact/formulation.h"
 #include "contact/models/lcp_pgs.h"
 #include "contact/two_contacts.h"

@@ -3,7 +3,6 @@
 
 #include <cmath>
 
-#include "exact/two_disc_optimum.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"

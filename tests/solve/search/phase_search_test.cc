@@ -4,11 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
 #include "constrained_reference.h"
 #include "saltus/simulate/exact_run.h"
-#include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "scene/control_problems.h"
 #include "searched_scenes.h"

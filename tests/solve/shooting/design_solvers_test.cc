@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "saltus/control/single_shooting.h"
-#include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
