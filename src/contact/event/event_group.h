@@ -45,7 +45,6 @@ class EventGroup {
     bool stopped = false;       // not closed, but closing slowly: that speed is taken away
     bool rests = false;         // its normal velocity is rounding, not that of bounces that are cut off here
     bool drifts = false;        // its discs have moved around each other since it was last closed exactly
-    bool rolled = false;        // by rolling: what they slide is drift, too
     bool bends = false;         // its normal turns as its discs move along each other
     double force_at_start = 0;  // N, its normal force at the instant
     // Discs that stick do not move along each other, unless they roll.
@@ -87,11 +86,11 @@ class EventGroup {
   bool Contains(int pair) const { return has_pair_[pair]; }
   bool HasDisc(int i) const { return has_disc_[i]; }
   // Precondition: its discs have been moved to the instant of the group.
-  void Add(int pair, bool drifts = false, bool rolled = false) {
+  void Add(int pair, bool drifts = false) {
     const Candidate& c = in_.candidates[pair];
     if (!HasDisc(c.a)) Reset(c.a);
     if (!c.plane && !HasDisc(c.b)) Reset(c.b);
-    contacts_.push_back({.pair = pair, .drifts = drifts, .rolled = rolled});
+    contacts_.push_back({.pair = pair, .drifts = drifts});
     Mark(pair, 1);
   }
   void AddClosed(int pair, ContactMode mode, bool drifts) {
@@ -403,7 +402,7 @@ class EventGroup {
       if (!c.plane) f.turns_b = turns(c.b);
     }
     const double sliding = SlidingSpeed(*contact);
-    const bool at_rest = contact->rolled || std::abs(sliding) <= kStickSpeed;
+    const bool at_rest = std::abs(sliding) <= kStickSpeed;
     const bool may_stick = at_rest && Value(in_.contact.friction) > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     const double turning = Value(TurningDistance(in_, c, T(at.distance)));
@@ -564,7 +563,7 @@ class EventGroup {
       push += Scale(push_along, tangent);
     }
     rows_.Add({c.a, b, normal, push, Dot(normal, w), T(0.0), T(0.0), push_along});
-    if (contact.stopped || (contact.mode != ContactMode::kStick && !jammed_ && !contact.rolled)) return;
+    if (contact.stopped || (contact.mode != ContactMode::kStick && !jammed_)) return;
     const T sliding = AlongSurface<kRotation>(in_, c, T(Dot(tangent, w)), [&](auto i) { return discs_[i].turn.speed; });
     rows_.Add({c.a, b, tangent, tangent, sliding, T(0.0), T(1.0), T(1.0)});
   }

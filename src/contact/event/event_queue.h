@@ -71,13 +71,10 @@ inline constexpr bool IsTransition(PairState from, PairChange change, PairState 
       kPairTransitions, [&](const PairTransition& t) { return t.from == from && t.change == change && t.to == to; });
 }
 
-// How the discs of a pair have moved around each other since it was last closed exactly.
-enum class PairTurning : char { kNone, kSliding, kRolling };
-
 struct EventPair {
   double next = kNever;  // s, its next event
   PairState state = PairState::kFree;
-  PairTurning turning = PairTurning::kNone;
+  bool turns = false;  // its discs have moved around each other since it was last closed exactly
   // For the order of events at the same time; both outlast a change of the state.
   bool precedes = false;   // when its forces were last found, sliding was to end
   bool waits = false;      // when it was last predicted, it was to wait
@@ -90,7 +87,6 @@ struct EventPair {
   double tied = -kNever;   // s, when it was last found in a tie
 
   bool closed() const { return IsClosed(state); }
-  bool turns() const { return turning != PairTurning::kNone; }
   void Change(PairChange change, PairState to) {
     DCHECK(IsTransition(state, change, to)) << PairStateToString(state) << " to " << PairStateToString(to);
     state = to;

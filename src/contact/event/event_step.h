@@ -144,8 +144,7 @@ class EventStep {
     const Candidate& c = motion_.CandidateOf(q);
     if (!group_.HasDisc(c.a)) changes_.Release(c.a, at);
     if (!c.plane && !group_.HasDisc(c.b)) changes_.Release(c.b, at);
-    const EventPair& pair = queue_.pair(q);
-    group_.Add(q, pair.turns(), pair.turning == PairTurning::kRolling && pair.released == at.event);
+    group_.Add(q, queue_.pair(q).turns);
   }
   // Adds the pairs that touch a disc of the group. Returns whether there are any.
   bool Grow(const Instant<T>& at) {
@@ -155,7 +154,7 @@ class EventStep {
       const Candidate& c = motion_.CandidateOf(q);
       if (group_.Contains(q) || (!group_.HasDisc(c.a) && (c.plane || !group_.HasDisc(c.b)))) continue;
       if (Value(motion_.LastTime(c)) > time) continue;  // the sub-step of the group begins again, before that
-      const bool drifted = queue_.pair(q).turns() && queue_.pair(q).released == at.event;
+      const bool drifted = queue_.pair(q).turns && queue_.pair(q).released == at.event;
       if (!drifted && !motion_.ApproachAt(c, time).Touching(queue_.SlowSpeed(q, time))) continue;
       Join(q, at);
       grows = true;
@@ -168,9 +167,7 @@ class EventStep {
     const Candidate& c = motion_.CandidateOf(contact.pair);
     EventPair& pair = queue_.pair(contact.pair);
     const bool curved = contact.closed && contact.Curved() && sub_step > 0;
-    pair.turning = !curved                               ? PairTurning::kNone
-                   : contact.mode == ContactMode::kStick ? PairTurning::kRolling
-                                                         : PairTurning::kSliding;
+    pair.turns = curved;
     pair.passed = at.event;
     pair.precedes = false;
     if (contact.closed || contact.stopped) ReportSustained(contact, at.time);
@@ -219,10 +216,10 @@ class EventStep {
   // Discs that moved around each other end the step exactly in contact.
   void CloseTurningPairs() {
     for (int q = 0; q < motion_.num_pairs(); ++q) {
-      if (!queue_.pair(q).closed() || !queue_.pair(q).turns()) continue;
+      if (!queue_.pair(q).closed() || !queue_.pair(q).turns) continue;
       group_.Clear();
       Gather(q, {T(in_.h), changes_.counts().events});
-      for (const auto& contact : group_.contacts()) queue_.pair(contact.pair).turning = PairTurning::kNone;
+      for (const auto& contact : group_.contacts()) queue_.pair(contact.pair).turns = false;
       group_.ProjectPositions();
       group_.ProjectVelocities();
     }
@@ -234,7 +231,7 @@ class EventStep {
     const Candidate& c = motion_.CandidateOf(q);
     changes_.MoveTo(c.a, at);
     if (!c.plane) changes_.MoveTo(c.b, at);
-    group_.AddClosed(q, static_cast<ContactMode>(pair.reported_mode), pair.turns());
+    group_.AddClosed(q, static_cast<ContactMode>(pair.reported_mode), pair.turns);
     motion_.ForEachPairBeside(c, [&](int other) { Gather(other, at); });
   }
 
