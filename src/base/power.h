@@ -3,6 +3,8 @@
 
 #include <cmath>
 
+#include "saltus/base/scalar.h"
+
 namespace saltus {
 
 // x^n for x > 0.

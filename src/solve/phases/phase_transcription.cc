@@ -9,6 +9,7 @@
 
 #include "control/control_bounds.h"
 #include "control/model_step.h"
+#include "control/own_term_cost.h"
 #include "solve/phases/phase_functions.h"
 
 namespace saltus {
