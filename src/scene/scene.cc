@@ -556,6 +556,14 @@ bool Objective::IsSumOfSquares() const {
   return std::none_of(terminal.begin(), terminal.end(), [](const TerminalTerm& term) { return term.component; });
 }
 
+Scene::Scene() = default;
+Scene::Scene(const Scene& other) = default;
+Scene::Scene(Scene&& other) noexcept = default;
+Scene& Scene::operator=(const Scene& other) = default;
+Scene& Scene::operator=(Scene&& other) noexcept = default;
+Scene::~Scene() = default;
+bool Scene::operator==(const Scene& other) const = default;
+
 bool Scene::Spins() const {
   return std::any_of(bodies.begin(), bodies.end(), [](const Body& body) { return body.Spins(); });
 }

@@ -270,6 +270,15 @@ enum class Optimize { kControl, kVelocity, kPosition, kNone };
 const char* OptimizeToString(Optimize optimize);
 
 struct Scene {
+  // Defined in scene.cc, as most files that use scenes copy some.
+  Scene();
+  Scene(const Scene& other);
+  Scene(Scene&& other) noexcept;
+  Scene& operator=(const Scene& other);
+  Scene& operator=(Scene&& other) noexcept;
+  ~Scene();
+  bool operator==(const Scene& other) const;
+
   std::string name;               // [a-z0-9_]+
   double duration = 1;            // s, > 0
   int steps = 1;                  // equal steps of duration / steps; 1 to kMaxSteps
@@ -310,8 +319,6 @@ struct Scene {
   bool Spins() const;
   // True if there are walls that end: segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
-
-  bool operator==(const Scene&) const = default;
 };
 
 // A rule of the scene that is broken, and where.
