@@ -44,8 +44,8 @@ std::string SequenceText(const Request& request) {
 }
 
 // A value that a JSON pointer leads to, or "nothing".
-std::string ValueAt(const nlohmann::json& document, const std::string& pointer) {
-  const nlohmann::json::json_pointer place(pointer);
+std::string ValueAt(const Json& document, const std::string& pointer) {
+  const Json::json_pointer place(pointer);
   return document.contains(place) ? document[place].dump() : "nothing";
 }
 
@@ -178,10 +178,10 @@ std::string SweepStudy::Description() const {
 }
 
 std::string DescribeDifference(const std::string& before, const std::string& now) {
-  const nlohmann::json old_study = nlohmann::json::parse(before, nullptr, /*allow_exceptions=*/false);
-  const nlohmann::json new_study = nlohmann::json::parse(now);
+  const Json old_study = Json::parse(before, nullptr, /*allow_exceptions=*/false);
+  const Json new_study = Json::parse(now);
   if (!old_study.is_object()) return "its description is not one that a sweep writes";
-  const nlohmann::json patch = nlohmann::json::diff(old_study, new_study);
+  const Json patch = Json::diff(old_study, new_study);
   if (patch.empty()) return "its description is written in another way";
   const std::string place = patch[0].at("path").get<std::string>();
   return place.substr(1) + ": " + ValueAt(old_study, place) + " is now " + ValueAt(new_study, place);
