@@ -3,13 +3,12 @@
 #pragma once
 
 #include <algorithm>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
-#include "folders.h"
+#include "reference_values.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
@@ -22,9 +21,8 @@ using Json = nlohmann::json;
 inline Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
 
 inline std::vector<Json> References() {
-  std::ifstream file(SourceFolder() + "/data/constrained_references.json");
-  const Json document = Json::parse(file);
-  return {document["optima"].begin(), document["optima"].end()};
+  const Json& optima = ReferenceFile("constrained_references.json")["optima"];
+  return {optima.begin(), optima.end()};
 }
 
 // The task of two balls with what a reference changes.

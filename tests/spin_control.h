@@ -1,11 +1,9 @@
 // The optimal control of a disc that only the wall can spin, with the optimum of data/spin_references.json.
 #pragma once
 
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <string>
 
-#include "folders.h"
+#include "reference_values.h"
 #include "spinning_disc.h"
 
 namespace saltus {
@@ -29,12 +27,8 @@ inline Scene SpinControl(int steps) {
 
 // A number of the optimum in continuous time, or an entry of two.
 inline double SpinOptimum(const char* key, int entry = -1) {
-  static const nlohmann::json reference = [] {
-    std::ifstream file(SourceFolder() + "/data/spin_references.json");
-    return nlohmann::json::parse(file)["s5"];
-  }();
-  const nlohmann::json& value = reference[key];
-  return std::stod((entry < 0 ? value : value[entry]).get<std::string>());
+  const nlohmann::json& value = ReferenceFile("spin_references.json")["s5"][key];
+  return Number(entry < 0 ? value : value[entry]);
 }
 
 }  // namespace saltus

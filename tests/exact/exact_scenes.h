@@ -3,25 +3,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <string>
 
-#include "folders.h"
+#include "reference_values.h"
 #include "saltus/scene/scene.h"
 
 namespace saltus::exact_test {
 
-inline const nlohmann::json& References() {
-  static const nlohmann::json references = [] {
-    std::ifstream file(SourceFolder() + "/data/exact_references.json");
-    return nlohmann::json::parse(file);
-  }();
-  return references;
-}
-
-// Values are decimal strings.
-inline double Number(const nlohmann::json& value) { return std::stod(value.get<std::string>()); }
+inline const nlohmann::json& References() { return ReferenceFile("exact_references.json"); }
 inline Vec2d Vector(const nlohmann::json& value) { return {Number(value[0]), Number(value[1])}; }
 
 inline double RelativeError(double actual, double expected) {

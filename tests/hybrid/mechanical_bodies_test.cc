@@ -4,12 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <vector>
 
 #include "campaign/tossed_boxes.h"
-#include "folders.h"
+#include "reference_values.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/hybrid/mechanical_system.h"
 #include "saltus/hybrid/rigid_bodies.h"
@@ -23,8 +22,7 @@ namespace {
 using testing::HasSubstr;
 
 TEST(RigidBodies, ATossedBoxHasTheExactMotion) {
-  std::ifstream file(SourceFolder() + "/data/mechanical_references.json");
-  const nlohmann::json reference = nlohmann::json::parse(file).at("P4r");
+  const nlohmann::json& reference = ReferenceFile("mechanical_references.json").at("P4r");
   const RigidBodies2D scene({.bodies = {{.name = "box",
                                          .polygon = BoxPolygon(0.3, 0.2),
                                          .mass = 0.8,
@@ -48,7 +46,7 @@ TEST(RigidBodies, ATossedBoxHasTheExactMotion) {
                   "-plane 0 hit");
   }
   for (int i = 0; i < 6; ++i) {
-    EXPECT_NEAR(simulator.final_state()[i], std::stod(reference.at("state_at_T")[i].get<std::string>()), 1e-10);
+    EXPECT_NEAR(simulator.final_state()[i], Number(reference.at("state_at_T")[i]), 1e-10);
   }
 }
 

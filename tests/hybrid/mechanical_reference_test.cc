@@ -6,15 +6,14 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <string>
 #include <vector>
 
-#include "folders.h"
 #include "hybrid/mechanical_problems.h"
 #include "problems/hybrid_systems.h"
+#include "reference_values.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/hybrid/mechanical_system.h"
 
@@ -23,15 +22,7 @@ namespace {
 
 using nlohmann::json;
 
-const json& References() {
-  static const json references = [] {
-    std::ifstream file(SourceFolder() + "/data/mechanical_references.json");
-    return json::parse(file);
-  }();
-  return references;
-}
-
-double Number(const json& value) { return std::stod(value.get<std::string>()); }
+const json& References() { return ReferenceFile("mechanical_references.json"); }
 
 // Relative errors that are allowed: of event times, states and impulses; of derivatives, of the largest of a column.
 struct Tolerance {
@@ -443,13 +434,7 @@ struct BlockOnCorners {
   }
 };
 
-const json& Siconos(const std::string& example) {
-  static const json outputs = [] {
-    std::ifstream file(SourceFolder() + "/data/siconos_event_driven.json");
-    return json::parse(file);
-  }();
-  return outputs.at(example);
-}
+const json& Siconos(const std::string& example) { return ReferenceFile("siconos_event_driven.json").at(example); }
 
 // Simulates an example on as many intervals as it has rows, and compares these.
 HybridSimulator SimulateExample(const MechanicalSystem& system, const json& example, const std::vector<double>& initial,

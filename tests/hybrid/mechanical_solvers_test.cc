@@ -7,7 +7,6 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -17,9 +16,9 @@
 #include <vector>
 
 #include "control/hybrid_shooting.h"
-#include "folders.h"
 #include "hybrid/mechanical_problems.h"
 #include "problems/hybrid_systems.h"
+#include "reference_values.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/solve/hybrid_solver.h"
 
@@ -30,21 +29,19 @@ using testing::HasSubstr;
 
 // On a grid of 40 intervals, the best control that is known strikes where it switches for the ninth time: a kink.
 TEST(WallSwingUp, BestControlOnTheGridIsAtAKink) {
-  std::ifstream file(SourceFolder() + "/data/mechanical_references.json");
-  const nlohmann::json reference = nlohmann::json::parse(file)["P12"]["pinned"];
-  const auto number = [](const nlohmann::json& value) { return std::stod(value.get<std::string>()); };
+  const nlohmann::json& reference = ReferenceFile("mechanical_references.json")["P12"]["pinned"];
   HybridProblem problem = WallSwingUpProblem();
-  for (int k = 0; k < 40; ++k) problem.guess.control[k] = number(reference["u"][k]);
+  for (int k = 0; k < 40; ++k) problem.guess.control[k] = Number(reference["u"][k]);
   const SolveReport report = Solve("gd", problem, {.iterations = 0});
-  EXPECT_NEAR(report.final_loss, number(reference["J"]), 1e-11);
+  EXPECT_NEAR(report.final_loss, Number(reference["J"]), 1e-11);
   EXPECT_THAT(report.reason, HasSubstr("guard 'wall hit' has an event at t = 0.36, where the control jumps"));
   HybridSimulator simulator(problem.system, {.tolerance = 1e-14});
   ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
   ASSERT_EQ(simulator.events().size(), 1u);
   EXPECT_NEAR(simulator.events()[0].time, 0.36, 1e-13);
   for (int i = 0; i < 2; ++i) {
-    EXPECT_NEAR(simulator.events()[0].before[i], number(reference["x_impact"][i]), 1e-12) << i;
-    EXPECT_NEAR(simulator.final_state()[i], number(reference["xT"][i]), 1e-12) << i;
+    EXPECT_NEAR(simulator.events()[0].before[i], Number(reference["x_impact"][i]), 1e-12) << i;
+    EXPECT_NEAR(simulator.final_state()[i], Number(reference["xT"][i]), 1e-12) << i;
   }
 }
 

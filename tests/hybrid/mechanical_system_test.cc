@@ -5,14 +5,13 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
-#include "folders.h"
 #include "hybrid/mechanical_problems.h"
 #include "problems/hybrid_systems.h"
+#include "reference_values.h"
 
 namespace saltus {
 namespace {
@@ -24,14 +23,7 @@ using testing::IsEmpty;
 
 constexpr double kClosedForm = 1e-12;  // relative
 
-const json& ClosedForms() {
-  static const json forms = [] {
-    std::ifstream file(SourceFolder() + "/data/mechanical_references.json");
-    return json::parse(file).at("closed_forms");
-  }();
-  return forms;
-}
-double Number(const json& value) { return std::stod(value.get<std::string>()); }
+const json& ClosedForms() { return ReferenceFile("mechanical_references.json").at("closed_forms"); }
 
 // ---------------------------------------------------------------------------------------------------------------------
 // One vertex against a plane.

@@ -7,7 +7,6 @@
 namespace saltus {
 namespace {
 
-using exact_test::Number;
 using exact_test::References;
 using saltus::testing::EventRun;
 using saltus::testing::StartOf;

@@ -3,32 +3,24 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <random>
 
 #include "contact/event/event_run.h"
 #include "exact/exact_scenes.h"
-#include "folders.h"
+#include "reference_values.h"
 #include "saltus/simulate/event_sides.h"
 
 namespace saltus {
 namespace {
 
-using exact_test::Number;
 using nlohmann::json;
 using testing::EventRun;
 
 constexpr double kTolerance = 1e-10;
 
-const json& References() {
-  static const json references = [] {
-    std::ifstream file(SourceFolder() + "/data/spin_references.json");
-    return json::parse(file);
-  }();
-  return references;
-}
+const json& References() { return ReferenceFile("spin_references.json"); }
 
 void ExpectNear(double found, double expected, double tolerance, const std::string& what) {
   EXPECT_NEAR(found, expected, tolerance * std::max(1.0, std::abs(expected))) << what;
