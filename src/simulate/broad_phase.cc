@@ -152,7 +152,12 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
       }
     }
     Collect(candidates);
-    if (before == 0 && NoneMeets(*candidates)) candidates->clear();
+    if (before == 0 && !candidates->empty() && NoneMeets(*candidates)) {
+      candidates->clear();
+      // Of many discs, some are as close again in the next step: to look for how long none meets would cost more than
+      // it saves.
+      if (num_discs() > options_.all_pairs) return 1;
+    }
     if (candidates->empty()) return QuietSteps();
     if (!options_.chains || candidates->size() == before) return 1;
     BoundSpeedsByEnergy(*candidates);
