@@ -21,7 +21,7 @@ using Json = nlohmann::json;
 inline Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
 
 inline std::vector<Json> References() {
-  const Json& optima = ReferenceFile("constrained_references.json")["optima"];
+  const Json& optima = ReferenceFile("constrained_references.json").at("optima");
   return {optima.begin(), optima.end()};
 }
 

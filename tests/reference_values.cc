@@ -10,10 +10,10 @@ namespace saltus {
 
 const nlohmann::json& ReferenceFile(const std::string& name) {
   static std::map<std::string, nlohmann::json> files;
-  const auto [found, is_new] = files.try_emplace(name);
-  if (is_new) {
+  auto found = files.find(name);
+  if (found == files.end()) {
     std::ifstream file(SourceFolder() + "/data/" + name);
-    found->second = nlohmann::json::parse(file);
+    found = files.emplace(name, nlohmann::json::parse(file)).first;
   }
   return found->second;
 }

@@ -27,7 +27,7 @@ inline Scene SpinControl(int steps) {
 
 // A number of the optimum in continuous time, or an entry of two.
 inline double SpinOptimum(const char* key, int entry = -1) {
-  const nlohmann::json& value = ReferenceFile("spin_references.json")["s5"][key];
+  const nlohmann::json& value = ReferenceFile("spin_references.json").at("s5").at(key);
   return Number(entry < 0 ? value : value[entry]);
 }
 

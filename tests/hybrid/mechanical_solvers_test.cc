@@ -29,7 +29,7 @@ using testing::HasSubstr;
 
 // On a grid of 40 intervals, the best control that is known strikes where it switches for the ninth time: a kink.
 TEST(WallSwingUp, BestControlOnTheGridIsAtAKink) {
-  const nlohmann::json& reference = ReferenceFile("mechanical_references.json")["P12"]["pinned"];
+  const nlohmann::json& reference = ReferenceFile("mechanical_references.json").at("P12").at("pinned");
   HybridProblem problem = WallSwingUpProblem();
   for (int k = 0; k < 40; ++k) problem.guess.control[k] = Number(reference["u"][k]);
   const SolveReport report = Solve("gd", problem, {.iterations = 0});

@@ -46,7 +46,7 @@ TEST(CommandLine, TwoBallsByGradientDescent) {
 
 // Every launch that hits the target; values by an independent search (data/exact_references.json).
 TEST(CommandLine, GroundWallListsEveryLaunchThatHits) {
-  const json& reference = ReferenceFile("exact_references.json")["task2"];
+  const json& reference = ReferenceFile("exact_references.json").at("task2");
   const std::pair<const char*, const char*> cases[] = {{"0", "minima_frictionless"}, {"0.1", "minima_mu0.1"}};
   for (const auto& [friction, key] : cases) {
     const Outcome outcome = RunProgram(std::string("ground_wall --contact=event --solver=ceres_lm --json ") +
@@ -58,7 +58,7 @@ TEST(CommandLine, GroundWallListsEveryLaunchThatHits) {
     for (const json& launch : document["launches"]) {
       std::string branch;
       for (const json& event : launch["events"]) branch += (branch.empty() ? "" : "+") + event["b"].get<std::string>();
-      const json& expected = reference[key][branch.empty() ? "none" : branch];
+      const json& expected = reference.at(key).at(branch.empty() ? "none" : branch);
       for (int j = 0; j < 2; ++j) {
         EXPECT_NEAR(launch["velocity"][j].get<double>(), Number(expected[j]), 1e-9) << branch;
       }
