@@ -143,6 +143,7 @@ class ContactGroup {
 // contacts.
 template <typename T, typename Contacts>
 std::pmr::vector<std::size_t> NumbersOfGroups(const StepInput<T>& in, std::size_t num_discs, const Contacts& contacts) {
+  if (contacts.size() <= 1) return std::pmr::vector<std::size_t>(contacts.size(), 0, in.scratch);
   std::pmr::vector<int> parent(num_discs, in.scratch), group_of(num_discs, -1, in.scratch);
   std::iota(parent.begin(), parent.end(), 0);
   const auto root = [&](int i) {
