@@ -43,6 +43,7 @@ class StepSimulator final : public LaneSimulator {
         typed_(scene, step()),
         control_(scene),
         stepper_(*model_, typed_, step()),
+        flight_control_(scene.bodies.size()),
         adjoint_(*model_, scene_, typed_, control_) {
     free_ = DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(0));
     free_is_affine_ = free_ == DifferentiateFreeFlight(*model_, typed_.h, /*offset=*/S(1));
@@ -363,23 +364,17 @@ class StepSimulator final : public LaneSimulator {
     });
   }
 
-  // Free flight of all discs for some steps from step k on: disc by disc, so that a state stays in registers.
+  // Free flight of all discs for some steps from step k on.
   void Fly(int k, int steps) const {
-    State* first = trajectory_.At(k).data();
-    for (int i = 0; i < num_bodies(); ++i) FlyAlone(i, k, steps, first + i);
-  }
-
-  void FlyAlone(int i, int k, int steps, State* at) const {
+    for (int i = 0; i < num_bodies(); ++i) flight_control_[i] = {control_.On(i, k), control_.Turn(i, k)};
     FlightInput<S> flight;
     flight.step.h = typed_.h;
     flight.step.gravity = typed_.gravity;
-    flight.step.bodies = {&typed_.bodies[i], 1};
+    flight.step.bodies = typed_.bodies;
     flight.steps = steps;
-    flight.force = control_.On(i, k);
-    flight.turn = control_.Turn(i, k);
+    flight.control = flight_control_;
     flight.stride = control_.stride();
-    flight.state_stride = num_bodies();
-    model_->Fly(flight, at);
+    model_->Fly(flight, trajectory_.At(k).data());
   }
 
   // One step of the whole scene from a state in doubles.
@@ -418,6 +413,7 @@ class StepSimulator final : public LaneSimulator {
   mutable Stepper<S, kRotation> stepper_;
   mutable RolloutRecord<State> record_;
   mutable std::vector<double> push_;
+  mutable std::vector<typename FlightInput<S>::Control> flight_control_;
   bool all_recorded_ = true;  // false if the states of some touches were let go for the sake of memory_limit()
   ModelAdjoint<S, kRotation> adjoint_;
 };

@@ -38,15 +38,18 @@ StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>
   return in;
 }
 
-// Free flight of one disc over a number of steps, each under a force and a torque of its own.
+// Free flight of all discs over a number of steps, each under a force and a torque of its own.
 template <typename S>
 struct FlightInput {
-  StepInput<S> step;  // one disc; the flight sets `force` and `torque`
+  // What acts on a disc in the first step.
+  struct Control {
+    const S* force = nullptr;  // [u_x u_y], N; null: no force
+    const S* turn = nullptr;   // torque / radius, N; null: no torque
+  };
+  StepInput<S> step;  // the flight sets `force` and `torque`
   int steps = 0;
-  const S* force = nullptr;         // [u_x u_y] of the first step, N; null: no force
-  const S* turn = nullptr;          // torque / radius of the first step, N; null: no torque
-  std::ptrdiff_t stride = 0;        // numbers from one step's control to the next
-  std::ptrdiff_t state_stride = 0;  // states from one step's state of the disc to the next
+  std::span<const Control> control;  // of each disc
+  std::ptrdiff_t stride = 0;         // numbers from one step's control to the next
 };
 
 // One step of a contact model with values in S (double or float).
@@ -82,8 +85,9 @@ class ContactStep {
 
   // Free flight of all discs in one step.
   virtual void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const = 0;
-  // Free flight of one disc over many steps, from *at to the states behind it.
-  virtual void Fly(const FlightInput<S>& in, State* at) const = 0;
+  // Free flight of all discs over many steps, from the states of one step, of which this is the first, to those behind
+  // them.
+  virtual void Fly(const FlightInput<S>& in, State* first) const = 0;
   // Free flight of one disc in several motions, each from *at[lane] to the state after its steps, with the same bits.
   // What has no steps need not be there. Precondition: kInLanes.
   static constexpr bool kInLanes = kRotation == 0 && std::is_same_v<S, double>;
@@ -137,30 +141,38 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const override {
     saltus::FreeFlight(model_, in, x, next);
   }
-  void Fly(const FlightInput<S>& flight, State* at) const override {
-    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to.
-    const BodyConstants<S> body = flight.step.bodies[0];
-    const std::ptrdiff_t stride = flight.stride, state_stride = flight.state_stride;
-    const S *u = flight.force, *turn = flight.turn;
+  void Fly(const FlightInput<S>& flight, State* first) const override {
+    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to. Disc by
+    // disc, so that a state stays in registers.
+    const std::size_t num_bodies = flight.step.bodies.size();
+    const std::ptrdiff_t stride = flight.stride;
     const int steps = flight.steps;
-    Vec2<S> force = Vec2<S>::Zero();
-    S torque = S(0);
+    BodyConstants<S> body;
+    Vec2<S> force;
+    S torque;
     StepInput<S> in{};
     in.h = flight.step.h;
     in.gravity = flight.step.gravity;
     in.bodies = {&body, 1};
     in.force = {&force, 1};
-    if (turn != nullptr) in.torque = {&torque, 1};
-    State x = *at;
-    for (int j = 0; j < steps; ++j) {
-      if (u != nullptr) {
-        force = Vec2<S>(u[0], u[1]);
-        u += stride;
+    for (std::size_t i = 0; i < num_bodies; ++i) {
+      body = flight.step.bodies[i];
+      force = Vec2<S>::Zero();
+      const auto [forces, turn] = flight.control[i];
+      const S* u = forces;
+      in.torque = {&torque, turn != nullptr ? 1U : 0U};
+      State* at = first + i;
+      State x = *at;
+      for (int j = 0; j < steps; ++j) {
+        if (u != nullptr) {
+          force = Vec2<S>(u[0], u[1]);
+          u += stride;
+        }
+        if (turn != nullptr) torque = body.radius * turn[j * stride];
+        x = model_.Free(in, 0, x);
+        at += num_bodies;
+        *at = x;
       }
-      if (turn != nullptr) torque = body.radius * turn[j * stride];
-      x = model_.Free(in, 0, x);
-      at += state_stride;
-      *at = x;
     }
   }
   void FlyTogether([[maybe_unused]] const FlightsInput& in,
