@@ -139,12 +139,16 @@ template int BroadPhase::Find(const double*, int, std::vector<Candidate>*);
 template int BroadPhase::Find(const float*, int, std::vector<Candidate>*);
 
 int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
-  for (int i = 0; i < num_discs(); ++i) speed_[i] = discs_[i].fixed ? 0.0 : std::sqrt(Dot(now_[i].v, now_[i].v));
+  for (int i = 0; i < num_discs(); ++i) {
+    speed_[i] = discs_[i].fixed ? 0.0 : std::sqrt(Dot(now_[i].v, now_[i].v));
+    margin_[i] = kMargin * (std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]) + discs_[i].radius);
+    SetReach(i);
+  }
   candidates->clear();
+  bool stands = ListStands();
   // Impacts may speed discs up within the step, which may add candidates, until the islands no longer grow.
   for (size_t before = 0;; before = candidates->size()) {
-    SetReaches();
-    if (!ListStands()) {
+    if (!stands) {
       if (num_discs() <= options_.all_pairs) {
         ListAllPairs();
       } else {
@@ -159,27 +163,29 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
       if (num_discs() > options_.all_pairs) return 1;
     }
     if (candidates->empty()) return QuietSteps();
-    if (!options_.chains || candidates->size() == before) return 1;
-    BoundSpeedsByEnergy(*candidates);
+    if (!options_.chains || candidates->size() == before || !BoundSpeedsByEnergy(*candidates)) return 1;
+    stands = std::ranges::all_of(in_pairs_, [&](int i) { return ListStandsFor(i); });
   }
 }
 
-void BroadPhase::SetReaches() {
+void BroadPhase::SetReach(int i) {
   const double dt = options_.dt;
-  for (int i = 0; i < num_discs(); ++i) {
-    margin_[i] = kMargin * (std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]) + discs_[i].radius);
-    reach_[i] = (discs_[i].fixed ? 0.0 : (speed_[i] + acceleration_[i] * dt) * dt) + margin_[i];
-  }
+  reach_[i] = (discs_[i].fixed ? 0.0 : (speed_[i] + acceleration_[i] * dt) * dt) + margin_[i];
 }
 
 bool BroadPhase::ListStands() const {
-  if (!listed_ || skin_ == kInfinity) return listed_;
+  if (!listed_) return false;
   for (int i = 0; i < num_discs(); ++i) {
-    const double left = 0.5 * skin_ - reach_[i];
-    const Vec2d moved = now_[i].p - there_[i];
-    if (left < 0 || Dot(moved, moved) > left * left) return false;
+    if (!ListStandsFor(i)) return false;
   }
   return true;
+}
+
+bool BroadPhase::ListStandsFor(int i) const {
+  if (skin_ == kInfinity) return true;
+  const double left = 0.5 * skin_ - reach_[i];
+  const Vec2d moved = now_[i].p - there_[i];
+  return !(left < 0 || Dot(moved, moved) > left * left);
 }
 
 void BroadPhase::ListAllPairs() {
@@ -308,15 +314,20 @@ void BroadPhase::SortIntoGrid(double cell) {
 
 void BroadPhase::Collect(std::vector<Candidate>* candidates) {
   candidates->clear();
+  // Copies, as for all that the compiler knows a candidate that is added could change where these are.
+  const Motion* const now = now_.data();
+  const Disc* const discs = discs_.data();
+  const double* const reach = reach_.data();
+  const double push_gap = options_.push_gap;
   for (const Candidate& c : list_) {
     if (c.plane) {
       const Wall<double>& plane = walls_[c.b].wall;
-      const double gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
-      const bool near = gap < options_.push_gap + reach_[c.a] + kMargin * std::abs(plane.offset);
+      const double gap = Dot(plane.normal, now[c.a].p) - plane.offset - discs[c.a].radius;
+      const bool near = gap < push_gap + reach[c.a] + kMargin * std::abs(plane.offset);
       if (near || walls_[c.b].table) candidates->push_back(c);
     } else {
-      const Vec2d d = now_[c.a].p - now_[c.b].p;
-      const double near = discs_[c.a].radius + discs_[c.b].radius + options_.push_gap + reach_[c.a] + reach_[c.b];
+      const Vec2d d = now[c.a].p - now[c.b].p;
+      const double near = discs[c.a].radius + discs[c.b].radius + push_gap + reach[c.a] + reach[c.b];
       if (Dot(d, d) < near * near) candidates->push_back(c);
     }
   }
@@ -334,28 +345,45 @@ int BroadPhase::Root(int i) {
   return i;
 }
 
-void BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
-  const int n = num_discs();
-  parent_.resize(n);
-  std::iota(parent_.begin(), parent_.end(), 0);
+bool BroadPhase::BoundSpeedsByEnergy(std::span<const Candidate> candidates) {
+  in_pairs_.clear();
+  for (const Candidate& c : candidates) {
+    if (!discs_[c.a].fixed) in_pairs_.push_back(c.a);
+    if (!c.plane && !discs_[c.b].fixed) in_pairs_.push_back(c.b);
+  }
+  std::sort(in_pairs_.begin(), in_pairs_.end());
+  in_pairs_.erase(std::unique(in_pairs_.begin(), in_pairs_.end()), in_pairs_.end());
+  parent_.resize(num_discs());
+  group_size_.resize(num_discs());
+  energy_.resize(num_discs());
+  for (int i : in_pairs_) {
+    parent_[i] = i;
+    group_size_[i] = 0;
+    energy_[i] = 0;
+  }
   for (const Candidate& c : candidates) {
     if (!c.plane && !discs_[c.a].fixed && !discs_[c.b].fixed) parent_[Root(c.a)] = Root(c.b);
   }
-  energy_.assign(n, 0.0);  // twice the kinetic energy that a group can have during the step
-  group_size_.assign(n, 0);
-  for (int i = 0; i < n; ++i) group_size_[Root(i)] += !discs_[i].fixed;
+  for (int i : in_pairs_) ++group_size_[Root(i)];
   const auto may_gain = [&](int i) { return group_size_[Root(i)] > 1 || discs_[i].gyration2 > 0; };
-  for (int i = 0; i < n; ++i) {
-    if (discs_[i].fixed || !may_gain(i)) continue;
+  for (int i : in_pairs_) {
+    if (!may_gain(i)) continue;
     const double speed = now_[i].v.norm();
     const double all = now_[i].turning == 0 ? speed : std::hypot(speed, now_[i].turning);
     const double fastest = all + acceleration_[i] * options_.dt;
     energy_[Root(i)] += discs_[i].mass * fastest * fastest;
   }
-  for (int i = 0; i < n; ++i) {
+  bool any_gains = false;
+  for (int i : in_pairs_) {
+    if (!may_gain(i)) continue;
     // A group gains speed from forces too: each disc at most its own acceleration, times the mass ratio after impacts.
-    if (may_gain(i)) speed_[i] = std::max(speed_[i], std::sqrt(energy_[Root(i)] / discs_[i].mass));
+    const double bound = std::sqrt(energy_[Root(i)] / discs_[i].mass);
+    if (!(bound > speed_[i])) continue;
+    speed_[i] = bound;
+    SetReach(i);
+    any_gains = true;
   }
+  return any_gains;
 }
 
 double BroadPhase::Drift(int i) const {
@@ -368,25 +396,26 @@ double BroadPhase::Drift(int i) const {
 
 double BroadPhase::TimeToMeet(const Candidate& c) const {
   const double dt = options_.dt;
-  double gap, closing, acceleration;
+  const auto time_to_cover = [&](double gap, double closing, double acceleration) {
+    return TimeToCover(gap, closing + 0.5 * acceleration * dt, 0.5 * acceleration);
+  };
   if (c.plane && !walls_[c.b].extent.endless) {
-    gap = walls_[c.b].LeastDistance(now_[c.a].p) - discs_[c.a].radius - margin_[c.a];
-    closing = walls_[c.b].Closing(now_[c.a].p, now_[c.a].v);
-    acceleration = Drift(c.a);
-  } else if (c.plane) {
-    const Wall<double>& plane = walls_[c.b].wall;
-    gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
-    gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
-    closing = -Dot(plane.normal, now_[c.a].v);
-    acceleration = Drift(c.a);
-  } else {
-    const Vec2d d = now_[c.a].p - now_[c.b].p;
-    const double distance = std::sqrt(Dot(d, d));
-    gap = distance - discs_[c.a].radius - discs_[c.b].radius - margin_[c.a] - margin_[c.b];
-    closing = -Dot(d, Vec2d(now_[c.a].v - now_[c.b].v)) / distance;
-    acceleration = Drift(c.a) + Drift(c.b);
+    const double gap = walls_[c.b].LeastDistance(now_[c.a].p) - discs_[c.a].radius - margin_[c.a] - options_.push_gap;
+    return gap <= 0 ? 0.0 : time_to_cover(gap, walls_[c.b].Closing(now_[c.a].p, now_[c.a].v), Drift(c.a));
   }
-  return TimeToCover(gap - options_.push_gap, closing + 0.5 * acceleration * dt, 0.5 * acceleration);
+  if (c.plane) {
+    const Wall<double>& plane = walls_[c.b].wall;
+    double gap = Dot(plane.normal, now_[c.a].p) - plane.offset - discs_[c.a].radius;
+    gap -= margin_[c.a] + kMargin * std::abs(plane.offset);
+    gap -= options_.push_gap;
+    return gap <= 0 ? 0.0 : time_to_cover(gap, -Dot(plane.normal, now_[c.a].v), Drift(c.a));
+  }
+  const Vec2d d = now_[c.a].p - now_[c.b].p;
+  const double distance = std::sqrt(Dot(d, d));
+  const double gap =
+      distance - discs_[c.a].radius - discs_[c.b].radius - margin_[c.a] - margin_[c.b] - options_.push_gap;
+  if (gap <= 0) return 0;
+  return time_to_cover(gap, -Dot(d, Vec2d(now_[c.a].v - now_[c.b].v)) / distance, Drift(c.a) + Drift(c.b));
 }
 
 double BroadPhase::TimeToMeetParts(int i, double enough) const {

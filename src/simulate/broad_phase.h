@@ -98,9 +98,10 @@ class BroadPhase {
   int num_planes() const { return static_cast<int>(walls_.size()) - parts_.num_parts(); }
   int num_discs() const { return static_cast<int>(discs_.size()); }
   int FindInMotion(std::vector<Candidate>* candidates);
-  // reach_ from the speeds, with a margin for rounding.
-  void SetReaches();
+  // reach_[i] from its speed, with a margin for rounding.
+  void SetReach(int i);
   bool ListStands() const;
+  bool ListStandsFor(int i) const;  // as far as disc i is concerned
   void ListAllPairs();
   void ListNearPairs();
   void SortIntoGrid(double cell);
@@ -111,8 +112,9 @@ class BroadPhase {
   void CollectParts(int i, std::vector<Candidate>* candidates);
   // Whether part p of an edge may count for disc i within the step.
   bool MayCount(int i, int p) const;
-  // Raises speed_ to what impacts within the groups that `candidates` connect can give each disc.
-  void BoundSpeedsByEnergy(std::span<const Candidate> candidates);
+  // Raises speed_ and reach_ to what impacts within the groups that `candidates` connect can give each disc in them.
+  // Returns whether any is raised.
+  bool BoundSpeedsByEnergy(std::span<const Candidate> candidates);
   int Root(int i);
   // Whether none of these pairs can meet in this step: a disc may have the reach but move away.
   bool NoneMeets(std::span<const Candidate> pairs) const;
@@ -152,8 +154,10 @@ class BroadPhase {
   double largest_radius_ = 0;   // m
   double smallest_radius_ = 0;  // m
 
-  std::vector<int> parent_, group_size_;
-  std::vector<double> energy_;
+  // Of the discs that the latest candidates have.
+  std::vector<int> in_pairs_;             // ascending, without those that are fixed
+  std::vector<int> parent_, group_size_;  // of each of these discs: in its group, and of a root the group's size
+  std::vector<double> energy_;            // of a root: twice the kinetic energy that its group can have in the step
 
   // The grid: discs sorted by the hash of their cell.
   std::vector<std::int64_t> cell_x_, cell_y_;
