@@ -51,7 +51,7 @@ void Islands::Find(std::span<const Candidate> pairs, std::span<const char> fixed
   for (int i : moving_) {
     int& island = island_of_[Root(i)];  // the root is the smallest of its island
     if (island < 0) island = size_++;
-    members_.push_back({island, i});
+    members_.push_back({i, island});
   }
   first_pair_.assign(size_ + 1, 0);
   island_of_pair_.clear();
@@ -59,27 +59,29 @@ void Islands::Find(std::span<const Candidate> pairs, std::span<const char> fixed
     const int island = island_of_[Root(fixed[c.a] ? c.b : c.a)];
     island_of_pair_.push_back(island);
     ++first_pair_[island + 1];
-    if (fixed[c.a]) members_.push_back({island, c.a});
-    if (!c.plane && fixed[c.b]) members_.push_back({island, c.b});
+    if (fixed[c.a]) members_.push_back({c.a, island});
+    if (!c.plane && fixed[c.b]) members_.push_back({c.b, island});
   }
-  std::sort(members_.begin(), members_.end());
-  members_.erase(std::unique(members_.begin(), members_.end()), members_.end());
+  if (members_.size() > moving_.size()) {
+    std::sort(members_.begin(), members_.end());
+    members_.erase(std::unique(members_.begin(), members_.end()), members_.end());
+  }
   first_body_.assign(size_ + 1, 0);
-  bodies_.clear();
-  for (const Member& member : members_) {
-    ++first_body_[member.island + 1];
-    bodies_.push_back(member.body);
-  }
+  for (const Member& member : members_) ++first_body_[member.island + 1];
   for (int island = 0; island < size_; ++island) {
     first_body_[island + 1] += first_body_[island];
     first_pair_[island + 1] += first_pair_[island];
   }
+  // Filled from behind, the ends becoming the beginnings of the next islands.
+  bodies_.resize(members_.size());
+  for (size_t m = members_.size(); m-- > 0;) bodies_[--first_body_[members_[m].island + 1]] = members_[m].body;
   pairs_.resize(pairs.size());
-  for (size_t q = pairs.size(); q-- > 0;) {
-    // Filled from behind, the ends becoming the beginnings of the next islands.
-    pairs_[--first_pair_[island_of_pair_[q] + 1]] = pairs[q];
+  for (size_t q = pairs.size(); q-- > 0;) pairs_[--first_pair_[island_of_pair_[q] + 1]] = pairs[q];
+  for (int island = 0; island < size_; ++island) {
+    first_body_[island] = first_body_[island + 1];
+    first_pair_[island] = first_pair_[island + 1];
   }
-  for (int island = 0; island < size_; ++island) first_pair_[island] = first_pair_[island + 1];
+  first_body_[size_] = static_cast<int>(members_.size());
   first_pair_[size_] = static_cast<int>(pairs.size());
   for (int i : moving_) {
     parent_[i] = i;

@@ -38,7 +38,7 @@ class Islands {
   std::vector<int> parent_, island_of_;
   std::vector<int> moving_;
   struct Member {
-    int island, body;
+    int body, island;
     auto operator<=>(const Member&) const = default;
   };
   std::vector<Member> members_;

@@ -64,7 +64,7 @@ class Stepper {
     touches_.clear();
     ties_.clear();
     solved_.Clear();
-    islands_.Find(candidates_, scene_.fixed);
+    FindIslands();
     for (int q = 0; q < islands_.size() && !failure_; ++q) StepIsland(k, q, x, next);
     if (islands_.size() > 1) SortTouches();
   }
@@ -98,7 +98,7 @@ class Stepper {
   void FindTouchedIslands(const Touches& touches, const TouchOf& touch_of) {
     candidates_.clear();
     for (const auto& touch : touches) candidates_.push_back(touch_of(touch).candidate);
-    islands_.Find(candidates_, scene_.fixed);
+    FindIslands();
   }
   const Islands& islands() const { return islands_; }
   // The states of the local scene, to be filled in by whoever differentiates it.
@@ -107,12 +107,14 @@ class Stepper {
   void GatherAllButStates(int q) {
     local_.force.clear();
     local_.torque.clear();
-    local_.bodies.clear();
     for (int i : islands_.bodies(q)) {
       local_.force.push_back(force_[i]);
       if (!torque_.empty()) local_.torque.push_back(torque_[i]);
-      local_.bodies.push_back(scene_.bodies[i]);
     }
+    if (q == local_.island) return;
+    local_.island = q;
+    local_.bodies.clear();
+    for (int i : islands_.bodies(q)) local_.bodies.push_back(scene_.bodies[i]);
     LocalPairs(islands_.pairs(q), islands_.bodies(q), &local_.candidates);
   }
   void Gather(int q, std::span<const State> x) {
@@ -140,6 +142,7 @@ class Stepper {
  private:
   // The discs of one island as a scene of their own.
   struct LocalScene {
+    int island = -1;  // whose bodies and candidates these are; -1: of none
     std::vector<State> x, next;
     std::vector<Vec2<S>> force;
     std::vector<S> torque;
@@ -180,6 +183,14 @@ class Stepper {
              .push_gap = traits.push_gap,
              .rounding = std::numeric_limits<S>::epsilon(),
              .all_parts = traits.event_driven}};
+  }
+
+  // The candidates are often those of the step before; then so are the islands.
+  void FindIslands() {
+    if (candidates_ == grouped_) return;
+    grouped_ = candidates_;
+    islands_.Find(candidates_, scene_.fixed);
+    local_.island = -1;
   }
 
   StepInput<S> Input() {
@@ -301,6 +312,7 @@ class Stepper {
   int tie_order_ = 0;
   bool finds_ties_ = false;
   std::vector<Candidate> candidates_;
+  std::vector<Candidate> grouped_;  // whose islands these are
   Islands islands_;
   LocalScene local_;
   std::vector<Rest> rests_;  // by island, where there was one at rest since Begin()
