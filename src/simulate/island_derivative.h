@@ -92,7 +92,11 @@ class IslandDerivative {
   struct Columns {
     int count = 0;
     int index[kJetWidth];
-    void Add(int column) { index[count++] = column; }
+    Jet* variable[kJetWidth];  // what each differentiates by
+    void Add(int column, Jet* by) {
+      index[count] = column;
+      variable[count++] = by;
+    }
   };
 
   static bool HasTorques(const StepInput<S>& in) { return !in.torque.empty(); }
@@ -147,14 +151,14 @@ class IslandDerivative {
       for (int i = 0; i < n; ++i) {
         if (i == without) continue;
         Columns columns;
-        for (int j = 0; j < 4; ++j) columns.Add(i * kSize + j);
-        for (int j = 0; j < 2; ++j) columns.Add(n * kSize + 2 * i + j);
+        for (int j = 0; j < 4; ++j) columns.Add(i * kSize + j, StateVariable(i * kSize + j));
+        for (int j = 0; j < 2; ++j) columns.Add(n * kSize + 2 * i + j, &force_[i][j]);
         RunPass(model, in, columns, use);
       }
     }
     Columns columns;
     const auto add = [&](int column) {
-      columns.Add(column);
+      columns.Add(column, Variable(column));
       if (columns.count < kJetWidth) return;
       RunPass(model, in, columns, use);
       columns.count = 0;
@@ -187,7 +191,7 @@ class IslandDerivative {
     bodies_.resize(n);
     for (size_t i = 0; i < n; ++i) {
       const S* values = reinterpret_cast<const S*>(&x[i]);
-      for (int j = 0; j < kSize; ++j) Variable(static_cast<int>(i) * kSize + j).a = values[j];
+      for (int j = 0; j < kSize; ++j) StateVariable(static_cast<int>(i) * kSize + j)->a = values[j];
       for (int j = 0; j < 2; ++j) force_[i][j].a = in.force[i][j];
       const BodyConstants<S>& body = in.bodies[i];
       bodies_[i].mass.a = body.mass;
@@ -210,8 +214,7 @@ class IslandDerivative {
 
   // Sets the derivatives of the variables of a pass to `one` in their directions.
   void Seed(const StepInput<S>& in, const Columns& columns, S one) {
-    for (int direction = 0; direction < columns.count; ++direction)
-      Variable(columns.index[direction]).v[direction] = one;
+    for (int direction = 0; direction < columns.count; ++direction) columns.variable[direction]->v[direction] = one;
     const int first_mass = NumColumns(static_cast<int>(x_.size()), HasTorques(in), false) + 4;
     if (columns.count == 0 || columns.index[columns.count - 1] < first_mass) return;
     for (size_t i = 0; i < x_.size(); ++i) {
@@ -219,21 +222,22 @@ class IslandDerivative {
     }
   }
 
-  // What a column of the Jacobian differentiates by.
-  Jet& Variable(int column) {
+  // What a column of the Jacobian differentiates by: the first ones by states.
+  Jet* StateVariable(int column) { return reinterpret_cast<Jet*>(x_.data()) + column; }
+  Jet* Variable(int column) {
     const int n = static_cast<int>(x_.size());
-    if (column < n * kSize) return reinterpret_cast<Jet*>(x_.data())[column];
+    if (column < n * kSize) return StateVariable(column);
     column -= n * kSize;
-    if (column < 2 * n) return force_[column / 2][column % 2];
+    if (column < 2 * n) return &force_[column / 2][column % 2];
     column -= 2 * n;
     const int torques = static_cast<int>(torque_.size());
-    if (column < torques) return torque_[column];
+    if (column < torques) return &torque_[column];
     column -= torques;
     ContactConstants<Jet>& c = jets_.contact;
     Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
-    if (column < 4) return *contact[column];
+    if (column < 4) return contact[column];
     column -= 4;
-    return column < n ? bodies_[column].mass : bodies_[column - n].inverse_inertia;
+    return column < n ? &bodies_[column].mass : &bodies_[column - n].inverse_inertia;
   }
 
   // All columns at once: the step on a tape, and one sweep back.
