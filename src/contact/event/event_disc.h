@@ -119,22 +119,30 @@ Vec2d ValueOf(const Vec2<T>& a) {
 // Position, velocity and acceleration, as values.
 struct Motion {
   Vec2d p, v, a;
-  bool curved = false;  // the acceleration is not constant
-  Curve<Vec2d> curve = {Vec2d(0, 0), Vec2d(0, 0), Vec2d(0, 0)};
+  bool curved = false;      // the acceleration is not constant
+  Curve<Vec2d> curve = {};  // not set unless it is
 
   Motion After(double s) const {
-    Motion after{p + s * (v + (0.5 * s) * a), v + s * a, a, curved, curve};
-    if (curved) {
-      after.p += ChangeOfPosition(curve, s);
-      after.v += ChangeOfVelocity(curve, s);
-      after.a += ChangeOfAcceleration(curve, s);
-      after.curve[0] += 4 * s * curve[1] + 10 * s * s * curve[2];
-      after.curve[1] += 5 * s * curve[2];
-    }
+    Motion after{p + s * (v + (0.5 * s) * a), v + s * a, a};
+    if (curved) AddCurve(s, &after);
     return after;
   }
   // Of the position, by the power of time.
-  std::array<Vec2d, 6> Coefficients() const { return {p, v, 0.5 * a, curve[0], curve[1], curve[2]}; }
+  std::array<Vec2d, 6> Coefficients() const {
+    const Vec2d none(0, 0);
+    return {p, v, 0.5 * a, curved ? curve[0] : none, curved ? curve[1] : none, curved ? curve[2] : none};
+  }
+
+ private:
+  [[gnu::noinline]] void AddCurve(double s, Motion* after) const {
+    after->curved = true;
+    after->curve = curve;
+    after->p += ChangeOfPosition(curve, s);
+    after->v += ChangeOfVelocity(curve, s);
+    after->a += ChangeOfAcceleration(curve, s);
+    after->curve[0] += 4 * s * curve[1] + 10 * s * s * curve[2];
+    after->curve[1] += 5 * s * curve[2];
+  }
 };
 
 // The relative motion of a pair along its normal.
@@ -150,6 +158,19 @@ struct Approach {
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
 };
 
+// What curves add to the polynomial of two discs, which becomes one of degree 10. Not inlined, as most motions have
+// none.
+[[gnu::noinline]] inline void AddCurves(const Motion& a, const Motion& b, GapPolynomial* polynomial) {
+  const auto of_a = a.Coefficients(), of_b = b.Coefficients();
+  for (std::size_t i = 0; i < of_a.size(); ++i) {
+    for (std::size_t j = 3; j < of_a.size(); ++j) {
+      const double product = Dot(Vec2d(of_a[i] - of_b[i]), Vec2d(of_a[j] - of_b[j]));
+      polynomial->c[i + j] += i < 3 ? 2 * product : product;
+    }
+  }
+  polynomial->degree = 10;
+}
+
 inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius) {
   const Separation<double> at = Separate<double>(a.p, b.p);
   const Vec2d d = a.p - b.p, w = a.v - b.v, q = a.a - b.a;
@@ -160,16 +181,7 @@ inline Approach MeasureApproach(const Motion& a, const Motion& b, double radius)
   out.acceleration = Dot(at.normal, q) + (at.distance > 0 ? sliding * sliding / at.distance : 0.0);
   out.polynomial.c = {
       out.gap * (at.distance + radius), 2 * Dot(d, w), Dot(w, w) + Dot(d, q), Dot(w, q), 0.25 * Dot(q, q)};
-  if (a.curved || b.curved) {
-    const auto of_a = a.Coefficients(), of_b = b.Coefficients();
-    for (std::size_t i = 0; i < of_a.size(); ++i) {
-      for (std::size_t j = 3; j < of_a.size(); ++j) {
-        const double product = Dot(Vec2d(of_a[i] - of_b[i]), Vec2d(of_a[j] - of_b[j]));
-        out.polynomial.c[i + j] += i < 3 ? 2 * product : product;
-      }
-    }
-    out.polynomial.degree = 10;
-  }
+  if (a.curved || b.curved) AddCurves(a, b, &out.polynomial);
   return out;
 }
 

@@ -142,7 +142,7 @@ class EventMotion {
     }
     return motion.After(time - Value(disc.t));
   }
-  Approach ApproachAt(const Candidate& c, double time) const {
+  SALTUS_FLATTEN Approach ApproachAt(const Candidate& c, double time) const {
     return Measure(c, [&](int i) { return MotionAt(i, time); });
   }
   // The size of the coordinates of a pair, to which rounding is relative, m.
