@@ -1,6 +1,8 @@
 // What linear_algebra.h has of the complete orthogonal decomposition. It is compiled for two kinds of matrices, each
 // with right sides that are vectors and matrices of its own kind: others are copied, as the compiler takes seconds for
 // each.
+#include <algorithm>
+
 #include "base/linear_algebra.h"
 
 namespace saltus {
@@ -17,11 +19,15 @@ void Compute(const auto& matrix, std::optional<double> threshold,
 }
 
 template <typename Matrix>
-Matrix Inverse(const auto& matrix, std::optional<double> threshold) {
+Matrix Solutions(const auto& matrix, std::optional<double> threshold, const Matrix& right) {
   Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;
   Compute(matrix, threshold, &decomposition);
-  const Matrix identity = Matrix::Identity(matrix.rows(), matrix.rows());
-  return decomposition.solve(identity);
+  return decomposition.solve(right);
+}
+
+template <typename Matrix>
+Matrix Inverse(const auto& matrix, std::optional<double> threshold) {
+  return Solutions<Matrix>(matrix, threshold, Matrix::Identity(matrix.rows(), matrix.rows()));
 }
 
 // Sets the matrix of n rows, whatever its storage.
@@ -60,7 +66,10 @@ Eigen::VectorXd LeastNormSolution(const Eigen::MatrixXd& matrix, const Eigen::Ve
 }
 
 Eigen::MatrixXd LeastNormSolutions(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right) {
-  return matrix.completeOrthogonalDecomposition().solve(right);
+  if (std::max({matrix.rows(), matrix.cols(), right.cols()}) <= kMostSmallRows) {
+    return Solutions<SmallMatrix>(matrix, {}, right);
+  }
+  return Solutions<Eigen::MatrixXd>(matrix, {}, right);
 }
 
 void PseudoInvert(const ConstMatrixRef& matrix, std::optional<double> threshold, MatrixRef inverse) {
