@@ -57,6 +57,8 @@ TEST_P(PseudoInverseOf, GivesTheSolutionOfLeastNorm) {
   const Eigen::VectorXd expected = PseudoInverse(a) * right;
   EXPECT_LT(Distance(expected, LeastNormSolution(a, right)), kRounding);
   EXPECT_LT(Distance(expected, LeastNormSolutions(a, right)), kRounding);
+  const Eigen::MatrixXd many = Random(n, kMostSmallRows + 1, 4);
+  EXPECT_LT(Distance(PseudoInverse(a) * many, LeastNormSolutions(a, many)), kRounding);
   Eigen::VectorXd x = right;
   LeastNormSolver(a, 1e-10).Solve(x, x);
   EXPECT_LT(Distance(expected, x), kRounding);

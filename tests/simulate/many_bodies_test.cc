@@ -91,6 +91,29 @@ TEST(BroadPhase, QuietStepsEndShortOfTheContact) {
 
 // Two discs within reach of each other: candidates if they can meet in the step, and if one pushes the other across the
 // gap; otherwise quiet until the one that is accelerated can have turned back.
+// Of three discs in a row the first moves: impacts can bring the second to the third.
+TEST(BroadPhase, AnImpactMayPushADiscIntoTheNext) {
+  const double dt = 1e-3, speed = 1, way = speed * dt;
+  for (const int all_pairs : {0, 16}) {
+    const auto find = [&](bool chains, double mass, double gap) {
+      BroadPhase phase({},
+                       {{0.1, 1, false}, {0.1, mass, false}, {0.1, 1, false}},
+                       {.dt = dt, .chains = chains, .push_gap = 0, .rounding = 1e-16, .all_pairs = all_pairs});
+      const double second = 0.2 + 0.2 * way, third = second + 0.2 + gap;
+      const std::vector<double> x = {0, 0, speed, 0, second, 0, 0, 0, third, 0, 0, 0};
+      std::vector<Candidate> candidates;
+      phase.Find(x.data(), 4, &candidates);
+      return candidates;
+    };
+    const std::vector<Candidate> first = {{0, 1, false}}, both = {{0, 1, false}, {1, 2, false}};
+    EXPECT_EQ(find(false, 1, 0.5 * way), first);
+    EXPECT_EQ(find(true, 1, 0.5 * way), both);
+    EXPECT_EQ(find(true, 1, 1.5 * way), first);
+    // A light disc may leave faster than the heavy one came.
+    EXPECT_EQ(find(true, 1.0 / 9, 1.5 * way), both);
+  }
+}
+
 TEST(BroadPhase, DiscsThatMoveApartAreQuiet) {
   const double dt = 1e-3, v = 0.7, a = 0.3, gap = 0.9 * v * dt;
   const auto find = [&](double speed, double push_gap, std::vector<Candidate>* candidates) {
