@@ -35,7 +35,8 @@ def test_runs_of_the_tasks(task):
 def test_generated_scenes(tmp_path):
     compared = 0
     for path in make_generated_scenes(50, tmp_path):
-        printed = run_program("saltus_audit", f"--scene={path}", "--contact=event,toi_velocity", "--steps=60")
+        printed = run_program("saltus_audit", f"--scene={path}", "--contact=event,toi_velocity", "--steps=60",
+                              "--attribution_seconds=0.001")
         scene = saltus.load_scene(path).replace(steps=60)
         for item in printed["audits"]:
             if "gradient" not in item:

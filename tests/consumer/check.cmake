@@ -1,5 +1,5 @@
-# Installs the build tree into a fresh folder, builds and runs the consumer against that folder alone, once more as people
-# do who compile for their own machine, configures it with the source tree as a subproject, and uninstalls.
+# Installs the build tree into a fresh folder, builds and runs the consumer against that folder alone, configures it with
+# the source tree as a subproject, and uninstalls.
 # Given: SOURCE_TREE, BUILD_TREE, WORK (scratch folder), GENERATOR, CXX, BUILD_TYPE.
 function(run)
   execute_process(COMMAND ${ARGV} COMMAND_ECHO STDOUT COMMAND_ERROR_IS_FATAL ANY)
@@ -28,11 +28,6 @@ foreach(page hybrid-systems-cpp own-costs)
     message(FATAL_ERROR "${page}.md shows\n${shown}where its program prints\n${printed}")
   endif()
 endforeach()
-
-# Fused multiply-adds, where the machine has them.
-run(${configure} -B ${WORK}/native -DCMAKE_PREFIX_PATH=${prefix} -DCMAKE_CXX_FLAGS=-march=native)
-run(${CMAKE_COMMAND} --build ${WORK}/native --target values)
-run(${WORK}/native/values)
 
 # With a contact model of the user's own: its header gets an entry in the registry, whatever the folder is called.
 file(COPY ${SOURCE_TREE}/tests/audit/mirror_model.h DESTINATION "${WORK}/my own models")

@@ -73,17 +73,8 @@ def run(program, *arguments):
     return done
 
 
+# `browser` and `folder` are those of all tests of a file.
 class Pages(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.folder = tempfile.mkdtemp()
-        cls.browser = start_chromium()
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.browser.quit()
-        shutil.rmtree(cls.folder)
-
     def write(self, name, text):
         path = os.path.join(self.folder, name)
         with open(path, "w", encoding="utf-8") as file:
@@ -165,4 +156,5 @@ def main():
     if reason:
         print(f"skipped: {reason}")
         sys.exit(SKIPPED)
-    unittest.main(verbosity=2)
+    with tempfile.TemporaryDirectory() as Pages.folder, start_chromium() as Pages.browser:
+        unittest.main(verbosity=2)

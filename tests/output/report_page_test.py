@@ -161,7 +161,7 @@ class Reports(Pages):
     def test_reports_of_audits_and_sweeps(self):
         for program, problem, flags in (
                 ("saltus_audit", "two_balls", ["--contact=direct_toi,event"]),
-                ("saltus_audit", "two_balls", ["--contact=all"]),
+                ("saltus_audit", "two_balls", ["--contact=all", "--steps=120"]),
                 ("saltus_audit", "bank_shot", ["--contact=event,compliant_warp"]),  # as many columns as just fit at 1600
                 ("saltus_sweep", "two_balls", ["--contact=event", "--solver=none", "--sweep=steps=10,20,40"])):
             with self.subTest(f"{program} {problem} {flags[0]}"):

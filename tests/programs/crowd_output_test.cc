@@ -29,8 +29,8 @@ std::string BagFile() {
     discs << "  - {name: d" << i << ", radius: " << kRadius << ", mass: 1, position: [" << x << ", " << y << "]}\n";
   }
   std::ofstream(path) << "name: bag\n"
-                         "duration: 0.5\n"
-                         "steps: 100\n"
+                         "duration: 0.2\n"
+                         "steps: 40\n"
                          "gravity: [0, -9.8]\n"
                          "bodies:\n"
                       << discs.str()
@@ -38,7 +38,7 @@ std::string BagFile() {
                          "  - {name: ground, point: [0, 0], normal: [0, 1]}\n"
                          "  - {name: left, point: [0, 0], normal: [1, 0]}\n"
                          "  - {name: right, point: [1.4, 0], normal: [-1, 0]}\n"
-                         "contact: {restitution: 0.3, friction: 0.3}\n"
+                         "contact: {restitution: 0.3, friction: 0.3, stiffness: 3.0e+4}\n"
                          "objective: {terminal: [{body: d0, quantity: position, target: [0, 0]}]}\n"
                          "optimize: velocity\n"
                          "free: [d0]\n";

@@ -2,14 +2,15 @@
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <pty.h>
 
+#include <array>
 #include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <thread>
 
 #include "base/file.h"
 #include "folders.h"
@@ -151,10 +152,10 @@ TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   const std::string directory = TempFile("memory");
   int without = 0;
-  for (const int steps : {100000, 200000, 300000, 400000, 600000}) {
+  for (const int steps : {35000, 60000, 80000, 90000, 100000}) {
     std::filesystem::remove_all(directory);
     const Outcome outcome =
-        RunCommand("sh -c 'ulimit -v 524288; OPENBLAS_NUM_THREADS=1 exec \"$@\"' sh " + BuildFolder() +
+        RunCommand("sh -c 'ulimit -v 229376; OPENBLAS_NUM_THREADS=1 exec \"$@\"' sh " + BuildFolder() +
                    "/bin/saltus_solve --progress=none --threads=1 --contact=event --solver=none --json --states" +
                    SceneFlag("two_balls") + "--steps=" + std::to_string(steps) + " --output_dir=" + directory);
     SCOPED_TRACE(std::to_string(steps) + " steps\n" + outcome.errors);
@@ -178,12 +179,12 @@ TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   for (const std::string& flags :
        {std::string(), std::string("--json "), "--json --output_dir=" + TempFile("memory") + " "}) {
-    for (const int mebibytes : {256, 384, 512}) {
-      const Outcome outcome =
-          RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) + "; exec \"$@\"' sh " + BuildFolder() +
-                     "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
-                     "--steps=1000000 --attribution_seconds=1 " +
-                     flags + SceneFlag("two_balls"));
+    for (const int mebibytes : {128, 144, 160}) {
+      const Outcome outcome = RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) +
+                                         "; OPENBLAS_NUM_THREADS=1 exec \"$@\"' sh " + BuildFolder() +
+                                         "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
+                                         "--steps=200000 --attribution_seconds=1 " +
+                                         flags + SceneFlag("two_balls"));
       EXPECT_TRUE(outcome.exit_code == 0 || outcome.exit_code == 1) << mebibytes << flags << outcome.errors;
       if (outcome.exit_code == 1) {
         EXPECT_THAT(outcome.errors, HasSubstr("memory ran out")) << mebibytes << flags;
@@ -333,60 +334,76 @@ TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
 // ---------------------------------------------------------------------------------------------------------------------
 // Interrupts.
 
-// A program at work, with what it prints in files.
+// A program at work, with what it prints in a file and its progress on a terminal, where it is shown ten times a
+// second.
 class AtWork {
  public:
   explicit AtWork(const std::string& command) {
+    const winsize size = {.ws_row = 24, .ws_col = 200, .ws_xpixel = 0, .ws_ypixel = 0};
+    int programs_end = -1;
+    EXPECT_EQ(openpty(&terminal_, &programs_end, nullptr, nullptr, &size), 0);
     process_ = fork();
-    if (process_ != 0) return;
-    execl("/bin/sh",
-          "sh",
-          "-c",
-          ("exec " + BuildFolder() + "/bin/" + command + " >" + output_ + " 2>" + errors_).c_str(),
-          nullptr);
-    _exit(127);
+    if (process_ == 0) {
+      close(terminal_);
+      dup2(programs_end, STDERR_FILENO);
+      execl("/bin/sh", "sh", "-c", ("exec " + BuildFolder() + "/bin/" + command + " >" + output_).c_str(), nullptr);
+      _exit(127);
+    }
+    close(programs_end);
   }
   ~AtWork() {
     kill(process_, SIGKILL);
     waitpid(process_, nullptr, 0);
+    close(terminal_);
     std::filesystem::remove(output_);
-    std::filesystem::remove(errors_);
   }
 
   // Waits for it, for as long as that takes. False if the program ends without.
-  bool Says(const std::string& text) const {
-    for (bool ended = false;; std::this_thread::sleep_for(5ms)) {
-      if (ContentsOf(errors_).find(text) != std::string::npos) return true;
-      if (ended) return false;
-      siginfo_t end = {};
-      waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOHANG | WNOWAIT);
-      ended = end.si_pid == process_;
+  bool Says(const std::string& text) {
+    while (errors_.find(text) == std::string::npos) {
+      if (!Hear()) return false;
     }
+    return true;
+  }
+
+  // Waits until it has had so much time of a processor, and says something.
+  bool Works(std::chrono::seconds time) {
+    clockid_t clock = 0;
+    timespec taken = {};
+    while (clock_getcpuclockid(process_, &clock) == 0 && clock_gettime(clock, &taken) == 0 && Hear()) {
+      if (std::chrono::seconds(taken.tv_sec) >= time) return true;
+    }
+    return false;
   }
 
   // Sends Ctrl-C, and waits for the end. A program that does not stop works for hours: what runs the tests ends it.
-  Outcome Interrupt() const {
+  Outcome Interrupt() {
     kill(process_, SIGINT);
+    while (Hear()) continue;
     siginfo_t end = {};
     waitid(P_PID, static_cast<id_t>(process_), &end, WEXITED | WNOWAIT);
-    Outcome outcome;
-    outcome.exit_code = end.si_code == CLD_EXITED ? end.si_status : -1;
-    outcome.output = ContentsOf(output_);
-    outcome.errors = ContentsOf(errors_);
-    return outcome;
+    return {end.si_code == CLD_EXITED ? end.si_status : -1, ContentsOf(output_), errors_};
   }
 
  private:
-  std::string output_ = TempFile("output"), errors_ = TempFile("errors");
+  // Waits for more, if there is more.
+  bool Hear() {
+    std::array<char, 4096> buffer;
+    const ssize_t count = read(terminal_, buffer.data(), buffer.size());
+    if (count > 0) errors_.append(buffer.data(), count);
+    return count > 0;
+  }
+
+  std::string output_ = TempFile("output"), errors_;
+  int terminal_ = -1;
   pid_t process_ = -1;
 };
 
 TEST(Interrupts, SolveKeepsWhatIsDoneAndWhatItWasAt) {
-  AtWork program(
-      "saltus_solve --contact=event --solver=ceres_event,gd --iterations=1000000000 --threads=1 --json "
-      "--progress=plain" +
-      SceneFlag("two_balls"));
+  AtWork program("saltus_solve --contact=event --solver=ceres_event,gd --iterations=1000000000 --threads=1 --json" +
+                 SceneFlag("two_balls"));
   ASSERT_TRUE(program.Says("event gd"));  // at work, it says
+  ASSERT_TRUE(program.Works(1s));         // of thousands of iterations
   const Outcome outcome = program.Interrupt();
   EXPECT_EQ(outcome.exit_code, 1);
   EXPECT_THAT(outcome.errors, HasSubstr("interrupted at event gd"));
@@ -412,8 +429,7 @@ std::string SlowScene() {
 
 TEST(Interrupts, AuditKeepsTheModelsThatAreDoneInTheMiddleOfAGradient) {
   const std::string scene = SlowScene();
-  AtWork program(
-      "saltus_audit --contact=direct,ncp,convex --friction=0.1 --threads=1 --json --progress=plain --scene=" + scene);
+  AtWork program("saltus_audit --contact=direct,ncp,convex --friction=0.1 --threads=1 --json --scene=" + scene);
   ASSERT_TRUE(program.Says("ncp"));
   const Outcome outcome = program.Interrupt();
   EXPECT_EQ(outcome.exit_code, 1);
@@ -430,14 +446,14 @@ TEST(Interrupts, AuditKeepsTheModelsThatAreDoneInTheMiddleOfAGradient) {
 
 TEST(Interrupts, ProblemProgramsAndReproduceStopToo) {
   {
-    AtWork program("two_balls --contact=event --solver=gd --iterations=1000000000 --progress=plain");
+    AtWork program("two_balls --contact=event --solver=gd --iterations=1000000000");
     ASSERT_TRUE(program.Says("event gd"));
     const Outcome outcome = program.Interrupt();
     EXPECT_EQ(outcome.exit_code, 1);
     EXPECT_THAT(outcome.output, AllOf(HasSubstr("verdict"), HasSubstr("interrupted")));
   }
   const std::string directory = TempFile("report");
-  AtWork program("saltus_reproduce --every_solver --threads=1 --progress=plain --output_dir=" + directory);
+  AtWork program("saltus_reproduce --every_solver --threads=1 --output_dir=" + directory);
   ASSERT_TRUE(program.Says("comparison of solvers"));
   const Outcome outcome = program.Interrupt();
   EXPECT_EQ(outcome.exit_code, 1);

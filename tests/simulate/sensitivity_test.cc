@@ -21,14 +21,16 @@ struct Case {
   Scene scene;
 };
 
-std::vector<Case> AllCases() {
+// Made once, as every process lists the tests, whichever it runs.
+const std::vector<Case>& AllCases() {
+  static std::vector<Case> cases;
+  if (!cases.empty()) return cases;
   const std::vector<std::pair<std::string, Scene>> scenes = {{"bounce_once", ProblemScene("bounce_once")},
                                                              {"bounce_off_the_grid", BounceOffTheGrid()},
                                                              {"launch_off_the_grid", LaunchOffTheGrid()},
                                                              {"two_balls", ProblemScene("two_balls")},
                                                              {"four_discs", FourDiscs(0)},
                                                              {"four_discs_with_friction", FourDiscs(0.3)}};
-  std::vector<Case> cases;
   for (const ModelTraits& model : AllContactModels()) {
     for (const auto& [name, scene] : scenes) {
       if (!WhyNotApplicable(model.name, scene).empty()) continue;

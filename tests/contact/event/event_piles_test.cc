@@ -250,7 +250,7 @@ TEST(EventPiles, AJammedBagSettles) {
 
 // Hundreds of contacts that depend on each other, at once while the discs come down and as they rest.
 TEST(EventPiles, APileOfManySettles) {
-  EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(FallingPile({.discs = 150, .duration = 2, .steps = 400}, 1))), 1e-15);
+  EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(FallingPile({.discs = 100, .duration = 2, .steps = 400}, 1))), 1e-15);
 }
 
 // What rests is not moved, and needs no such step.
