@@ -126,7 +126,9 @@ class EventQueue {
   // would be those of an order that depends on where steps begin, and that may be no order of any disturbed motion.
   int FirstAtOnce(int q) {
     const double time = pairs_[q].next;
-    if (!MayPrecede(q, time)) return q;
+    bool alone = true;
+    for (int r = 0; r < motion_.num_pairs(); ++r) alone = alone && (r == q || !IsAtOnce(r, time));
+    if (alone || !MayPrecede(q, time)) return q;
     at_once_.assign(1, q);
     for (std::size_t k = 0; k < at_once_.size(); ++k) {
       motion_.ForEachPairBeside(motion_.CandidateOf(at_once_[k]), [&](int r) {
@@ -238,11 +240,12 @@ class EventQueue {
   bool Precedes(int q, int other) const {
     return pairs_[q].precedes || (pairs_[other].waits && pairs_[q].state == PairState::kFree);
   }
+  bool IsAtOnce(int r, double time) const { return pairs_[r].next - time <= kTieTime * in_.h; }
   // Whether the next event of pair r is an impact, or that its disc reaches a pocket, at `time` but for rounding.
   bool MayPrecede(int r, double time) const {
     const Candidate& c = motion_.CandidateOf(r);
     const double wait = pairs_[r].next - time;
-    if (pairs_[r].closed() || motion_.IsTable(c) || !(wait <= kTieTime * in_.h)) return false;
+    if (pairs_[r].closed() || motion_.IsTable(c) || !IsAtOnce(r, time)) return false;
     const double speed = motion_.ApproachAt(c, time).speed;
     return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingGap * (1 + motion_.SizeAt(c, time)) &&
            Value(motion_.LastTime(c)) <= time;

@@ -71,10 +71,6 @@ class SubSteps {
   std::optional<Closed> CutBy(int q) const {
     const Candidate& c = motion_.CandidateOf(q);
     const double end = queue_.pair(q).next;
-    // An event closer than rounding would be found later, again and again.
-    if (!queue_.pair(q).closed() && std::abs(motion_.ApproachAt(c, Value(motion_.LastTime(c))).gap) <= kRoundingGap) {
-      return std::nullopt;
-    }
     for (int i : {c.a, c.b}) {
       if ((i == c.b && c.plane) || !motion_.Moves(i)) continue;
       const auto& disc = motion_.disc(i);
@@ -82,6 +78,10 @@ class SubSteps {
       if (disc.curve != nullptr || length == kNever || disc.sub_step_end - end <= kSubStepEnd * length ||
           end - start <= kNodeMargin * in_.h) {
         continue;
+      }
+      // An event closer than rounding would be found later, again and again.
+      if (!queue_.pair(q).closed() && std::abs(motion_.ApproachAt(c, Value(motion_.LastTime(c))).gap) <= kRoundingGap) {
+        return std::nullopt;
       }
       for (int closed = 0; closed < motion_.num_pairs(); ++closed) {
         const Candidate& d = motion_.CandidateOf(closed);
