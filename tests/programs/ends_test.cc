@@ -179,12 +179,12 @@ TEST(Ends, MemoryThatRunsOutInAnAuditIsSaid) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   for (const std::string& flags :
        {std::string(), std::string("--json "), "--json --output_dir=" + TempFile("memory") + " "}) {
-    for (const int mebibytes : {160, 176, 192}) {
-      const Outcome outcome = RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) +
-                                         "; OPENBLAS_NUM_THREADS=1 exec \"$@\"' sh " + BuildFolder() +
-                                         "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
-                                         "--steps=200000 --attribution_seconds=1 " +
-                                         flags + SceneFlag("two_balls"));
+    for (const int mebibytes : {256, 384, 512}) {
+      const Outcome outcome =
+          RunCommand("sh -c 'ulimit -v " + std::to_string(mebibytes * 1024) + "; exec \"$@\"' sh " + BuildFolder() +
+                     "/bin/saltus_audit --progress=none --threads=2 --contact=direct,event "
+                     "--steps=1000000 --attribution_seconds=1 " +
+                     flags + SceneFlag("two_balls"));
       EXPECT_TRUE(outcome.exit_code == 0 || outcome.exit_code == 1) << mebibytes << flags << outcome.errors;
       if (outcome.exit_code == 1) {
         EXPECT_THAT(outcome.errors, HasSubstr("memory ran out")) << mebibytes << flags;
