@@ -31,9 +31,14 @@ std::vector<Touch> ImpactsOf(const Simulator& simulator) {
   return impacts;
 }
 
+struct Nearby {
+  bool impacts_change = false;
+  std::size_t most_impacts = 0;  // of a motion
+};
 // Whether impacts change their order, happen or not, or stick or slide, as the initial state moves a little: where they
-// happen at one time, where discs pass each other without a gap, and at the border between sticking and sliding.
-bool ImpactsChangeNearby(SingleShooting* shooting) {
+// happen at one time, where discs pass each other without a gap, and at the border between sticking and sliding. Discs
+// that rest may have many impacts then.
+Nearby LookNearby(SingleShooting* shooting) {
   const std::vector<Touch> here = ImpactsOf(shooting->simulator());
   const auto same = [](const Touch& l, const Touch& r) { return l.candidate == r.candidate && l.mode == r.mode; };
   for (const double phase : {0.7, 2.1}) {
@@ -41,11 +46,13 @@ bool ImpactsChangeNearby(SingleShooting* shooting) {
       std::vector<double> z = shooting->initial_guess();
       for (std::size_t i = 0; i < z.size(); ++i) z[i] += by * std::cos(phase + 1.9 * static_cast<double>(i));
       double loss = 0;
-      if (!shooting->Evaluate(z, &loss, nullptr)) return true;
-      if (!std::ranges::equal(here, ImpactsOf(shooting->simulator()), same)) return true;
+      const bool ok = shooting->Evaluate(z, &loss, nullptr);
+      const std::vector<Touch> there = ImpactsOf(shooting->simulator());
+      const std::size_t most = std::max(here.size(), there.size());
+      if (!ok || !std::ranges::equal(here, there, same)) return {true, most};
     }
   }
-  return false;
+  return {false, here.size()};
 }
 
 // In the order of SingleShooting's variables.
@@ -118,10 +125,14 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
   double loss = 0;
   if (!shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) return found;
   const std::vector<OneSided> entries = EntriesOf(scene);
-  const double of_rollout = static_cast<double>(scene.num_bodies()) * scene.steps +
-                            kImpactWork * static_cast<double>(ImpactsOf(shooting.simulator()).size());
-  if (static_cast<double>(entries.size()) * of_rollout > kMostWork) return found;
-  if (!ImpactsChangeNearby(&shooting)) return found;
+  const auto is_too_much = [&](std::size_t impacts) {
+    const double of_rollout =
+        static_cast<double>(scene.num_bodies()) * scene.steps + kImpactWork * static_cast<double>(impacts);
+    return static_cast<double>(entries.size()) * of_rollout > kMostWork;
+  };
+  if (is_too_much(ImpactsOf(shooting.simulator()).size())) return found;
+  const Nearby nearby = LookNearby(&shooting);
+  if (!nearby.impacts_change || is_too_much(nearby.most_impacts)) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
     for (std::size_t i = 0; i < entries.size(); ++i) {
