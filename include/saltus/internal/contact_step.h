@@ -38,7 +38,7 @@ StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>
   return in;
 }
 
-// Free flight of all discs over a number of steps, each under a force and a torque of its own.
+// Free flight of all discs over a number of steps, under the forces and torques of each.
 template <typename S>
 struct FlightInput {
   // What acts on a disc in the first step.

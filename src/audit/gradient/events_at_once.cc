@@ -31,14 +31,10 @@ std::vector<Touch> ImpactsOf(const Simulator& simulator) {
   return impacts;
 }
 
-struct Nearby {
-  bool impacts_change = false;
-  std::size_t most_impacts = 0;  // of a motion
-};
-// Whether impacts change their order, happen or not, or stick or slide, as the initial state moves a little: where they
-// happen at one time, where discs pass each other without a gap, and at the border between sticking and sliding. Discs
-// that rest may have many impacts then.
-Nearby LookNearby(SingleShooting* shooting) {
+// The number of impacts of a motion nearby that has others than this: where the initial state moves a little, they
+// change their order, happen or not, or stick or slide. So it is where they happen at one time, where discs pass each
+// other without a gap, and at the border between sticking and sliding. Nothing if there is no such motion.
+std::optional<std::size_t> OtherImpactsNearby(SingleShooting* shooting) {
   const std::vector<Touch> here = ImpactsOf(shooting->simulator());
   const auto same = [](const Touch& l, const Touch& r) { return l.candidate == r.candidate && l.mode == r.mode; };
   for (const double phase : {0.7, 2.1}) {
@@ -48,11 +44,10 @@ Nearby LookNearby(SingleShooting* shooting) {
       double loss = 0;
       const bool ok = shooting->Evaluate(z, &loss, nullptr);
       const std::vector<Touch> there = ImpactsOf(shooting->simulator());
-      const std::size_t most = std::max(here.size(), there.size());
-      if (!ok || !std::ranges::equal(here, there, same)) return {true, most};
+      if (!ok || !std::ranges::equal(here, there, same)) return there.size();
     }
   }
-  return {false, here.size()};
+  return std::nullopt;
 }
 
 // In the order of SingleShooting's variables.
@@ -131,8 +126,9 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
     return static_cast<double>(entries.size()) * of_rollout > kMostWork;
   };
   if (is_too_much(ImpactsOf(shooting.simulator()).size())) return found;
-  const Nearby nearby = LookNearby(&shooting);
-  if (!nearby.impacts_change || is_too_much(nearby.most_impacts)) return found;
+  // Discs that rest have no impacts, and may have many nearby.
+  const std::optional<std::size_t> nearby = OtherImpactsNearby(&shooting);
+  if (!nearby || is_too_much(*nearby)) return found;
   const auto largest = [&](OneSided::Quantity quantity) {
     double size = kTolerance * std::abs(loss);
     for (std::size_t i = 0; i < entries.size(); ++i) {
