@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <memory_resource>
 #include <optional>
@@ -314,8 +315,12 @@ class ForceSolver {
     return true;
   }
 
+  static bool HaveSameForces(const RestingContact& c, const RestingContact& d) {
+    return c.normal_force == d.normal_force && c.tangential_force == d.tangential_force;
+  }
+
   // Principal pivoting from the given modes: with `in_blocks`, of all wrong contacts at once while these become fewer;
-  // else of the first. Returns false if that does not end in `most_pivots`.
+  // else of the first. Returns false if that does not end in `most_pivots`, or cycles.
   bool SolveByPivoting(double allowed, int most_pivots, std::span<const Mode> first_modes, bool in_blocks,
                        bool iteration_limited = false) {
     LocalMemory memory;
@@ -323,6 +328,9 @@ class ForceSolver {
     std::pmr::vector<RestingContact> start(contacts_.begin(), contacts_.end(), memory.get());
     std::pmr::vector<WrongMode> wrong(memory.get());
     BlockPivoting blocks;
+    // Where single pivots were at the last power of two: if they come there again, they cycle.
+    Modes earlier_modes(memory.get());
+    std::pmr::vector<RestingContact> earlier_start(memory.get());
     for (int pivot = 0; pivot < most_pivots; ++pivot) {
       for (std::size_t k = 0; k < start.size(); ++k) {
         RestingContact& c = start[k];
@@ -335,7 +343,16 @@ class ForceSolver {
         return true;
       }
       if (wrong.empty()) return false;
-      if (!blocks.ChangesAll(wrong.size()) || !in_blocks) wrong.resize(1);
+      if (in_blocks && blocks.ChangesAll(wrong.size())) {
+        earlier_modes.clear();
+      } else {
+        if (modes == earlier_modes && std::ranges::equal(start, earlier_start, HaveSameForces)) return false;
+        if (std::has_single_bit(static_cast<unsigned>(pivot))) {
+          earlier_modes = modes;
+          earlier_start = start;
+        }
+        wrong.resize(1);
+      }
       for (const WrongMode& one : wrong) modes[one.contact] = one.better;
     }
     return false;
