@@ -155,7 +155,14 @@ class EventQueue {
     const double time = pairs_[q].next;
     const Candidate& c = motion_.CandidateOf(q);
     pairs_[q].passed = motion_.LastDisc(c).event;
-    pairs_[q].next = time + motion_.FirstClosingOf(c, time, approach.polynomial, LeftAfter(time), true);
+    const auto next = [&](double from, const GapPolynomial& gap) {
+      return from + motion_.FirstClosingOf(c, from, gap, LeftAfter(from), true);
+    };
+    pairs_[q].next = next(time, approach.polynomial);
+    if (pairs_[q].next > time) return;
+    // The gap grows so slowly that rounding closes it at once, again and again.
+    const double wait = kNodeMargin * in_.h;
+    pairs_[q].next = next(time + wait, ShiftedTo(approach.polynomial, wait));
   }
 
   // The predicted time of the next event of pair q, with derivatives.

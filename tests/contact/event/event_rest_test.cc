@@ -369,5 +369,27 @@ TEST(EventGrazing, IsFlaggedAndFinite) {
   }
 }
 
+// From a stack that has fallen over: after an impact two discs touch with speeds across and along the normal of 1e-33
+// m/s or so, as one is pushed along the other. Rounding told, again and again, that the gap closes at once.
+TEST(EventGrazing, IsPassedOnceWhereRoundingClosesTheGapAgain) {
+  const struct {
+    Vec2d position, velocity;
+  } starts[] = {{{0.07950189345069789, 0.1}, {-0.032175644704634423, 0}},
+                {{-0.5807874484604614, 0.1}, {-1.9418349672750452, 0}},
+                {{-0.3789543986598207, 0.1}, {-2.4608215983984025, 0}},
+                {{-0.25931208314493226, 0.26026763971006717}, {-1.5256735801720094, -0.6981027140111861}},
+                {{0.046194749063566784, 0.29985865507743326}, {1.0965177074978842, -2.8010546820028384}},
+                {{-0.10341022260076513, 0.4406364836290785}, {-0.9733693799360298, -4.173292174361458}}};
+  Scene scene = Dropped(0, 0, 0, 0.25, 60);
+  scene.bodies.clear();
+  for (const auto& [position, velocity] : starts) {
+    scene.bodies.push_back({.name = "disc" + std::to_string(scene.bodies.size()),
+                            .radius = 0.1,
+                            .position = position,
+                            .velocity = velocity});
+  }
+  EXPECT_EQ(NumUnresolvedSteps(EventRun(scene).simulator), 0);
+}
+
 }  // namespace
 }  // namespace saltus
