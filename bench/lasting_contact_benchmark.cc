@@ -2,7 +2,7 @@
 //
 //   Stack      a step, alone and with its gradient, 20 to 160 discs; `per_disc` is relative to the stack of 20 in the
 //              same minute, 1 if growth is linear
-//   Pile       50 to 1000 discs in 1000 steps; `per_disc` likewise, relative to the pile of 50
+//   Pile       50 to 1000 discs in 1000 steps, the mean of several piles; `per_disc` likewise, relative to 50 discs
 //   Rest       every further step in which nothing moves, relative to the first, alone and with the gradient
 //   Audit      that of `event` on 20 discs, s by the clock on all cores and of CPU time
 #include <benchmark/benchmark.h>
@@ -76,10 +76,9 @@ void BM_Stack(benchmark::State& state) {
 }
 BENCHMARK(BM_Stack)->ArgsProduct({{20, 40, 80, 160}, {0, 1}})->ArgNames({"discs", "friction"})->Iterations(1);
 
-// Of one pile, as the mean of several: its motion is chaotic, and the work with it.
+// The mean of several piles, as their motion is chaotic, and the work with it.
 double SecondsOfPile(int discs) {
-  constexpr int kDiscs = 400;
-  const int piles = std::max(1, kDiscs / discs);
+  const int piles = std::max(1, 400 / discs);
   double seconds = 0;
   for (int seed = 1; seed <= piles; ++seed) {
     const Scene scene = FallingPile({.discs = discs}, seed);

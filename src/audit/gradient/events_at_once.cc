@@ -33,7 +33,7 @@ std::vector<Touch> ImpactsOf(const Simulator& simulator) {
 
 // The number of impacts of a motion nearby that has others than this: where the initial state moves a little, they
 // change their order, happen or not, or stick or slide. So it is where they happen at one time, where discs pass each
-// other without a gap, and at the border between sticking and sliding. Nothing if there is no such motion.
+// other without a gap, and at the border between sticking and sliding. std::nullopt: there is no such motion.
 std::optional<std::size_t> OtherImpactsNearby(SingleShooting* shooting) {
   const std::vector<Touch> here = ImpactsOf(shooting->simulator());
   const auto same = [](const Touch& l, const Touch& r) { return l.candidate == r.candidate && l.mode == r.mode; };

@@ -160,7 +160,7 @@ class EventQueue {
     };
     pairs_[q].next = next(time, approach.polynomial);
     if (pairs_[q].next > time) return;
-    // The gap grows so slowly that rounding closes it at once, again and again.
+    // Where the gap grows slowly, rounding closes it at the same time again, without end: it is measured a bit later.
     const double wait = kNodeMargin * in_.h;
     pairs_[q].next = next(time + wait, ShiftedTo(approach.polynomial, wait));
   }

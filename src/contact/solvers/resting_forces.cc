@@ -328,7 +328,7 @@ class ForceSolver {
     std::pmr::vector<RestingContact> start(contacts_.begin(), contacts_.end(), memory.get());
     std::pmr::vector<WrongMode> wrong(memory.get());
     BlockPivoting blocks;
-    // Where single pivots were at the last power of two: if they come there again, they cycle.
+    // What single pivots started from when their number was last a power of two: if it comes again, they cycle.
     Modes earlier_modes(memory.get());
     std::pmr::vector<RestingContact> earlier_start(memory.get());
     for (int pivot = 0; pivot < most_pivots; ++pivot) {

@@ -371,8 +371,7 @@ TEST(EventGrazing, IsFlaggedAndFinite) {
 }
 
 // From a stack that has fallen over: after an impact two discs touch with speeds across and along the normal of 1e-33
-// m/s or so, as one is pushed along the other. Rounding closed their gap at once, again and again; it does so in natural
-// units.
+// m/s or so, as one is pushed along the other. In natural units rounding closed their gap at once, again and again.
 TEST(EventGrazing, IsPassedOnceWhereRoundingClosesTheGapAgain) {
   const struct {
     Vec2d position, velocity;
