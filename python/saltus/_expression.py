@@ -369,14 +369,16 @@ def _math_records(function: Any) -> Iterator[None]:
             names.update(changed)
 
 
-def call(function: Any, *arguments: Any) -> Any:
+def call(function: Any, *arguments: Any, **keywords: Any) -> Any:
     """What the function returns for symbols."""
     with _math_records(function):
-        return function(*arguments)
+        return function(*arguments, **keywords)
 
 
 def outputs(tape: Tape, values: Any, expected: int | None = None) -> tuple[int, list[Any], list[int]]:
     """What C++ takes of a recording: nodes and outputs, given what the function returned: one value or several."""
+    if values is None:
+        raise ValueError("found nothing that the function returns, expected numbers: a return is missing")
     if isinstance(values, Expression) or not isinstance(values, (Sequence, np.ndarray)):
         values = [values]
     flat = list(np.ravel(_as_array(values)))

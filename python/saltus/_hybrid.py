@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
+from ._arguments import asked_for, parameters_of
 from ._expression import Tape, call, outputs
 from ._results import Result, WrongGradient
 from ._types import expect
@@ -34,36 +34,48 @@ def _names(kind: str, value: Any) -> list[str]:
     return names
 
 
-def _call(what: str, function: Any, *arguments: Any) -> Any:
-    """What the function returns for symbols; what it raises is raised again with its place."""
+def _at(what: str, error: Exception) -> Exception:
+    """The error with its place. Classes of libraries may take other arguments than a text."""
+    for kind in (TypeError, ValueError):
+        if isinstance(error, kind):
+            return kind(f"{what}: {error}")
+    return RuntimeError(f"{what}: {type(error).__name__}: {error}")
+
+
+def _call(what: str, function: Any, known: Mapping[str, Any], order: Sequence[str],
+          refused: Mapping[str, str] | None = None) -> Any:
+    """What the function returns for symbols, which it is given by the names of its arguments; what it raises is raised
+    again with its place."""
     if not callable(function):
         raise TypeError(f"{what}: found {type(function).__name__}, expected a function")
     try:
-        return call(function, *arguments)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{what}: {error}") from error
+        positional, keywords = asked_for(function, known, order, refused)
+        return call(function, *positional, **keywords)
     except Exception as error:
-        raise RuntimeError(f"{what}: {type(error).__name__}: {error}") from error
+        raise _at(what, error) from error
 
 
 def _outputs(what: str, tape: Tape, values: Any, expected: int | None = None) -> Any:
     try:
         return outputs(tape, values, expected)
     except (TypeError, ValueError) as error:
-        raise type(error)(f"{what}: {error}") from error
+        raise _at(what, error) from error
 
 
 class HybridSystem:
     """A hybrid system: a state that flows smoothly until a guard falls through zero, and is then reset.
 
     states: the modes, each with the names of its states. controls, parameters: names. SI units, or any others.
-    flow: of each mode a function (t, x, u, p) that returns the derivatives of the states.
-    guards: of each mode that has any, functions (t, x, p) by the name of the guard; an event happens where one falls
-    through zero.
-    resets: of each guard a function (t, x, p) that returns the next mode and its state.
+    flow: of each mode a function of some of t, x, u and p that returns the derivatives of the states.
+    guards: of each mode that has any, functions of some of t, x and p by the name of the guard; an event happens where one
+    falls through zero.
+    resets: of each guard a function of some of t, x and p that returns the next mode and its state.
     on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour).
-    fly: of any mode a closed form of its flow, a function (t, s, x, u, p) that returns the state at t + s of the state x
-    at t; it takes the place of the integration. Steps must be so short that no guard crosses zero twice in one.
+    fly: of any mode a closed form of its flow, a function of some of t, s, x, u and p that returns the state at t + s of
+    the state x at t; it takes the place of the integration. Steps must be so short that no guard crosses zero twice in one.
+
+    The names of a function's arguments decide what it gets, in any order. A function with other names gets the arguments in
+    the order (t, x, u, p), (t, x, p) or (t, s, x, u, p); a name that would stand in the place of another is refused.
 
         >>> ball = saltus.HybridSystem(
         ...     states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
@@ -108,6 +120,7 @@ class HybridSystem:
                 if mode not in self.states:
                     raise ValueError(f"{kind}: found mode {mode!r}, expected some of {', '.join(self.modes)}")
         self.guards: dict[str, list[str]] = {}
+        self._next_modes: dict[tuple[str, str], str] = {}
         recorded = []
         for mode in self.modes:
             if not self.states[mode]:
@@ -139,35 +152,39 @@ class HybridSystem:
                 raise ValueError(f"{what}: found mode {after!r}, expected one with {len(self.states[mode])} states")
         return {guard: self.modes.index(after) for guard, after in named.items()}
 
-    def _arguments(self, mode: str, control: bool) -> tuple[Tape, list[Any]]:
+    def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
         """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
         tape, n, parameters = Tape(), len(self.states[mode]), len(self.parameters)
-        x, t, p = tape.inputs(0, n), tape.inputs(n, 1)[0], tape.inputs(n + 1, parameters)
-        return tape, [t, x, tape.inputs(n + 1 + parameters, len(self.controls)), p] if control else [t, x, p]
+        symbols = {"x": tape.inputs(0, n), "t": tape.inputs(n, 1)[0], "p": tape.inputs(n + 1, parameters)}
+        if control:
+            symbols["u"] = tape.inputs(n + 1 + parameters, len(self.controls))
+        return tape, symbols
 
     def _record_flow(self, mode: str, function: Any) -> Any:
-        tape, arguments = self._arguments(mode, control=True)
+        tape, symbols = self._symbols(mode, control=True)
         what = f"flow of mode '{mode}'"
-        return _outputs(what, tape, _call(what, function, *arguments), len(self.states[mode]))
+        return _outputs(what, tape, _call(what, function, symbols, "txup"), len(self.states[mode]))
 
     def _record_fly(self, mode: str, function: Any) -> Any:
-        tape, (t, *rest) = self._arguments(mode, control=True)
-        s = tape.inputs(len(self.states[mode]) + 1 + len(self.parameters) + len(self.controls), 1)[0]
+        tape, symbols = self._symbols(mode, control=True)
+        symbols["s"] = tape.inputs(len(self.states[mode]) + 1 + len(self.parameters) + len(self.controls), 1)[0]
         what = f"fly of mode '{mode}'"
-        return _outputs(what, tape, _call(what, function, t, s, *rest), len(self.states[mode]))
+        return _outputs(what, tape, _call(what, function, symbols, "tsxup"), len(self.states[mode]))
 
     def _record_guard(self, mode: str, name: str, guard: Any, reset: Any) -> tuple[Any, Any, int]:
-        tape, arguments = self._arguments(mode, control=False)
+        no_control = {"u": "guards and resets read t, x and p; make the control a state, whose rate the control is"}
+        tape, symbols = self._symbols(mode, control=False)
         what = f"guard '{name}' of mode '{mode}'"
-        of_guard = _outputs(what, tape, _call(what, guard, *arguments), 1)
-        tape, arguments = self._arguments(mode, control=False)
+        of_guard = _outputs(what, tape, _call(what, guard, symbols, "txp", no_control), 1)
+        tape, symbols = self._symbols(mode, control=False)
         what = f"reset '{name}' of mode '{mode}'"
-        result = _call(what, reset, *arguments)
+        result = _call(what, reset, symbols, "txp", no_control)
         if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[0], str):
             raise ValueError(f"{what}: found {result!r}, expected the next mode's name and its state")
         if result[0] not in self.states:
             raise ValueError(f"{what}: found mode '{result[0]}', expected some of {', '.join(self.modes)}")
         of_reset = _outputs(what, tape, result[1], len(self.states[result[0]]))
+        self._next_modes[mode, name] = result[0]
         return of_guard, of_reset, self.modes.index(result[0])
 
     def __repr__(self) -> str:
@@ -186,11 +203,16 @@ class Cost:
 
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
-        names = [name for name, parameter in inspect.signature(self.function).parameters.items()
-                 if parameter.default is parameter.empty]
-        for name in names:
-            if name not in _READS:
+        parameters = parameters_of(self.function)
+        if parameters is None:
+            raise ValueError(f"{self.name}: found a function whose arguments Python does not know, expected a def or lambda")
+        names = []
+        for name, parameter in parameters.items():
+            if parameter.default is not parameter.empty:
+                continue
+            if name not in _READS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p and h")
+            names.append(name)
         if self.at != "steps" and ("u" in names or "h" in names):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
         sizes = {"x": self._state_size(system) if "x" in names else 0, "u": len(system.controls),
@@ -201,7 +223,7 @@ class Cost:
             inputs = tape.inputs(first, sizes[name])
             symbols[name] = inputs[0] if name in "th" else inputs
             first += sizes[name]
-        values = _call(self.name, self.function, *(symbols[name] for name in names))
+        values = _call(self.name, self.function, {name: symbols[name] for name in names}, "")
         mode = -1 if self.mode is None else system.modes.index(self.mode)
         guard = -1 if self.guard is None else system.guards[str(self.mode)].index(self.guard)
         found = _outputs(self.name, tape, values)
@@ -217,6 +239,8 @@ class Cost:
             )
         if self.size is not None:
             return self.size
+        if self.guard is not None and not self.before:
+            return len(system.states[system._next_modes[str(self.mode), self.guard]])
         if self.mode is not None:
             return len(system.states[self.mode])
         sizes = {len(states) for states in system.states.values()}
@@ -262,8 +286,10 @@ def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = N
     targets = np.array([np.nan if value is None else value for value in np.ravel(np.asarray(target, dtype=object))],
                        dtype=float)
     weights = np.broadcast_to(np.asarray(weight, dtype=float), targets.shape)
-    if not np.all(weights >= 0):
-        raise ValueError("weight: expected numbers >= 0")
+    if not np.all((weights >= 0) & np.isfinite(weights)):
+        raise ValueError("weight: expected finite numbers >= 0")
+    if np.any(np.isinf(targets)):
+        raise ValueError("target: expected finite numbers, or None where there is no target")
     used = [i for i in range(len(targets)) if not np.isnan(targets[i])]
     if not used:
         raise ValueError("target: found none, expected at least one number")
@@ -277,8 +303,8 @@ def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = N
 def effort(weight: float = 1.0) -> Cost:
     """weight * int |u|^2 dt."""
     expect("a number", weight=weight)
-    if not weight >= 0:
-        raise ValueError("weight: expected a number >= 0")
+    if not 0 <= weight < np.inf:
+        raise ValueError("weight: expected a finite number >= 0")
 
     def forces(u: Any, h: Any) -> Any:
         return [np.sqrt(float(weight) * h) * entry for entry in u]
@@ -289,8 +315,8 @@ def effort(weight: float = 1.0) -> Cost:
 def final_time(weight: float = 1.0) -> Cost:
     """weight * T of the final time T."""
     expect("a number", weight=weight)
-    if not weight >= 0:
-        raise ValueError("weight: expected a number >= 0")
+    if not 0 <= weight < np.inf:
+        raise ValueError("weight: expected a finite number >= 0")
 
     def price(t: Any) -> Any:
         return [np.sqrt(float(weight) * t)]
@@ -551,6 +577,9 @@ class HybridAudit(Result):
             raise WrongGradient(f"{self._data['scheme']}: {self._data['verdict']}: {self._data.get('reason', '')}")
 
 
+# The arguments of a step of a time-stepping scheme.
+_STEP = ["mode", "t", "x", "u", "p", "h"]
+
 # Steps times samples of a level of refinement, of schemes that are called.
 _BUDGET = 2e4
 
@@ -564,12 +593,27 @@ def audit(
     if simulate is None and not callable(step):
         raise TypeError("step: expected a function (mode, x, u, p, h) or (mode, t, x, u, p, h)")
 
-    def with_time(function: Any) -> Any:
-        if function is None or len(inspect.signature(function).parameters) == 6:
-            return function
-        return lambda mode, t, x, u, p, h: function(mode, x, u, p, h)
+    def of_step(what: str, function: Any) -> Any:
+        """`function` with the arguments (mode, t, x, u, p, h)."""
+        if function is None:
+            return None
+        if not callable(function):
+            raise TypeError(f"{what}: found {type(function).__name__}, expected a function")
+        parameters = parameters_of(function) or {}
+        required = [p for p in parameters.values() if p.default is p.empty]
+        order = _STEP if len(required) == len(_STEP) else [name for name in _STEP if name != "t"]
+        try:
+            positional, keywords = asked_for(function, {name: name for name in _STEP}, order)
+        except ValueError as error:
+            raise _at(what, error) from error
+
+        def call_step(*values: Any) -> Any:
+            given = dict(zip(_STEP, values))
+            return function(*(given[name] for name in positional), **{name: given[name] for name in keywords})
+
+        return call_step
 
     found = problem._native().audit(
-        name, with_time(step), with_time(jacobian), simulate or "", steps, width_sweep, _BUDGET
+        name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET
     )
     return HybridAudit(found)

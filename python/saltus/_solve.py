@@ -154,8 +154,8 @@ def audit(
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
 
-    Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step(mode, x, u, p, h), or
-    step(mode, t, x, u, p, h), which returns the mode's name and the state after a step of length h; or as simulate a
+    Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step, a function of some of
+    mode, t, x, u, p and h by the names of its arguments, which returns the mode's name and the state after a step of length h; or as simulate a
     command that speaks the line protocol; jacobian, with the arguments of step, which returns the derivatives by [x u p]
     (differences without it); steps, the number of steps at which the refinement begins; width_sweep and name.
 
