@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
-from ._arguments import asked_for, parameters_of
 from ._expression import Tape, call, outputs
 from ._results import Result, WrongGradient
-from ._types import expect
+from ._types import asked_for, expect, parameters_of
 
 _READS = "xupth"
 

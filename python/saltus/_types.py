@@ -1,8 +1,9 @@
-"""Names for what signatures share, and the types of options."""
+"""Names for what signatures share, the types of options, and arguments by name."""
 
 from __future__ import annotations
 
-from typing import Any, Callable
+import inspect
+from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,3 +29,58 @@ def expect(kind: str, **options: Any) -> None:
     for name, value in options.items():
         if not _KINDS[kind](value):
             raise TypeError(f"{name}: found {type(value).__name__}, expected {kind}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
+
+
+def parameters_of(function: Callable[..., Any]) -> dict[str, inspect.Parameter] | None:
+    """Returns the parameters of a function by name; None where Python does not know them."""
+    try:
+        return dict(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return None
+
+
+def asked_for(
+    function: Callable[..., Any],
+    known: Mapping[str, Any],
+    order: Sequence[str],
+    refused: Mapping[str, str] | None = None,
+) -> tuple[list[Any], dict[str, Any]]:
+    """Returns the positional and the keyword arguments of a call of a function: those of the known values that the names
+    of its parameters ask for.
+
+    A function with other names gets the values in the given order, if it has as many parameters and none of them has a
+    known name in another place. A parameter with a default and another name keeps its default.
+
+    Args:
+        refused: names with the reason why there is no such value.
+
+    Raises:
+        ValueError: a parameter has a name that is not known, or a known one in an ambiguous place.
+    """
+    in_order = [known[name] for name in order]
+    parameters = parameters_of(function)
+    if parameters is None or any(p.kind is p.VAR_POSITIONAL for p in parameters.values()):
+        return in_order, {}
+    asked = {name: p for name, p in parameters.items()
+             if p.kind is not p.VAR_KEYWORD and (p.default is p.empty or name in known)}
+    for name in asked:
+        if refused is not None and name in refused:
+            raise ValueError(f"found an argument {name!r}: {refused[name]}")
+    unknown = [name for name in asked if name not in known]
+    if not unknown:
+        positional = [known[name] for name, p in asked.items() if p.kind is p.POSITIONAL_ONLY]
+        return positional, {name: known[name] for name, p in asked.items() if p.kind is not p.POSITIONAL_ONLY}
+    places = [name for name, p in asked.items() if p.kind is not p.KEYWORD_ONLY]
+    if len(places) == len(asked) == len(order) and all(
+        name == place or name not in known for name, place in zip(places, order)
+    ):
+        return in_order, {}
+    names = [*order, *(name for name in known if name not in order)]
+    expected = f"some of {_listed(names)} by these names"
+    if order:
+        expected += f", or {len(order)} arguments of other names for ({', '.join(order)}), in this order"
+    raise ValueError(f"found an argument {unknown[0]!r}, expected {expected}")
