@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
+import abc
+import builtins
+import functools
 import math
-import threading
-from typing import Any, Callable, Iterator, Sequence
+import sys
+import types
+from typing import Any, Callable, Sequence
 
 import numpy as np
 
@@ -18,7 +21,7 @@ _BRANCH = (
 )
 _NUMBER = (
     "the function turns a symbol into a number: it is called once with symbols, and recorded; expected arithmetic, "
-    "functions of math and numpy, and saltus.where"
+    "functions of math and numpy, and saltus.where (numpy.sin in place of math.sin in a static method)"
 )
 
 
@@ -299,7 +302,7 @@ _RECORDED: dict[str, Callable[..., Any]] = {
     "cbrt": _cbrt,
     "exp2": lambda a: 2.0**a,
 }
-# What stands in the place of the functions of math while a function is recorded.
+# What stands in the place of the functions of math in functions that are recorded.
 _MATH = {
     **{name: _FUNCTIONS[name] for name in _SIMPLE},
     **{name: _unless_recorded(f, getattr(math, name)) for name, f in _RECORDED.items() if hasattr(math, name)},
@@ -347,32 +350,156 @@ for _name, _function in _UFUNCS.items():
     if not hasattr(Expression, _name):
         setattr(Expression, _name, (lambda f: lambda self, *rest: f(self, *rest))(_function))
 
-_lock = threading.RLock()
+# By the identity of a function of math: what records it.
+_OF_MATH = {id(getattr(math, name)): replacement for name, replacement in _MATH.items()}
+_NOT_OF_USERS = sys.stdlib_module_names | {"numpy", "saltus"}
 
 
-@contextlib.contextmanager
-def _math_records(function: Any) -> Iterator[None]:
-    """Within it, math has functions that take expressions, also where a module has imported them by name."""
-    originals = {name: getattr(math, name) for name in _MATH}
-    by_identity = {id(original): _MATH[name] for name, original in originals.items()}
-    names = getattr(function, "__globals__", {})
-    changed = {key: value for key, value in names.items() if id(value) in by_identity}
-    with _lock:
+def _is_users(module: Any) -> bool:
+    """Returns whether a module of this name may be a user's."""
+    return isinstance(module, str) and module.partition(".")[0] not in _NOT_OF_USERS
+
+
+class _Recording:
+    """Gives a function, and what it calls, functions of math that take symbols, while math stays as it is.
+
+    A function of the user's is copied with other values for the names that it reads: its globals, its closure and its
+    defaults. Methods, modules and objects of the user's that it reads are replaced likewise, also in lists, tuples and
+    dicts, but not what it reads of a class. Several threads may record at the same time, as none of this is seen by
+    others.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[Any, Any]] = {}  # by identity: the original, which thus stays alive, and what replaces it
+        self._globals: dict[int, tuple[Any, Any, Any]] = {}  # by identity: the original, its copy, and the copy as it was made
+
+    def replace(self, value: Any) -> Any:
+        """Returns what stands for a value in functions that are recorded: mostly the value itself."""
+        if id(value) in _OF_MATH:
+            return _OF_MATH[id(value)]
+        if id(value) in self._known:
+            return self._known[id(value)][1]
+        if isinstance(value, types.FunctionType) and _is_users(value.__module__):
+            return self._function(value)
+        if isinstance(value, types.MethodType) and isinstance(value.__func__, types.FunctionType):
+            return types.MethodType(self.replace(value.__func__), self.replace(value.__self__))
+        if type(value) is functools.partial:
+            keywords = {name: self.replace(given) for name, given in value.keywords.items()}
+            return functools.partial(self.replace(value.func), *map(self.replace, value.args), **keywords)
+        if isinstance(value, types.ModuleType) and (value is math or _is_users(value.__name__)):
+            return self._keep(value, _Module(self, value))
+        if type(value) in (list, tuple) and any(map(_may_change, value)):
+            return self._keep(value, type(value)(map(self.replace, value)))
+        if type(value) is dict and any(map(_may_change, value.values())):
+            return self._keep(value, {key: self.replace(held) for key, held in value.items()})
+        return self._object(value) if _has_methods(type(value)) else value
+
+    def finish(self) -> None:
+        """Gives global variables that a function has assigned to their modules."""
+        for original, names, made in self._globals.values():
+            original.update({name: value for name, value in names.items() if value is not made.get(name, names)})
+
+    def _keep(self, original: Any, replacement: Any) -> Any:
+        self._known[id(original)] = (original, replacement)
+        self._known[id(replacement)] = (replacement, replacement)
+        return replacement
+
+    def _function(self, function: types.FunctionType) -> Any:
+        cells = function.__closure__ or ()
+        # A cell whose value stays as it is remains the same one, which the function may assign to.
+        closure = tuple(types.CellType() if _may_change(_content(cell)) else cell for cell in cells)
+        names = self._names(function.__globals__)
+        copied = types.FunctionType(function.__code__, names, function.__name__, closure=closure)
+        copied.__qualname__, copied.__module__ = function.__qualname__, function.__module__
+        self._keep(function, copied)
+        for cell, original in zip(closure, cells):
+            if cell is not original:
+                cell.cell_contents = self.replace(_content(original))
+        copied.__defaults__ = function.__defaults__ and tuple(map(self.replace, function.__defaults__))
+        copied.__kwdefaults__ = function.__kwdefaults__ and {
+            name: self.replace(value) for name, value in function.__kwdefaults__.items()
+        }
+        made = self._globals[id(function.__globals__)][2]
+        for name in _names_in(function.__code__):
+            if name in names and names[name] is made[name]:
+                names[name] = made[name] = self.replace(names[name])
+        return copied
+
+    def _names(self, names: dict[str, Any]) -> dict[str, Any]:
+        if id(names) not in self._globals:
+            copied = {**names, "__builtins__": {**vars(builtins), "__import__": self._import}}
+            self._globals[id(names)] = (names, copied, dict(copied))
+        return self._globals[id(names)][1]
+
+    def _import(self, *arguments: Any, **keywords: Any) -> Any:
+        return self.replace(builtins.__import__(*arguments, **keywords))
+
+    def _object(self, value: Any) -> Any:
+        """An object with the attributes of `value`, of a class derived from its class, whose methods are replaced."""
+        replace, kind = self.replace, type(value)
+
+        def attribute(shadow: Any, name: str) -> Any:
+            return replace(kind.__getattribute__(shadow, name))
+
+        own = {"__getattribute__": attribute}
+        if isinstance(getattr(kind, "__call__", None), types.FunctionType):
+            own["__call__"] = replace(kind.__call__)
         try:
-            for name, replacement in _MATH.items():
-                setattr(math, name, replacement)
-            names.update({key: by_identity[id(value)] for key, value in changed.items()})
-            yield
-        finally:
-            for name, original in originals.items():
-                setattr(math, name, original)
-            names.update(changed)
+            shadow = object.__new__(type(kind)(kind.__name__, (kind,), own))
+            object.__setattr__(shadow, "__dict__", value.__dict__)
+        except (AttributeError, TypeError):  # its numbers are not in a dict
+            return value
+        return self._keep(value, shadow)
+
+
+class _Module:
+    """A module as functions that are recorded see it."""
+
+    def __init__(self, recording: _Recording, module: types.ModuleType):
+        self._recording, self._module = recording, module
+
+    def __getattr__(self, name: str) -> Any:
+        return self._recording.replace(getattr(self._module, name))
+
+
+def _content(cell: Any) -> Any:
+    try:
+        return cell.cell_contents
+    except ValueError:  # not assigned to yet
+        return None
+
+
+def _has_methods(kind: type) -> bool:
+    """Returns whether objects of a class are a user's and have methods of their own."""
+    if type(kind) not in (type, abc.ABCMeta) or not _is_users(kind.__module__):
+        return False
+    members = [item for base in kind.__mro__ if _is_users(base.__module__) for item in vars(base).items()]
+    return all(name not in ("__init_subclass__", "__slots__") for name, _ in members) and any(
+        isinstance(member, types.FunctionType) and (not name.startswith("__") or name == "__call__")
+        for name, member in members
+    )
+
+
+def _may_change(value: Any) -> bool:
+    kinds = (types.FunctionType, types.MethodType, types.ModuleType, functools.partial)
+    if type(value) in (list, tuple, dict):
+        return any(map(_may_change, value.values() if isinstance(value, dict) else value))
+    return isinstance(value, kinds) or id(value) in _OF_MATH or _has_methods(type(value))
+
+
+def _names_in(code: types.CodeType) -> set[str]:
+    """Returns the names that a function and the functions within it read or assign to."""
+    names = set(code.co_names)
+    return names.union(*(_names_in(inner) for inner in code.co_consts if isinstance(inner, types.CodeType)))
 
 
 def call(function: Any, *arguments: Any, **keywords: Any) -> Any:
     """What the function returns for symbols."""
-    with _math_records(function):
-        return function(*arguments, **keywords)
+    recording = _Recording()
+    try:
+        return recording.replace(function)(*arguments, **keywords)
+    finally:
+        recording.finish()
 
 
 def outputs(tape: Tape, values: Any, expected: int | None = None) -> tuple[int, list[Any], list[int]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import threading
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -140,7 +142,15 @@ class HybridSystem:
             closed_form = self._record_fly(mode, given[4][1][mode]) if mode in given[4][1] else None
             of_flow = self._record_flow(mode, given[0][1][mode])
             recorded.append((mode, self.states[mode], of_flow, transitions, closed_form))
+        self._record = recorded
         self._system = _saltus.HybridSystem(recorded, self.controls, self.parameters)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_system"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._system = _saltus.HybridSystem(self._record, self.controls, self.parameters)
 
     def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
         what = f"on_accumulation of mode '{mode}'"
@@ -191,6 +201,16 @@ class HybridSystem:
         return f"<saltus.HybridSystem of modes {modes}; controls {self.controls}, parameters {self.parameters}>"
 
 
+class Record:
+    """What was recorded of the function of a cost, which can be pickled."""
+
+    def __init__(self, of_cost: Any):
+        self.of_cost = of_cost
+
+    def __call__(self, *arguments: Any) -> Any:
+        raise TypeError("the function of a cost that was pickled is not kept; its record is evaluated in its problem only")
+
+
 class Cost:
     """A term of a problem: residuals whose squares are summed (a cost), or that are to be 0 or at most 0."""
 
@@ -200,8 +220,15 @@ class Cost:
         self.mode, self.guard, self.before = mode, guard, before
         self.size = size  # of the state, where the function implies it
 
+    def _as_recorded(self, problem: HybridProblem) -> Cost:
+        """The same cost with its record in place of its function."""
+        record = Record(self._recorded(problem))
+        return Cost(self.name, record, self.at, self.role, self.mode, self.guard, self.before, self.size)
+
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
+        if isinstance(self.function, Record):
+            return self.function.of_cost
         parameters = parameters_of(self.function)
         if parameters is None:
             raise ValueError(f"{self.name}: found a function whose arguments Python does not know, expected a def or lambda")
@@ -324,7 +351,8 @@ def final_time(weight: float = 1.0) -> Cost:
 
 
 class HybridProblem:
-    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew.
+    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew. A problem can be copied and
+    pickled: a pickle has what was recorded in place of the functions of costs. Several threads may use one problem.
 
     system, mode, initial, parameters, duration: where the motion begins, and the final time.
     control: (K, controls), held on K equal intervals; K = 1 and zeros if left out.
@@ -361,26 +389,55 @@ class HybridProblem:
         self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
         self.wait_behind_guards = wait_behind_guards
         self._made: tuple[Any, Any] | None = None
-        self._native()
+        self._lock = threading.RLock()
+        self._call("set", *self._guess())
 
-    def _native(self) -> Any:
-        """What evaluates it; kept as long as only the guess changes."""
+    def _guess(self) -> tuple[Any, ...]:
         if self.mode not in self.system.states:
             raise ValueError(f"mode: found {self.mode!r}, expected some of {', '.join(self.system.modes)}")
         expect("a number", duration=self.duration)
-        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
-        rest = (self.system, tuple(self.costs), self.tolerance, self.steps_per_interval, self.wait_behind_guards)
-        if self._made is None or len(self._made[0]) != len(rest) or any(
-            a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(self._made[0], rest)
-        ):
-            costs = [cost if isinstance(cost, Cost) else residuals(cost) for cost in self.costs]
-            terms = [cost._recorded(self) for cost in costs]
-            self._made = (rest, _saltus.HybridProblem(
-                self.system._system, *guess, terms, self.tolerance, self.steps_per_interval, self.wait_behind_guards
-            ))
-            return self._made[1]
-        self._made[1].set(*guess)
-        return self._made[1]
+        return (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Calls a method of what evaluates it, which is kept as long as only the guess changes. Threads wait for each
+        other, as it has one guess."""
+        with self._lock:
+            rest = (self.system, tuple(self.costs), self.tolerance, self.steps_per_interval, self.wait_behind_guards)
+            made = self._made
+            if made is None or len(made[0]) != len(rest) or any(
+                a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(made[0], rest)
+            ):
+                terms = [cost._recorded(self) for cost in self._costs()]
+                self._made = made = (rest, _saltus.HybridProblem(
+                    self.system._system, *self._guess(), terms, self.tolerance, self.steps_per_interval,
+                    self.wait_behind_guards,
+                ))
+            else:
+                made[1].set(*self._guess())
+            return getattr(made[1], method)(*arguments)
+
+    def _costs(self) -> list[Cost]:
+        return [cost if isinstance(cost, Cost) else residuals(cost) for cost in self.costs]
+
+    def __copy__(self) -> HybridProblem:
+        copied = type(self).__new__(type(self))
+        copied.__dict__ = {**self._plain(), "costs": list(self.costs), "_lock": threading.RLock()}
+        return copied
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> HybridProblem:
+        copied = type(self).__new__(type(self))
+        copied.__dict__ = {**copy.deepcopy(self._plain(), memo), "_lock": threading.RLock()}
+        return copied
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self._plain(), "costs": [cost._as_recorded(self) for cost in self._costs()]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.RLock())
+
+    def _plain(self) -> dict[str, Any]:
+        """What is not made anew for every copy."""
+        return {**{name: value for name, value in self.__dict__.items() if name != "_lock"}, "_made": None}
 
     @property
     def intervals(self) -> int:
@@ -476,7 +533,7 @@ def _motion(motion: dict[str, Any]) -> dict[str, Any]:
 
 
 def rollout(problem: HybridProblem) -> HybridRollout:
-    return HybridRollout(_motion(problem._native().rollout()))
+    return HybridRollout(_motion(problem._call("rollout")))
 
 
 def final_derivatives(problem: HybridProblem) -> Result:
@@ -489,7 +546,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
     """
     if not isinstance(problem, HybridProblem):
         raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
-    final, times, remark = problem._native().final_derivatives()
+    final, times, remark = problem._call("final_derivatives")
     system = problem.system
     n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
     found: dict[str, Any] = {}
@@ -503,7 +560,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
 
 
 def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
-    loss, gradient, remark = problem._native().loss_and_gradient()
+    loss, gradient, remark = problem._call("loss_and_gradient")
     system = problem.system
     n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
     parts = {
@@ -529,10 +586,9 @@ def solve(
     learning_rate: float,
     callback: Any,
 ) -> HybridRun:
-    native = problem._native()
     free = problem._free(optimize)
-    found, stopped_by = native.solve(
-        solver, *free, problem._bounds(bounds, free), iterations, learning_rate, callback
+    found, stopped_by = problem._call(
+        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, callback
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", "")}
     if "solution" in found:
@@ -612,7 +668,7 @@ def audit(
 
         return call_step
 
-    found = problem._native().audit(
-        name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET
+    found = problem._call(
+        "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET
     )
     return HybridAudit(found)

@@ -29,8 +29,10 @@ def _by_differences(step: Callable[..., Any], state: Floats, force: Floats, h: f
             above, below = given.copy(), given.copy()
             above[place] += widths[place]
             below[place] -= widths[place]
-            ends = [step(*((x, force) if index == 0 else (state, x)), h) for x in (above, below)]
-            columns.append((np.ravel(ends[0]) - np.ravel(ends[1])) / (above[place] - below[place]))
+            width = above[place] - below[place]
+            # A step may write to its arguments, and return the same array every time.
+            ends = [np.array(step(*((x, force.copy()) if index == 0 else (state.copy(), x)), h)) for x in (above, below)]
+            columns.append(np.ravel(ends[0] - ends[1]) / width)
         blocks.append(np.array(columns).T)
     return blocks[0], blocks[1]
 
@@ -55,7 +57,8 @@ class ContactModel:
     def step(self, x: Floats, u: Floats, h: float) -> Floats:
         """Returns the states (B, 4) of all discs, [p_x p_y v_x v_y], after a step.
 
-        The result must depend on the arguments only.
+        The result must depend on the arguments only. The method may write to x and u, which are its own copies, and may
+        return x or an array that it uses again.
 
         Args:
             x: states before the step, (B, 4).
@@ -80,10 +83,12 @@ class Stepper:
         self._model: ContactModel | None = None
 
     def _of(self, scene: Scene) -> ContactModel:
-        if self._model is None or self._model.scene is not scene:
-            self._model = self._make(scene)
-            self._model.scene = scene
-        return self._model
+        model = self._model  # threads that use other scenes replace it
+        if model is None or model.scene is not scene:
+            model = self._make(scene)
+            model.scene = scene
+            self._model = model
+        return model
 
     def __call__(
         self, kind: str, scene: Scene, dt: float, initial: Floats, control: Floats, of_final: Any
@@ -95,12 +100,12 @@ class Stepper:
         states, forces = [initial], np.zeros((len(control), len(initial), 2))
         forces[:, pushed] = control
         for force in forces:
-            states.append(_state(model, model.step(states[-1], force, dt), initial.shape))
+            states.append(_state(model, model.step(states[-1].copy(), force.copy(), dt), initial.shape))
         answer: dict[str, Any] = {"final state": states[-1], "states": np.array(states)}
         if kind == "gradient":
             costate, by_control = np.ravel(of_final), np.zeros_like(control)
             for k in reversed(range(len(control))):
-                A, B = model.jacobian(states[k], forces[k], dt)
+                A, B = model.jacobian(states[k].copy(), forces[k].copy(), dt)
                 by_control[k] = (costate @ B).reshape(-1, 2)[pushed]
                 costate = costate @ A
             answer["gradient by the initial state"] = costate.reshape(initial.shape)
@@ -109,7 +114,8 @@ class Stepper:
 
 
 def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> Floats:
-    state = np.asarray(value, dtype=float)
+    """Returns a copy of the state that a step has returned."""
+    state = np.array(value, dtype=float)
     if state.shape != shape:
         raise ValueError(f"{model.name}: step: found shape {state.shape}, expected {shape}")
     return state

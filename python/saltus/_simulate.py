@@ -13,10 +13,10 @@ from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
-from ._types import Floats, expect
+from ._types import Floats, Remade, expect
 
 
-class Simulation(_saltus.Simulation):
+class Simulation(Remade, _saltus.Simulation):
     """A scene under a contact model, to be evaluated many times.
 
     The decision variables z are what the scene optimizes, in the shape ``shape``: a control (K, C, 2) in N ((K, C, 3)
@@ -63,10 +63,15 @@ class Simulation(_saltus.Simulation):
     ):
         expect("text", precision=precision)
         expect("a number", memory_limit=memory_limit)
-        super().__init__(as_scene(scene), as_contact(contact), precision=precision, memory_limit=memory_limit)
+        self._arguments = {
+            "scene": as_scene(scene), "contact": contact, "precision": precision, "memory_limit": memory_limit
+        }
+        super().__init__(
+            self._arguments["scene"], as_contact(contact), precision=precision, memory_limit=memory_limit
+        )
 
 
-class Batch(_saltus.Batch):
+class Batch(Remade, _saltus.Batch):
     """Losses and gradients at many points, on all cores, with the same bits for any number of threads.
 
     Results are new arrays, or the given ones. If a rollout fails, its loss and gradient are NaN.
@@ -83,13 +88,17 @@ class Batch(_saltus.Batch):
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
         expect("text", precision=precision)
         expect("a whole number", threads=threads)
+        self._arguments = {"scene": as_scene(scene), "contact": contact, "precision": precision, "threads": threads}
         # Python's exceptions come out of the thread that called.
         super().__init__(
-            as_scene(scene), as_contact(contact), precision=precision, threads=1 if is_own(contact) else threads
+            self._arguments["scene"],
+            as_contact(contact),
+            precision=precision,
+            threads=1 if is_own(contact) else threads,
         )
 
 
-class EndState(_saltus.EndState):
+class EndState(Remade, _saltus.EndState):
     """The final state as a function of the initial state and the control, for automatic differentiation by other packages.
 
     ``end(initial, control)`` returns the final state in the shape of ``initial``. saltus.torch makes a function of torch
@@ -110,7 +119,8 @@ class EndState(_saltus.EndState):
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
         expect("text", precision=precision)
-        super().__init__(as_scene(scene), as_contact(contact), precision=precision)
+        self._arguments = {"scene": as_scene(scene), "contact": contact, "precision": precision}
+        super().__init__(self._arguments["scene"], as_contact(contact), precision=precision)
 
 
 def _start(scene: SceneLike, start: tuple[Any, Any, Any, Any], by_control: bool) -> _saltus.Scene:

@@ -24,6 +24,19 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
 }
 
 
+class Remade:
+    """An object that is copied and pickled by the arguments from which an equal object is made."""
+
+    _arguments: dict[str, Any]
+
+    def __reduce__(self) -> Any:
+        return (_make, (type(self), self._arguments))
+
+
+def _make(kind: type, arguments: dict[str, Any]) -> Any:
+    return kind(**arguments)
+
+
 def expect(kind: str, **options: Any) -> None:
     """Raises TypeError, with its name, for an option that is not of this kind."""
     for name, value in options.items():
