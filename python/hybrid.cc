@@ -88,13 +88,17 @@ HybridTerm ReadTerm(const TermTuple& tuple) {
   return term;
 }
 
-HybridOptions ReadIntegration(double tolerance, int steps, bool wait) {
+HybridOptions ReadIntegration(double tolerance, int steps, bool wait, int most_events, int most_repeats) {
   HybridOptions options;
   if (!(tolerance > 0)) throw py::value_error("tolerance: expected a number > 0");
   if (steps < 0) throw py::value_error("steps_per_interval: expected a number of at least 0");
   options.tolerance = tolerance;
   options.steps_per_interval = steps;
+  if (most_events < 1) throw py::value_error("most_events: expected a number of at least 1");
+  if (most_repeats < 1) throw py::value_error("most_repeats: expected a number of at least 1");
   options.wait_behind_guards = wait;
+  options.most_events = most_events;
+  options.most_repeats = most_repeats;
   return options;
 }
 
@@ -167,8 +171,10 @@ class Problem {
  public:
   Problem(const HybridSystem& system, int mode, const py::object& initial, const py::object& parameters,
           double duration, const py::object& control, const std::vector<TermTuple>& terms, double tolerance, int steps,
-          bool wait)
-      : problem_{.system = system, .guess = {}, .integration = ReadIntegration(tolerance, steps, wait)} {
+          bool wait, int most_events, int most_repeats)
+      : problem_{.system = system,
+                 .guess = {},
+                 .integration = ReadIntegration(tolerance, steps, wait, most_events, most_repeats)} {
     for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
     Set(mode, initial, parameters, duration, control);
   }
@@ -373,7 +379,9 @@ void BindHybrid(py::module_* module) {
                     const std::vector<TermTuple>&,
                     double,
                     int,
-                    bool>(),
+                    bool,
+                    int,
+                    int>(),
            py::arg("system"),
            py::arg("mode"),
            py::arg("initial"),
@@ -383,7 +391,9 @@ void BindHybrid(py::module_* module) {
            py::arg("terms"),
            py::arg("tolerance"),
            py::arg("steps_per_interval"),
-           py::arg("wait_behind_guards"))
+           py::arg("wait_behind_guards"),
+           py::arg("most_events"),
+           py::arg("most_repeats"))
       .def("set",
            &Problem::Set,
            py::arg("mode"),

@@ -71,7 +71,8 @@ class HybridSystem:
     guards: of each mode that has any, functions of some of t, x and p by the name of the guard; an event happens where one
     falls through zero.
     resets: of each guard a function of some of t, x and p that returns the next mode and its state.
-    on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour).
+    on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour): their
+    times converge, or they repeat without time passing.
     fly: of any mode a closed form of its flow, a function of some of t, s, x, u and p that returns the state at t + s of
     the state x at t; it takes the place of the integration. Steps must be so short that no guard crosses zero twice in one.
 
@@ -361,6 +362,8 @@ class HybridProblem:
     tolerance: relative error of final state and event times, for which the number of integration steps is chosen;
     steps_per_interval: that number, if it is not to be chosen.
     wait_behind_guards: a guard below zero at the start counts once it is above zero, and is no error.
+    most_events: a motion with more events fails. most_repeats: events of one guard without time passing; with more, the
+    motion goes on in the mode that on_accumulation names, or fails.
     """
 
     def __init__(
@@ -376,11 +379,14 @@ class HybridProblem:
         tolerance: float = 1e-12,
         steps_per_interval: int = 0,
         wait_behind_guards: bool = False,
+        most_events: int = 100_000,
+        most_repeats: int = 100,
     ):
         if not isinstance(system, HybridSystem):
             raise TypeError(f"system: found {type(system).__name__}, expected a saltus.HybridSystem")
         expect("a number", duration=duration, tolerance=tolerance)
-        expect("a whole number", steps_per_interval=steps_per_interval)
+        expect("a whole number", steps_per_interval=steps_per_interval, most_events=most_events,
+               most_repeats=most_repeats)
         self.system, self.mode, self.duration = system, mode, duration
         self.initial: Any = initial
         self.parameters: Any = parameters
@@ -388,6 +394,7 @@ class HybridProblem:
         self.costs: list[Any] = list(costs)
         self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
         self.wait_behind_guards = wait_behind_guards
+        self.most_events, self.most_repeats = most_events, most_repeats
         self._made: tuple[Any, Any] | None = None
         self._lock = threading.RLock()
         self._call("set", *self._guess())
@@ -402,15 +409,16 @@ class HybridProblem:
         """Calls a method of what evaluates it, which is kept as long as only the guess changes. Threads wait for each
         other, as it has one guess."""
         with self._lock:
-            rest = (self.system, tuple(self.costs), self.tolerance, self.steps_per_interval, self.wait_behind_guards)
+            limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events,
+                      self.most_repeats)
+            rest = (self.system, tuple(self.costs), *limits)
             made = self._made
             if made is None or len(made[0]) != len(rest) or any(
                 a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(made[0], rest)
             ):
                 terms = [cost._recorded(self) for cost in self._costs()]
                 self._made = made = (rest, _saltus.HybridProblem(
-                    self.system._system, *self._guess(), terms, self.tolerance, self.steps_per_interval,
-                    self.wait_behind_guards,
+                    self.system._system, *self._guess(), terms, *limits
                 ))
             else:
                 made[1].set(*self._guess())

@@ -9,13 +9,16 @@
 namespace saltus {
 namespace {
 
-constexpr double kAtZero = 1e-11;  // of a guard, relative to the size of its terms
-constexpr double kNoRate = 1e-9;   // of its rate, likewise: higher derivatives decide
-constexpr double kGrazes = 1e-12;  // depth of a minimum that counts as zero, relative
-constexpr double kNearZero = 0.5;  // minimum of the cubic, of the smaller value at the ends, that is looked at
-constexpr double kSettles = 1e-9;  // last steps of an iteration, of the length of the step
+constexpr double kAtZero = 1e-11;      // of a guard, relative to the size of its terms
+constexpr double kNoRate = 1e-9;       // of its rate, likewise: higher derivatives decide
+constexpr double kIntegrated = 1e-12;  // error of states that are integrated, relative
+constexpr double kGrazes = 1e-12;      // depth of a minimum that counts as zero, relative
+constexpr double kNearZero = 0.5;      // minimum of the cubic, of the smaller value at the ends, that is looked at
+constexpr double kSettles = 1e-9;      // last steps of an iteration, of the length of the step
 constexpr double kNoise = 4 * std::numeric_limits<double>::epsilon();
-constexpr double kSoon = 1.0 / 64;  // of a step
+constexpr double kStateRounding = 64 * std::numeric_limits<double>::epsilon();  // of states, after many steps
+constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    // of time, parameters and controls
+constexpr double kSoon = 1.0 / 64;                                              // of a step
 constexpr int kMostIterations = 100;
 
 // The cubic with these values and derivatives at 0 and h.
@@ -103,27 +106,51 @@ double EventSearch::ScaleBy(const FlowStep& step, const double* gradient) const 
   return scale;
 }
 
+double EventSearch::ErrorBy(const FlowStep& step, const double* gradient, double rate, double elapsed,
+                            double of_states) const {
+  const int n = functions_.state_size(step.mode);
+  double states = std::abs(rate - gradient[n]) * elapsed;
+  for (int i = 0; i < n; ++i) states += std::abs(gradient[i] * step.x[i]);
+  return of_states * states + kTimeRounding * (ScaleBy(step, gradient) + std::abs(rate * step.t));
+}
+
+EventSearch::Window EventSearch::WindowOf(const FlowStep& step, int guard, double rate, double elapsed) {
+  functions_.GuardGradient(step, guard, gradient_.data());
+  return {ErrorBy(step, gradient_.data(), rate, elapsed, kStateRounding),
+          ErrorBy(step, gradient_.data(), rate, elapsed, kIntegrated)};
+}
+
 void EventSearch::Enter(const FlowStep& step) {
   const auto guards = static_cast<std::size_t>(functions_.num_guards(step.mode));
   values_.resize(guards);
   gradients_.resize(guards * gradient_.size());
   functions_.GuardGradients(step, values_.data(), gradients_.data());
+  flow_scales_.clear();
 }
 
-EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard,
-                                            const GuardValue& now) {
+EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now,
+                                            double elapsed) {
   const int n = functions_.state_size(step.mode);
   const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
   const double* gradient = &gradients_[static_cast<std::size_t>(guard) * columns];
-  const double scale = ScaleBy(step, gradient);
-  double rate_scale = std::abs(gradient[n]);
-  for (int i = 0; i < n; ++i) rate_scale += std::abs(gradient[i] * slope[i]);
-  double at_zero = kAtZero * (scale + std::abs(now.rate) * step.h);
+  elapsed = std::min(elapsed, step.h);
+  double at_zero = ErrorBy(step, gradient, now.rate, elapsed, kAtZero);
   if (now.value > at_zero) return Standing::kArmed;
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);
-  at_zero += kAtZero * std::abs(later.value - now.value);
+  at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
   if (now.value < -at_zero) return Standing::kBehind;
-  if (std::abs(now.rate) > kNoRate * std::max(rate_scale, std::abs(later.rate))) {
+  if (flow_scales_.empty()) {
+    flow_scales_.resize(n);
+    jacobian_.resize(static_cast<std::size_t>(n) * columns);
+    functions_.FlowJacobian(step, flow_scales_.data(), jacobian_.data());
+    for (int i = 0; i < n; ++i) flow_scales_[i] = ScaleBy(step, &jacobian_[i * columns]);
+  }
+  double rate_scale = std::abs(gradient[n]), noise = 0;
+  for (int i = 0; i < n; ++i) {
+    rate_scale += std::abs(gradient[i] * slope[i]);
+    noise += kNoise * std::abs(gradient[i]) * flow_scales_[i];
+  }
+  if (std::abs(now.rate) > std::max(noise, kNoRate * std::max(rate_scale, std::abs(later.rate)))) {
     return now.rate > 0 ? Standing::kRising : Standing::kFalling;
   }
   // The first derivative that is not zero has the sign of the guard a little later: from where it exceeds rounding.
@@ -131,9 +158,9 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
     const FlowStep then = PointAfter(step, slope, s);
     const double value = At(then, then.x + n, guard).value;
-    const double noise = kNoise * Scale(then, guard) + std::abs(now.value);
-    const int sign = value > noise ? 1 : value < -noise ? -1 : 0;
-    if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kFalling;
+    const double noise_then = kNoise * Scale(then, guard) + std::abs(now.value);
+    const int sign = value > noise_then ? 1 : value < -noise_then ? -1 : 0;
+    if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kSinking;
     last = sign;
   }
   return Standing::kRising;
@@ -192,6 +219,14 @@ double EventSearch::FirstBelow(const FlowStep& step, const double* slope, int gu
     (After(step, slope, guard, s).value < -noise ? below : above) = s;
   }
   return below;
+}
+
+EventSearch::Found EventSearch::FindSinking(const FlowStep& step, const double* slope, int guard,
+                                            const GuardValue& begin, const GuardValue& end, double elapsed) {
+  functions_.GuardGradient(step, guard, gradient_.data());
+  if (!(end.value < -ErrorBy(step, gradient_.data(), end.rate, std::min(elapsed, step.h), kAtZero))) return {};
+  const double noise = 2 * std::abs(begin.value) + kNoise * ScaleBy(step, gradient_.data());
+  return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 
 bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& begin, const GuardValue& end) const {

@@ -20,11 +20,19 @@ class EventSearch {
   // At the beginning of a step, whose slope is given.
   GuardValue At(const FlowStep& step, const double* slope, int guard) const;
 
-  // How a guard, which is `now`, stands on entry into a mode at step.t, step.x. The length of the step is one over
-  // which guards of interest change. Enter, before, finds the derivatives of all guards there.
-  enum class Standing { kArmed, kRising, kFalling, kBehind };
+  // How a guard, which is `now`, stands on entry into a mode at step.t, step.x; kSinking: at zero with a rate of zero,
+  // from where it falls. The length of the step is one over which guards of interest change, and `elapsed` is the time
+  // over which the motion has come there. Enter, before, finds the derivatives of all guards there.
+  enum class Standing { kArmed, kRising, kFalling, kSinking, kBehind };
   void Enter(const FlowStep& step);
-  Standing Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now);
+  Standing Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now, double elapsed);
+
+  // By how much the value of a guard may be wrong where it has the rate `rate`: by rounding alone, and with the error
+  // of an integration over the time `elapsed`. Neither depends on the duration of the motion.
+  struct Window {
+    double rounding = 0, integrated = 0;
+  };
+  Window WindowOf(const FlowStep& step, int guard, double rate, double elapsed);
 
   struct Found {
     enum class What { kNothing, kEvent, kGrazing } what = What::kNothing;
@@ -45,12 +53,22 @@ class EventSearch {
   RungeKutta& integrator() { return integrator_; }
 
   GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
+  // The point there.
+  FlowStep PointAfter(const FlowStep& step, const double* slope, double s);
+
+  // Where in a step a guard that is at zero, and neither armed nor behind, falls below zero without rising before;
+  // kNothing if it does not.
+  Found FindSinking(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
+                    const GuardValue& end, double elapsed);
 
   // Before a motion with other controls or parameters.
   void Forget() { kept_.clear(); }
 
  private:
   double ScaleBy(const FlowStep& step, const double* gradient) const;
+  // The error of a guard's value, relative to the terms that states contribute, and to those of which time, parameters
+  // and controls are known to rounding.
+  double ErrorBy(const FlowStep& step, const double* gradient, double rate, double elapsed, double of_states) const;
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
@@ -62,8 +80,6 @@ class EventSearch {
     std::size_t state = 0;  // in numbers_; the slope follows
   };
   const double* StateAfter(const FlowStep& step, const double* slope, double s);
-  // The point there.
-  FlowStep PointAfter(const FlowStep& step, const double* slope, double s);
 
   const HybridFunctions& functions_;
   RungeKutta integrator_;
@@ -72,6 +88,8 @@ class EventSearch {
   std::vector<double> numbers_;  // state and slope at the beginning of the step, then those that are kept
   std::vector<double> gradient_;
   std::vector<double> values_, gradients_;  // of all guards on entry into a mode
+  std::vector<double> flow_scales_;         // sizes of the terms of the flow there, once asked for: rounding is a part
+  std::vector<double> jacobian_;
 };
 
 }  // namespace saltus

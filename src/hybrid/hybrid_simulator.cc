@@ -123,6 +123,25 @@ class HybridSimulator::Impl {
     return "";
   }
 
+  // Of the coincidences of a motion that succeeded, whether the derivative is one-sided.
+  const std::vector<char>& OneSided() {
+    if (done && one_sided.size() != run.tape().coincidences.size()) {
+      TiedEvents tied(system, options);
+      one_sided = derivatives.FindOneSided(input, run.tape(), &tied);
+    }
+    return one_sided;
+  }
+  const std::vector<HybridTie>& Ties() {
+    if (ties.size() == run.ties().size()) return ties;
+    ties = run.ties();
+    TiedEvents tied(system, options);
+    for (const Coincidence& coincidence : run.tape().coincidences) {
+      if (coincidence.tie < 0 || coincidence.begin + 1 >= run.tape().entries.size()) continue;
+      derivatives.Compare(input, run.tape(), coincidence, &tied, &ties[coincidence.tie]);
+    }
+    return ties;
+  }
+
   const HybridSystem system;
   const HybridOptions options;
   int steps;          // in a control interval; 0: to be chosen
@@ -131,6 +150,9 @@ class HybridSimulator::Impl {
   std::string why;
   RolloutRun run;
   MotionDerivatives derivatives;
+  // Of the last rollout, once asked for.
+  std::vector<char> one_sided;
+  std::vector<HybridTie> ties;
 };
 
 HybridSimulator::HybridSimulator(HybridSystem system, HybridOptions options)
@@ -147,6 +169,8 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   if (input.control.empty())
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
   at.why.clear();
+  at.one_sided.clear();
+  at.ties.clear();
   if (at.steps == 0) {
     at.done = at.ChooseSteps();
   } else {
@@ -168,7 +192,7 @@ std::span<const double> HybridSimulator::final_state() const {
 const std::vector<HybridEvent>& HybridSimulator::events() const { return impl_->run.events(); }
 const std::vector<HybridEvent>& HybridSimulator::switches() const { return impl_->run.switches(); }
 const std::vector<HybridGrazing>& HybridSimulator::grazings() const { return impl_->run.grazings(); }
-const std::vector<HybridTie>& HybridSimulator::ties() const { return impl_->run.ties(); }
+const std::vector<HybridTie>& HybridSimulator::ties() const { return impl_->Ties(); }
 
 int HybridSimulator::ModeAt(int k) const {
   const MotionTape& tape = impl_->run.tape();
@@ -204,10 +228,20 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
     add("guard '" + impl_->system.GuardName(grazing.mode, grazing.guard) +
         "' grazes zero at t = " + std::to_string(grazing.time));
   }
-  for (const HybridTie& tie : run.ties()) {
+  const std::vector<HybridTie>& ties = impl_->Ties();
+  for (const HybridTie& tie : ties) {
     if (!tie.ambiguous) continue;
+    std::string names;
+    for (const int guard : tie.guards) {
+      names += (names.empty() ? "'" : ", '") + impl_->system.GuardName(tie.mode, guard) + "'";
+    }
     add(std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(tie.time) +
-        ", and the order of their events matters");
+        ", and the order of their events matters: " + names);
+  }
+  const std::vector<char>& one_sided = impl_->OneSided();
+  for (std::size_t i = 0; i < one_sided.size(); ++i) {
+    const Coincidence& coincidence = run.tape().coincidences[i];
+    if (one_sided[i] != 0 && (coincidence.tie < 0 || !ties[coincidence.tie].ambiguous)) add(coincidence.remark);
   }
   return why;
 }

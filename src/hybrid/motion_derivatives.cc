@@ -2,6 +2,11 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+#include <cmath>
+
+#include "base/normal_stream.h"
+
 namespace saltus {
 namespace {
 
@@ -100,10 +105,9 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   return gradient;
 }
 
-// Takes the tangent of state and time at the beginning of an entry to its end. The column of the derivative by the
-// duration is given, or -1 if there is none.
+// Takes the tangent of state and time at the beginning of an entry to its end, given that of the duration.
 void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry,
-                                    int duration_column, RungeKutta::Tangent* at) {
+                                    const Eigen::RowVectorXd& of_duration, RungeKutta::Tangent* at) {
   using Matrix = RungeKutta::Matrix;
   const HybridFunctions& f = system_.functions();
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
@@ -121,11 +125,10 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   integrator_.Linearize(step);
   const Eigen::RowVectorXd from = at->t;
   if (entry.kind == TapeEntry::Kind::kToNode) {
-    at->h = -at->t;
-    if (duration_column >= 0) at->h[duration_column] += tape.Fraction(entry.node);
+    const Eigen::RowVectorXd of_end = tape.Fraction(entry.node) * of_duration;
+    at->h = of_end - at->t;
     at->x = integrator_.PushForward(*at);
-    at->t = Eigen::RowVectorXd::Zero(columns);
-    if (duration_column >= 0) at->t[duration_column] = tape.Fraction(entry.node);
+    at->t = of_end;
     return;
   }
   const TapeEntry& reset = (&entry)[1];
@@ -159,6 +162,7 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
   at.t = Eigen::RowVectorXd::Zero(columns);
   at.p = Matrix::Zero(num_parameters, columns);
   at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
+  const Eigen::RowVectorXd of_duration = Eigen::RowVectorXd::Unit(columns, columns - 1);
   for (const TapeEntry& entry : tape.entries) {
     if (out.nodes.size() < tape.intervals.size() &&
         &entry - tape.entries.data() == static_cast<std::ptrdiff_t>(tape.intervals[out.nodes.size()])) {
@@ -166,13 +170,122 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
     }
     at.u = Matrix::Zero(num_controls, columns);
     at.u.middleCols(n0 + entry.interval * num_controls, num_controls).setIdentity();
-    PushForward(input, tape, entry, columns - 1, &at);
+    PushForward(input, tape, entry, of_duration, &at);
     if (entry.kind != TapeEntry::Kind::kReset) continue;
     out.after[entry.event].assign(at.x.data(), at.x.data() + at.x.size());
     out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
   }
   out.final_state.assign(at.x.data(), at.x.data() + at.x.size());
   return out;
+}
+
+std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied) {
+  const int n0 = system_.state_size(input.mode), num_parameters = system_.num_parameters();
+  const int num_controls = system_.num_controls(), all_controls = input.num_intervals * num_controls;
+  // Directions: two of all inputs, one in their own units; and of each kind of input alone.
+  constexpr int kDirections = 5;
+  NormalStream random(1);
+  const auto directions = [&](const std::vector<double>& values, int size, int kind) {
+    Eigen::MatrixXd out = Eigen::MatrixXd::Zero(size, kDirections);
+    for (int i = 0; i < size; ++i) {
+      for (const int column : {0, 1, kind}) out(i, column) = random.Next();
+      if (values[i] != 0) out(i, 1) *= std::abs(values[i]);
+    }
+    return out;
+  };
+  const Eigen::MatrixXd controls = directions(input.control, all_controls, 2);
+  RungeKutta::Tangent at, before;
+  at.x = directions(input.initial, n0, 3);
+  at.p = directions(input.parameters, num_parameters, 4);
+  at.t = Eigen::RowVectorXd::Zero(kDirections);
+  const Eigen::RowVectorXd of_duration = directions({input.duration}, 1, 2);
+  std::vector<char> one_sided;
+  for (std::size_t i = 0; i < tape.entries.size() && one_sided.size() < tape.coincidences.size(); ++i) {
+    const Coincidence& coincidence = tape.coincidences[one_sided.size()];
+    at.u = controls.middleRows(tape.entries[i].interval * num_controls, num_controls);
+    PushForward(input, tape, tape.entries[i], of_duration, &at);
+    if (i == coincidence.begin) before = at;
+    if (i + 1 == coincidence.end) {
+      one_sided.push_back(IsOneSided(input, tape, coincidence, before, at, controls, of_duration, tied));
+    }
+  }
+  return one_sided;
+}
+
+void MotionDerivatives::Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
+                                TiedEvents* tied, HybridTie* tie) const {
+  FlowStep at = StepOf(input, tape, tape.entries[coincidence.begin + 1]);
+  at.h = input.duration / tape.num_nodes;
+  tied->Compare({at, at.t - input.begin, coincidence.guards}, tie);
+}
+
+bool MotionDerivatives::IsOneSided(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
+                                   const RungeKutta::Tangent& before, const RungeKutta::Tangent& after,
+                                   const Eigen::MatrixXd& controls, const Eigen::RowVectorXd& of_duration,
+                                   TiedEvents* tied) {
+  constexpr double kSame = 1e-7;          // of a change, relative to the terms that it is the sum of
+  constexpr double kRounding = 1e-6;      // of the largest change of any direction
+  constexpr std::size_t kManyGuards = 8;  // in two directions only
+  const HybridFunctions& f = system_.functions();
+  const int num_controls = system_.num_controls();
+  const TapeEntry& first = tape.entries[coincidence.begin + 1];
+  const bool ends = coincidence.end == tape.entries.size();
+  const int end_mode = ends ? tape.final_mode : tape.entries[coincidence.end].mode;
+  const double* end_state = &tape.numbers[ends ? tape.final_state : tape.entries[coincidence.end].x];
+  const int end_size = system_.state_size(end_mode);
+  // Changes are those at one time, of a motion continued under the control before a jump, or after it.
+  const double* u = input.control.data() + static_cast<std::ptrdiff_t>(first.interval) * num_controls;
+  const bool jumps = coincidence.jump > 0, jumped = jumps && first.interval == coincidence.jump;
+  const double* const before_jump = jumped ? u - num_controls : u;
+  const double* const after_jump = jumps && !jumped ? u + num_controls : u;
+  const auto slope_of = [&](int mode, const double* x, const double* control) {
+    Eigen::VectorXd slope(system_.state_size(mode));
+    f.Flow({mode, first.t, x, control, input.parameters.data()}, slope.data());
+    return slope;
+  };
+  const double* x = &tape.numbers[first.x];
+  const Eigen::VectorXd slope = slope_of(first.mode, x, u), end_slope = slope_of(end_mode, end_state, u);
+  const Eigen::VectorXd slope_before = slope_of(first.mode, x, before_jump);
+  const Eigen::VectorXd end_slope_after = slope_of(end_mode, end_state, after_jump);
+  const double fraction = jumps ? tape.Fraction(coincidence.jump * (tape.num_nodes / input.num_intervals)) : 0;
+  const double h = input.duration / tape.num_nodes;
+  const TiedEvents::Start start{
+      {{first.mode, first.t, x, before_jump, input.parameters.data()}, h}, first.t - input.begin, coincidence.guards};
+  Eigen::VectorXd largest = Eigen::VectorXd::Zero(end_size);  // changes that are rounding
+  const Eigen::Index directions = coincidence.guards.size() > kManyGuards ? 2 : of_duration.size();
+  for (Eigen::Index column = 0; column < directions; ++column) {
+    const double jump = fraction * of_duration[column];
+    const Eigen::VectorXd change = before.x.col(column) - slope * before.t[column] + (slope - slope_before) * jump;
+    const Eigen::VectorXd expected =
+        after.x.col(column) - end_slope * after.t[column] + (end_slope - end_slope_after) * jump;
+    const Eigen::VectorXd size = before.x.col(column).cwiseAbs() + slope.cwiseAbs() * std::abs(before.t[column]) +
+                                 (slope - slope_before).cwiseAbs() * std::abs(jump);
+    const auto change_of = [&](int interval) {
+      return controls.col(column).segment(static_cast<Eigen::Index>(interval) * num_controls, num_controls);
+    };
+    for (const double sign : {1.0, -1.0}) {
+      TiedEvents::Direction direction;
+      direction.x = sign * change;
+      direction.size = size;
+      direction.p = sign * before.p.col(column);
+      direction.u = sign * change_of(jumped ? coincidence.jump - 1 : first.interval);
+      if (jumps) {
+        direction.next_control = after_jump;
+        direction.next_u = sign * change_of(coincidence.jump);
+        direction.jump = sign * jump;
+      }
+      const std::optional<TiedEvents::Outcome> found = tied->Follow(start, std::move(direction));
+      if (!found || found->mode != end_mode || !TiedEvents::SameStates(found->x.data(), end_state, end_size)) {
+        return true;
+      }
+      for (int i = 0; i < end_size; ++i) {
+        largest[i] = std::max(largest[i], kRounding * found->size[i]);
+        const double difference = std::abs(found->change[i] - sign * expected[i]);
+        if (!(difference <= kSame * std::max(found->size[i], largest[i]))) return true;
+      }
+    }
+  }
+  return false;
 }
 
 std::vector<HybridSensitivity> MotionDerivatives::Intervals(const HybridInput& input, const MotionTape& tape) {
@@ -190,7 +303,7 @@ std::vector<HybridSensitivity> MotionDerivatives::Intervals(const HybridInput& i
     at.u = Matrix::Zero(num_controls, columns);
     at.u.rightCols(num_controls).setIdentity();
     for (std::size_t i = first; i < end; ++i) {
-      PushForward(input, tape, tape.entries[i], -1, &at);
+      PushForward(input, tape, tape.entries[i], Eigen::RowVectorXd::Zero(columns), &at);
       if (tape.entries[i].kind != TapeEntry::Kind::kReset) continue;
       out[k].after.emplace_back(at.x.data(), at.x.data() + at.x.size());
       out[k].times.emplace_back(at.t.data(), at.t.data() + columns);

@@ -15,6 +15,7 @@
 
 #include "hybrid/motion_tape.h"
 #include "hybrid/runge_kutta.h"
+#include "hybrid/tied_events.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {
@@ -27,12 +28,21 @@ class MotionDerivatives {
                          const HybridCotangent& cotangent);
   HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
                                 const std::vector<HybridEvent>& events);
+  // Of each coincidence of the tape, whether the derivative is another one on another side: changes of the motion in
+  // some directions of the input are compared with those that its events lead to if their order follows the change.
+  std::vector<char> FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied);
+  // Sets the spread of the tie of a coincidence.
+  void Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence, TiedEvents* tied,
+               HybridTie* tie) const;
   // As HybridSimulator::IntervalSensitivities.
   std::vector<HybridSensitivity> Intervals(const HybridInput& input, const MotionTape& tape);
 
  private:
-  void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry, int duration_column,
-                   RungeKutta::Tangent* at);
+  void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry,
+                   const Eigen::RowVectorXd& of_duration, RungeKutta::Tangent* at);
+  bool IsOneSided(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
+                  const RungeKutta::Tangent& before, const RungeKutta::Tangent& after, const Eigen::MatrixXd& controls,
+                  const Eigen::RowVectorXd& of_duration, TiedEvents* tied);
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 
   const HybridSystem& system_;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <string>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_simulator.h"
@@ -24,12 +25,22 @@ struct TapeEntry {
   std::size_t x = 0;    // where its state begins in MotionTape::numbers
 };
 
+// Events that happen at one time, or where the control jumps: the derivative may differ from side to side.
+struct Coincidence {
+  std::size_t begin = 0, end = 0;  // entries, from the step to the first event to the last reset
+  std::vector<int> guards;         // that are at zero before the first event
+  int tie = -1;                    // number of the tie, if there are several
+  int jump = -1;                   // control interval that begins there
+  std::string remark;              // where the derivative does differ
+};
+
 struct MotionTape {
   std::vector<TapeEntry> entries;
   std::vector<double> numbers;         // states, one after the other
   std::vector<std::size_t> intervals;  // the entry with which each control interval begins
-  int num_nodes = 0;                   // K n
-  std::vector<double> fractions;       // times of the grid as parts of the duration; none: of K n equal steps
+  std::vector<Coincidence> coincidences;
+  int num_nodes = 0;              // K n
+  std::vector<double> fractions;  // times of the grid as parts of the duration; none: of K n equal steps
   int final_mode = 0;
   std::size_t final_state = 0;  // in numbers
 
@@ -38,6 +49,7 @@ struct MotionTape {
   }
   void Clear() {
     entries.clear();
+    coincidences.clear();
     fractions.clear();
     numbers.clear();
     intervals.clear();

@@ -10,13 +10,14 @@
 namespace saltus {
 namespace {
 
-constexpr double kAtOnce = 1e-12;      // of the duration: events at the same time
-constexpr double kSameState = 1e-9;    // relative: orders of tied events that do not differ
-constexpr int kMostAtOnce = 100;       // transitions without time passing
+constexpr double kNear = 1e-6;         // of the duration: guards that are examined for a tie
 constexpr double kAccumulated = 1e-9;  // of the duration: intervals between events that shrink to a point
 constexpr int kShrinking = 8;          // intervals that tell
-constexpr std::size_t kMostTied = 4;
-constexpr double kAtJump = 1e-9;  // of a control interval: an event so near to its end is at it
+constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
+
+constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
+constexpr const char* kNameAMode =
+    "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ OnAccumulation)";
 
 std::string Text(double value) { return ToText(value, 10); }
 
@@ -47,6 +48,7 @@ RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
   for (std::vector<double>* numbers : {&at_.x, &at_.slope, &next_state_, &next_slope_}) numbers->resize(most);
   at_.guards.resize(most_guards);
   at_.armed.resize(most_guards);
+  at_.at_zero.resize(most_guards);
   next_guards_.resize(most_guards);
 }
 
@@ -85,6 +87,11 @@ bool RolloutRun::UpdateSlope() {
   return true;
 }
 
+// The time over which errors of the integration that guards see at a time have come about: at most a step.
+double RolloutRun::Elapsed(double time) const {
+  return std::min(time - input_->begin, input_->duration / tape_.num_nodes);
+}
+
 void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
 // The control has jumped: the motion goes on in the mode that the system's functions say.
@@ -98,7 +105,10 @@ bool RolloutRun::SwitchControl() {
   if (next != at_.mode) {
     switches_.push_back({.time = at_.t, .mode = at_.mode, .guard = -1, .next_mode = next, .before = {}, .after = {}});
     at_.mode = next;
-    return Enter(Entry::kAfterReset, true);
+    return Enter(Entry::kAfterReset);
+  }
+  if (std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero)) {
+    return Enter(Entry::kControlJump);
   }
   if (!UpdateSlope()) return false;
   UpdateGuards();
@@ -135,7 +145,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   at_.t = input.begin;
   interval_ = 0;
   std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
-  bool goes_on = Enter(Entry::kStart, true);
+  bool goes_on = Enter(Entry::kStart);
   for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
     if ((node - 1) % steps_ == 0) {
       const bool jumps = interval_ != (node - 1) / steps_;
@@ -159,71 +169,108 @@ void RolloutRun::Finish() {
   }
 }
 
-// On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once, the first in
-// `order` first, or without one that of the smallest number.
-bool RolloutRun::Enter(Entry entry, bool record, const std::vector<int>& order) {
-  for (int count = 0;; ++count) {
-    if (count > kMostAtOnce) {
-      if (record) accumulation_ = at_.t;
-      return Refuse("more than " + std::to_string(kMostAtOnce) + " events without time passing (Zeno behaviour) in " +
-                    Where());
-    }
+// On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once. Transitions
+// of guards that are behind belong to the event before and come first; then the earliest event of guards at zero, and
+// of those that rounding does not separate that of the smallest number. Where only the control jumps, guards at zero
+// alone are looked at.
+bool RolloutRun::Enter(Entry entry) {
+  using Standing = EventSearch::Standing;
+  for (;;) {
     if (!UpdateSlope()) return false;
     const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
+    const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
     int due = -1;
-    bool located = false;
+    Standing of_due = Standing::kFalling;
+    double time = 0, rounding = 0;  // of the event that is due
     UpdateGuards();
     search_.Enter(ahead);
-    const auto num_guards = static_cast<std::size_t>(system_.num_guards(at_.mode));
-    for (std::size_t place = 0; place < num_guards; ++place) {
-      const int guard = order.size() == num_guards ? order[place] : static_cast<int>(place);
+    if (entry != Entry::kControlJump) std::fill(at_.at_zero.begin(), at_.at_zero.end(), 0);
+    for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
+      if (entry == Entry::kControlJump && at_.at_zero[guard] == 0) continue;
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value)) {
         return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
       }
-      const EventSearch::Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value);
-      at_.armed[guard] = standing == EventSearch::Standing::kArmed;
-      if (standing == EventSearch::Standing::kBehind && entry == Entry::kStart) {
-        if (options_.wait_behind_guards) continue;
-        return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
-                      ") at the start, in " + Where());
+      const Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value, elapsed);
+      at_.armed[guard] = standing == Standing::kArmed;
+      at_.at_zero[guard] = standing == Standing::kRising;
+      if (standing == Standing::kArmed || standing == Standing::kRising) continue;
+      if (standing == Standing::kBehind) {
+        if (entry == Entry::kStart) {
+          if (options_.wait_behind_guards) continue;
+          return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
+                        ") at the start, in " + Where());
+        }
+        if (value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) continue;
       }
-      if (due >= 0) continue;
-      if (standing == EventSearch::Standing::kBehind && value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) {
-        continue;
+      if (due >= 0 && (of_due == Standing::kBehind || standing == Standing::kSinking)) continue;
+      double then = 0, error = 0;
+      if (standing == Standing::kFalling) {
+        then = std::max(value.value, 0.0) / -value.rate;
+        error = search_.WindowOf(ahead, guard, value.rate, elapsed).rounding / -value.rate;
+        if (due >= 0 && of_due == Standing::kFalling && then >= time - rounding - error) continue;
       }
-      if (standing != EventSearch::Standing::kBehind && standing != EventSearch::Standing::kFalling) continue;
       due = guard;
-      located = standing == EventSearch::Standing::kFalling;
+      of_due = standing;
+      time = then;
+      rounding = error;
     }
     if (due < 0) return true;
-    if (record && entry == Entry::kStart) {
-      Remark("guard '" + system_.GuardName(at_.mode, due) + "' has an event at the start");
+    const std::string name = "guard '" + system_.GuardName(at_.mode, due) + "'";
+    if (entry == Entry::kStart) Remark(name + " has an event at the start");
+    if (entry == Entry::kControlJump)
+      Remark(name + " has an event at t = " + Text(at_.t) + ", where the control jumps");
+    if (const std::string why = WhyRepeats(due, of_due); !why.empty()) {
+      return GoOnAfterAccumulation(at_.t, at_.mode, due, why);
     }
-    if (!Fire(due, located, record, entry == Entry::kAfterReset)) return false;
+    if (of_due == Standing::kSinking) Remark(name + kSinks + Text(at_.t));
+    if (!Fire(due, of_due == Standing::kFalling, entry != Entry::kStart)) return false;
     entry = Entry::kAfterReset;
   }
 }
 
+// Why the events of this time go on without end: the guard has had one with the state that is reached again, or, if the
+// system names a mode to go on in, one after which it is left at zero with a rate of zero; or it has had too many.
+// Empty if they may end.
+std::string RolloutRun::WhyRepeats(int guard, EventSearch::Standing standing) const {
+  int count = 0;
+  for (std::size_t i = events_.size(); i-- > 0 && events_[i].time == at_.t;) {
+    if (events_[i].mode != at_.mode || events_[i].guard != guard) continue;
+    ++count;
+    const bool named = functions_.OnAccumulation(at_.mode, guard) >= 0;
+    const double* before = &tape_.numbers[befores_[i]];
+    if ((named && standing == EventSearch::Standing::kSinking) ||
+        std::equal(before, before + system_.state_size(at_.mode), at_.x.begin())) {
+      return "events without time passing (Zeno behaviour) in " + Where() + ": guard '" +
+             system_.GuardName(at_.mode, guard) + "' has an event at once after its own";
+    }
+  }
+  if (count < std::max(options_.most_repeats, 1)) return "";
+  return "more than " + std::to_string(options_.most_repeats) + " events without time passing (Zeno behaviour) in " +
+         Where() + ", of guard '" + system_.GuardName(at_.mode, guard) + "': raise most_repeats if they end";
+}
+
 // The reset of a guard, where at_ is. `with_step`: this is where the guard is zero, which a step of no length to the
 // event notes for the derivatives; otherwise such a step is on the tape, or the reset is part of the one before.
-bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
+bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
+  if (static_cast<int>(events_.size()) >= options_.most_events) {
+    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where() + ", of guard '" +
+                  system_.GuardName(at_.mode, guard) + "': raise most_events if the motion has as many" + kNameAMode);
+  }
   const int mode = at_.mode;
   const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
   const FlowStep here = StepFrom(0);
   const double rate = search_.At(here, at_.slope.data(), guard).rate;
-  if (record) {
-    Remark(functions_.WhyNoDerivative(here, guard));
-    if (with_step) Record(TapeEntry::Kind::kToEvent, 0).guard = guard;
-    TapeEntry& reset = Record(TapeEntry::Kind::kReset, 0);
-    reset.guard = guard;
-    reset.event = static_cast<int>(events_.size());
-    befores_.push_back(reset.x);
-  }
+  Remark(functions_.WhyNoDerivative(here, guard));
+  if (with_step) Record(TapeEntry::Kind::kToEvent, 0).guard = guard;
+  TapeEntry& reset = Record(TapeEntry::Kind::kReset, 0);
+  reset.guard = guard;
+  reset.event = static_cast<int>(events_.size());
+  befores_.push_back(reset.x);
   std::fill(next_state_.begin(), next_state_.end(), std::numeric_limits<double>::quiet_NaN());
   const int next = functions_.Reset(here, guard, next_state_.data());
   if (next < 0 || next >= system_.num_modes()) {
-    if (record) befores_.pop_back();
+    befores_.pop_back();
     if (const std::string why = functions_.WhyNoMode(here, guard); !why.empty()) {
       return Refuse(what() + "leads to no mode: " + why);
     }
@@ -232,14 +279,12 @@ bool RolloutRun::Fire(int guard, bool with_step, bool record, bool at_once) {
   }
   for (int i = 0; i < system_.state_size(next); ++i) {
     if (std::isfinite(next_state_[i])) continue;
-    if (record) befores_.pop_back();
+    befores_.pop_back();
     return Refuse(what() + "gives no finite " + system_.StateName(next, i) + " in mode '" + system_.ModeName(next) +
                   "'");
   }
-  if (record) {
-    afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
-    events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once});
-  }
+  afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
+  events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once});
   std::copy_n(next_state_.begin(), system_.state_size(next), at_.x.begin());
   at_.mode = next;
   return true;
@@ -252,7 +297,7 @@ bool RolloutRun::StepTo(int node) {
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
-    const ModePoint end{step.mode, target, next_state_.data(), step.u, step.p};
+    const FlowStep end{{step.mode, target, next_state_.data(), step.u, step.p}, 0};
     double zero = 0;  // unless a number is not finite
     for (int i = 0; i < n; ++i) zero += 0 * next_state_[i] + 0 * next_slope_[i];
     for (int i = 0; i < n && zero != 0; ++i) {
@@ -271,8 +316,9 @@ bool RolloutRun::StepTo(int node) {
       // An event so shortly after the end that rounding decides is one at the end.
       for (int guard = 0; guard < num_guards && due.guard < 0; ++guard) {
         const GuardValue& last = next_guards_[guard];
-        if (at_.armed[guard] && last.rate < 0 && last.value <= -last.rate * kAtOnce * input_->duration)
-          due = {guard, step.h};
+        if (at_.armed[guard] == 0 || last.value > kNear * -last.rate * input_->duration) continue;
+        const double window = search_.WindowOf(end, guard, last.rate, Elapsed(target)).integrated;
+        if (last.rate < 0 && last.value <= window) due = {guard, step.h};
       }
     }
     if (due.guard >= 0) {
@@ -290,6 +336,7 @@ bool RolloutRun::StepTo(int node) {
     }
     for (int guard = 0; guard < num_guards; ++guard) {
       at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
+      at_.at_zero[guard] = at_.at_zero[guard] && !at_.armed[guard];
       at_.guards[guard] = next_guards_[guard];
     }
     return true;
@@ -305,9 +352,14 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
         !search_.MayReturn(step, guard, begin, end[guard])) {
       continue;
     }
-    const EventSearch::Found found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
+    bool sinks = false;
+    EventSearch::Found found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
+    if (found.what == EventSearch::Found::What::kNothing && at_.at_zero[guard]) {
+      found = search_.FindSinking(step, at_.slope.data(), guard, begin, end[guard], Elapsed(step.t));
+      sinks = found.what == EventSearch::Found::What::kEvent;
+    }
     if (found.what == EventSearch::Found::What::kEvent) {
-      if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s};
+      if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s, sinks};
     } else if (found.what == EventSearch::Found::What::kGrazing) {
       if (end[guard].value <= 0) at_.armed[guard] = false;
       const double time = step.t + found.s;
@@ -325,7 +377,9 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
     for (int guard = 0; guard < system_.num_guards(step.mode) && !found; ++guard) {
       if (guard == earliest.guard || (at_.armed[guard] && !(at_.guards[guard].value > 0))) continue;
       const GuardValue then = search_.After(step, at_.slope.data(), guard, part.h);
-      if (then.value >= -std::abs(then.rate) * kAtOnce * input_->duration) continue;
+      if (then.value >= 0) continue;
+      const FlowStep point = search_.PointAfter(step, at_.slope.data(), part.h);
+      if (then.value >= -search_.WindowOf(point, guard, then.rate, Elapsed(point.t)).integrated) continue;
       const EventSearch::Found before =
           search_.Find(part, at_.slope.data(), guard, at_.armed[guard], at_.guards[guard], then);
       found = before.what == EventSearch::Found::What::kEvent && before.s < earliest.s;
@@ -335,86 +389,99 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
   return earliest;
 }
 
-bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
-  if (static_cast<int>(events_.size()) >= options_.most_events) {
-    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where());
+// The guards that reach zero with the one that is due, where at_ is: within the errors of the integration. `first` is
+// the guard that comes first: of those that rounding does not separate from the one that is due, that of the smallest
+// number.
+std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
+  const FlowStep here = StepFrom(0);
+  const double elapsed = Elapsed(at_.t);
+  std::vector<int> tied;
+  *first = due.guard;
+  double rounding_of_due = -1;  // in time
+  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
+    if (guard == due.guard) tied.push_back(guard);
+    if (guard == due.guard || at_.armed[guard] == 0) continue;
+    const GuardValue value = search_.At(here, at_.slope.data(), guard);
+    if (!(value.rate < 0) || std::abs(value.value) > kNear * -value.rate * input_->duration) continue;
+    const EventSearch::Window error = search_.WindowOf(here, guard, value.rate, elapsed);
+    if (std::abs(value.value) > 2 * error.integrated) continue;
+    tied.push_back(guard);
+    if (rounding_of_due < 0) {
+      const double rate = search_.At(here, at_.slope.data(), due.guard).rate;
+      rounding_of_due = rate < 0 ? search_.WindowOf(here, due.guard, rate, elapsed).rounding / -rate : 0;
+    }
+    if (std::abs(value.value) <= error.rounding - value.rate * rounding_of_due) *first = std::min(*first, guard);
   }
+  return tied;
+}
+
+bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   FlowStep part = step;
   part.h = due.s;
-  Record(TapeEntry::Kind::kToEvent, due.s).guard = due.guard;
+  Coincidence coincidence;
+  coincidence.begin = tape_.entries.size();
+  Record(TapeEntry::Kind::kToEvent, due.s);
   search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;
-  // Guards that are at zero here as well.
-  std::vector<int> tied = {due.guard};
-  const double at_once = kAtOnce * input_->duration;
-  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
-    if (guard == due.guard || !at_.armed[guard]) continue;
-    const GuardValue value = search_.At(StepFrom(0), at_.slope.data(), guard);
-    if (value.rate < 0 && std::abs(value.value) <= -value.rate * at_once) tied.push_back(guard);
-  }
   int first = due.guard;
-  if (tied.size() > 1) {
-    std::sort(tied.begin(), tied.end());
-    first = tape_.entries.back().guard = tied.front();
-    TryOrders(tied);
+  coincidence.guards = TiedWith(due, &first);
+  tape_.entries.back().guard = first;
+  const std::string name = "guard '" + system_.GuardName(at_.mode, first) + "'";
+  if (coincidence.guards.size() > 1) {
+    coincidence.tie = static_cast<int>(ties_.size());
+    const HybridTie& tie = ties_.emplace_back(HybridTie{.time = at_.t, .mode = at_.mode, .guards = coincidence.guards});
+    std::string names;
+    for (const int guard : tie.guards)
+      names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
+    coincidence.remark = std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(at_.t) +
+                         ", and the derivatives depend on the order of their events: " + names;
   }
-  if (input_->begin + input_->duration - at_.t <= at_once) {
-    Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at the final time");
-  } else if (ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump) > 0) {
-    Remark("guard '" + system_.GuardName(at_.mode, first) + "' has an event at t = " + Text(at_.t) +
-           ", where the control jumps");
+  if (due.sinks) Remark(name + kSinks + Text(at_.t));
+  const double remaining = input_->begin + input_->duration - at_.t;
+  coincidence.jump = ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump);
+  const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
+  if (remaining <= kNear * input_->duration &&
+      remaining * std::abs(at_event.rate) <=
+          search_.WindowOf(StepFrom(0), first, at_event.rate, Elapsed(at_.t)).integrated) {
+    Remark(name + " has an event at the final time");
+    coincidence.jump = -1;
+  } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
+    coincidence.remark = name + " has an event at t = " + Text(at_.t) + ", where the control jumps";
   }
-  const std::size_t events = events_.size();
-  if (!Fire(first, false, true, false) || !Enter(Entry::kAfterReset, true)) return false;
-  if (events_.size() > events + 1 && tied.size() == 1 &&
-      tape_.entries[tape_.entries.size() - 2].kind == TapeEntry::Kind::kToEvent) {
+  const std::size_t begin = coincidence.begin, events = events_.size(), number = tape_.coincidences.size();
+  const std::optional<double> accumulation = accumulation_;
+  tape_.coincidences.push_back(std::move(coincidence));
+  if (!Fire(first, false, false) || !Enter(Entry::kAfterReset)) return false;
+  const bool accumulates = accumulation_ != accumulation;
+  std::string& remark = tape_.coincidences[number].remark;
+  if (remark.empty() && accumulates) {
+    remark = name + " has events without time passing at t = " + Text(at_.t) + ", of which the derivative is one-sided";
+  } else if (remark.empty() && events_.size() > events + 1 &&
+             tape_.entries[begin + 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
-    Remark("the reset at t = " + Text(at_.t) + " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'");
+    remark = "the reset at t = " + Text(at_.t) + " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'";
   }
-  return !Accumulates();
+  if (remark.empty()) {
+    tape_.coincidences.pop_back();
+  } else {
+    tape_.coincidences[number].end = tape_.entries.size();
+  }
+  return accumulates || !Accumulates();
 }
 
-// The states that other orders of tied guards lead to.
-void RolloutRun::TryOrders(const std::vector<int>& guards) {
-  HybridTie tie{.time = at_.t, .mode = at_.mode, .guards = guards};
-  std::vector<int> first = guards;
-  if (first.size() > kMostTied) first.resize(kMostTied);
-  std::vector<int> all(system_.num_guards(at_.mode));
-  std::iota(all.begin(), all.end(), 0);
-  const At here = at_;
-  std::optional<At> reference;
-  do {
-    // The guards in this order, then the others.
-    std::vector<int> order = first;
-    for (int guard : all) {
-      if (std::find(first.begin(), first.end(), guard) == first.end()) order.push_back(guard);
-    }
-    at_ = here;
-    if (!Fire(order.front(), false, false, false) || !Enter(Entry::kAfterReset, false, order)) {
-      tie.spread = std::numeric_limits<double>::infinity();
-      why_.clear();
-      end_ = RolloutEnd::kDone;
-      continue;
-    }
-    if (!reference) {
-      reference = at_;
-    } else if (reference->mode != at_.mode) {
-      tie.spread = std::numeric_limits<double>::infinity();
-    } else {
-      double size = 0, spread = 0;
-      for (int i = 0; i < system_.state_size(at_.mode); ++i) {
-        size = std::max(size, std::abs(at_.x[i]));
-        spread = std::max(spread, std::abs(at_.x[i] - reference->x[i]));
-      }
-      if (spread > kSameState * size) tie.ambiguous = true;
-      tie.spread = std::max(tie.spread, spread);
-    }
-  } while (std::next_permutation(first.begin(), first.end()));
-  tie.ambiguous = tie.ambiguous || std::isinf(tie.spread);
-  at_ = here;
-  ties_.push_back(std::move(tie));
+// Goes on in the mode that the system names where the events of a guard accumulate; refuses without one.
+bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why) {
+  accumulation_ = time;
+  const int next = functions_.OnAccumulation(mode, guard);
+  if (next < 0) return Refuse(why + kNameAMode);
+  if (next >= system_.num_modes() || system_.state_size(next) != system_.state_size(at_.mode)) {
+    return Refuse(why + "; OnAccumulation names mode " + std::to_string(next) +
+                  ", expected one with states of the same size");
+  }
+  at_.mode = events_.back().next_mode = next;
+  return Enter(Entry::kAfterReset);
 }
 
 // Whether the motion ends because events accumulate at a point before its end: the intervals between them, or those
@@ -436,18 +503,13 @@ bool RolloutRun::Accumulates() {
     const double ratio = interval(0) / interval(1);
     const double point = at_.t + interval(0) * ratio / (1 - ratio);
     if (!(point < input_->begin + input_->duration)) continue;
-    accumulation_ = point;
     const HybridEvent& last = events_.back();
-    const int next = functions_.OnAccumulation(last.mode, last.guard);
-    if (next >= 0 && next < system_.num_modes() && system_.state_size(next) == system_.state_size(at_.mode)) {
-      at_.mode = events_.back().next_mode = next;
-      return !Enter(Entry::kAfterReset, true);
-    }
-    return !Refuse("events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) + ", of guard '" +
-                   system_.GuardName(last.mode, last.guard) + "' in mode '" + system_.ModeName(last.mode) + "'" +
-                   (next < 0 ? ""
-                             : "; OnAccumulation names mode " + std::to_string(next) +
-                                   ", expected one with states of the same size"));
+    return !GoOnAfterAccumulation(point,
+                                  last.mode,
+                                  last.guard,
+                                  "events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) +
+                                      ", of guard '" + system_.GuardName(last.mode, last.guard) + "' in mode '" +
+                                      system_.ModeName(last.mode) + "'");
   }
   return false;
 }

@@ -33,36 +33,41 @@ class RolloutRun {
   const std::vector<HybridEvent>& events() const { return events_; }
   const std::vector<HybridEvent>& switches() const { return switches_; }
   const std::vector<HybridGrazing>& grazings() const { return grazings_; }
+  // Without their spreads.
   const std::vector<HybridTie>& ties() const { return ties_; }
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }
   const std::string& remark() const { return remark_; }
 
  private:
-  // A mode and its state, with all guards as they stand.
+  // A mode and its state, with all guards as they stand. One that is at zero needs not rise before it falls.
   struct At {
     int mode = 0;
     double t = 0;
     std::vector<double> x, slope;
     std::vector<GuardValue> guards;
-    std::vector<char> armed;
+    std::vector<char> armed, at_zero;
   };
   struct Due {
     int guard = -1;
     double s = 0;
+    bool sinks = false;  // the guard is at zero at the beginning of the step, and leaves it with a rate of zero
   };
-  enum class Entry { kStart, kAfterReset };
+  enum class Entry { kStart, kAfterReset, kControlJump };
 
   bool SwitchControl();
   bool StepTo(int node);
-  bool Enter(Entry entry, bool record, const std::vector<int>& order = {});
-  bool Fire(int guard, bool with_step, bool record, bool at_once);
+  bool Enter(Entry entry);
+  bool Fire(int guard, bool with_step, bool at_once);
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool Happen(const Due& due, const FlowStep& step);
-  void TryOrders(const std::vector<int>& guards);
+  std::vector<int> TiedWith(const Due& due, int* first);
   bool Accumulates();
+  std::string WhyRepeats(int guard, EventSearch::Standing standing) const;
+  bool GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why);
   bool UpdateSlope();
   void UpdateGuards();
+  double Elapsed(double time) const;
   FlowStep StepFrom(double h) const;
   TapeEntry& Record(TapeEntry::Kind kind, double h);
   bool Refuse(const std::string& what);

@@ -210,6 +210,44 @@ TEST(SeveralContacts, IndependentImpactsAtOnceHaveADerivative) {
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0, 0, 0}).initial[0], -0.8, 1e-13);
 }
 
+// Three balls of radius 0.1 and mass 1 on a line: [x0 x1 x2]. p = [restitution, force on the third].
+struct Cradle {
+  static constexpr int kNumCoordinates = 3, kNumControls = 0, kNumParameters = 2, kNumContacts = 2;
+  static constexpr std::array<const char*, 2> kContactNames = {"a-b", "b-c"};
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    for (int i = 0; i < 9; ++i) M[i] = T(i % 4 == 0 ? 1.0 : 0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T*, const T* p, T* h) const {
+    h[0] = h[1] = T(0.0);
+    h[2] = p[1];
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return q[contact + 1] - q[contact] - 0.2;
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[0];
+  }
+};
+
+TEST(SeveralContacts, ThoseThatOnlyTouchAreNamedWhereAnotherHits) {
+  const MechanicalSystem system{Cradle()};
+  HybridSimulator simulator(system.hybrid());
+  const auto remark = [&](double gap, double force) {
+    const std::vector<double> x = {-0.5, 0, 0.2 + gap, 1, 0, 0}, p = {1, force};
+    const MechanicalSystem::Start start = system.FindMode(x, {}, p);
+    EXPECT_GE(start.mode, 0) << start.why;
+    EXPECT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 0.6}));
+    return simulator.WhyNotDifferentiable();
+  };
+  EXPECT_THAT(remark(0, 0), HasSubstr("'b-c' touch without a force where 'a-b' hits: the order of their impacts"));
+  EXPECT_EQ(remark(1e-3, 0), "");
+  EXPECT_NEAR(simulator.final_state()[5], 1, 1e-13) << "the third leaves with the speed of the first";
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // Painleve.
 

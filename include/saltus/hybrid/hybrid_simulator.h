@@ -8,6 +8,8 @@
 //   at zero, if that is < 0,                            has an event at once;
 //   below zero                                          has a transition at once, which is one reset with the first.
 //
+// Transitions at once come before events of other guards that are at zero.
+//
 // "At zero" means within 1e-11 of the size of its terms. At the start a guard below zero is an error. An event at the
 // final time counts: the final state is that after it.
 //
@@ -55,6 +57,9 @@ struct HybridOptions {
   // A guard below zero at the start is armed once it is above zero, in the place of an error.
   bool wait_behind_guards = false;
   int most_events = 100000;  // a motion with more of them fails
+  // Events of one guard in one mode without time passing. With more of them, or where its event leads back to the state
+  // in which it began, the motion goes on in the mode that the system names (OnAccumulation), or fails.
+  int most_repeats = 100;
 };
 
 struct HybridEvent {
@@ -71,7 +76,9 @@ struct HybridGrazing {
   int mode = 0, guard = 0;
 };
 
-// Guards that reach zero together. Their events are taken in the order of their numbers.
+// Guards that reach zero together: at times that differ by less than the error of an integration, 1e-12 of what the
+// guards are computed from. Their events are taken in the order of their times, and of those that rounding does not
+// separate in the order of their numbers.
 struct HybridTie {
   double time = 0;
   int mode = 0;
@@ -142,8 +149,9 @@ class HybridSimulator {
   // Whether a step is the reset of the next event; it takes no time, and its state is that before the reset.
   bool IsReset(int step) const;
 
-  // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, ties, an
-  // event at the start, at the final time or where the control jumps, a reset onto another guard.
+  // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, an event
+  // at the start or at the final time; ties, events where the control jumps, and resets onto another guard, if the
+  // states or their derivatives differ from side to side. Costs about two gradients if there are any of the latter.
   std::string WhyNotDifferentiable() const;
 
   // Steps in a control interval, after the first rollout.

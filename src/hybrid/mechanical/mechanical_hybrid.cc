@@ -806,14 +806,22 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
   const OnMode on = Projected(of, PointAt(from));
   const Impact impact = Hit(of, of.guards[guard].contact, on.at);
   if (!impact.why.empty()) return "";
-  std::string names, boundary;
+  std::string names, touching, boundary;
   int hits = 0;
   const Eigen::VectorXd after = impact.After();
+  // Whether a contact that is closed before has no force then, so that it might as well be a little open.
+  const auto touches = [&](int contact) {
+    const auto closed = std::ranges::find(of.closed, contact, &ClosedContact::contact);
+    const double force = MotionOf(of, on.at).force[closed - of.closed.begin()];
+    return std::abs(force) <= kRests * equations_.Force(on.at).cwiseAbs().maxCoeff();
+  };
   for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
     const auto row = static_cast<Eigen::Index>(2 * i);
     if (impact.hits[i] != 0) {
       ++hits;
       names += (names.empty() ? "'" : ", '") + ContactName(impact.contacts[i]) + "'";
+    } else if (impact.impulse[row] > kNearly * impact.impulse.maxCoeff() && touches(impact.contacts[i])) {
+      touching += (touching.empty() ? "'" : ", '") + ContactName(impact.contacts[i]) + "'";
     }
     // How far the end of the impact is from another branch.
     const double speeds = impact.W.row(row + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
@@ -825,6 +833,10 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
       boundary += (boundary.empty() ? "" : "; ") + ("the impact of '" + ContactName(impact.contacts[i])) +
                   "' is at the boundary between sticking and sliding";
     }
+  }
+  if (!touching.empty()) {
+    boundary += std::string(boundary.empty() ? "" : "; ") + "contacts " + touching + " touch without a force where " +
+                names + " hits: the order of their impacts matters";
   }
   if (hits > 1) {
     boundary += std::string(boundary.empty() ? "" : "; ") + "contacts " + names +

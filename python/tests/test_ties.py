@@ -1,0 +1,263 @@
+"""Events of hybrid systems at one time: their order, one-sided derivatives, and events that accumulate."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import saltus
+
+
+def dosing(order):
+    guard = {"dose": lambda t, x, p: 1 + p[0] - t, "change": lambda t, x, p: 1.5 - t}
+    resets = {"dose": lambda t, x, p: ("dosed", [x[0] + 2]), "change": lambda t, x, p: ("changed", x)}
+    return saltus.HybridSystem(
+        states={k: ["A"] for k in ("both", "dosed", "changed", "end")}, parameters=["lag"],
+        flow={k: (lambda t, x, u, p, k=k: [-(0.5 if k in ("both", "dosed") else 0.8) * x[0]])
+              for k in ("both", "dosed", "changed", "end")},
+        guards={"both": {k: guard[k] for k in order}, "dosed": {"change": guard["change"]},
+                "changed": {"dose": guard["dose"]}},
+        resets={"both": {k: resets[k] for k in order}, "dosed": {"change": lambda t, x, p: ("end", x)},
+                "changed": {"dose": lambda t, x, p: ("end", [x[0] + 2])}})
+
+
+@pytest.mark.parametrize("order", [["dose", "change"], ["change", "dose"]])
+def test_orders_that_lead_to_one_state_and_two_derivatives(order):
+    problem = saltus.HybridProblem(dosing(order), mode="both", initial=[3], parameters=[0.5], duration=2.5)
+    found = saltus.final_derivatives(problem)
+    assert "the derivatives depend on the order of their events" in found.remark
+    assert "'dose'" in found.remark and "'change'" in found.remark
+    sides = 0.449328964117222, 0.718926342587554  # the dose before the change, and after it
+    assert min(abs(found.by_parameters[0, 0] - side) for side in sides) < 1e-12
+    for lag, side in ((0.4999, sides[0]), (0.5001, sides[1])):
+        problem.parameters = [lag]
+        found = saltus.final_derivatives(problem)
+        assert found.remark == ""
+        assert_allclose(found.by_parameters[0, 0], side, rtol=2e-4)
+
+
+def test_tied_events_with_times_that_nothing_changes_have_a_derivative():
+    # The lag is a constant: no change of the state moves one event past the other.
+    system = saltus.HybridSystem(
+        states={k: ["A"] for k in ("a", "b", "c", "d")},
+        flow={k: (lambda t, x, u, p, k=k: [-(0.5 if k in "ab" else 0.8) * x[0]]) for k in "abcd"},
+        guards={"a": {"dose": lambda t, x, p: 1.5 - t, "change": lambda t, x, p: 1.5 - t},
+                "b": {"change": lambda t, x, p: 1.5 - t}, "c": {"dose": lambda t, x, p: 1.5 - t}},
+        resets={"a": {"dose": lambda t, x, p: ("b", [x[0] + 2]), "change": lambda t, x, p: ("c", x)},
+                "b": {"change": lambda t, x, p: ("d", x)}, "c": {"dose": lambda t, x, p: ("d", [x[0] + 2])}})
+    found = saltus.final_derivatives(saltus.HybridProblem(system, mode="a", initial=[3], duration=2.5))
+    assert found.remark == ""
+    assert_allclose(found.by_initial, [[math.exp(-0.75 - 0.8)]], rtol=1e-11)
+
+
+def clocks_with_flags(order):
+    guards = {"ring a": lambda t, x, p: x[0], "ring b": lambda t, x, p: x[1],
+              "act a": lambda t, x, p: saltus.where(x[2] > 0.5, -1, 1),
+              "act b": lambda t, x, p: saltus.where(x[3] > 0.5, -1, 1)}
+    resets = {"ring a": lambda t, x, p: ("run", [9, x[1], 1, *x[3:]]),
+              "ring b": lambda t, x, p: ("run", [x[0], 9, x[2], 1, *x[4:]]),
+              "act a": lambda t, x, p: ("run", [x[0], x[1], 0, x[3], 0, x[5]]),
+              "act b": lambda t, x, p: ("run", [x[0], x[1], x[2], 0, x[4], 0])}
+    return saltus.HybridSystem(
+        states={"run": ["a", "b", "flag a", "flag b", "ya", "yb"]}, flow={"run": lambda t, x, u, p: [-1, -1, 0, 0, 1, 1]},
+        guards={"run": {name: guards[name] for name in order}}, resets={"run": {name: resets[name] for name in order}})
+
+
+@pytest.mark.parametrize("order", [["ring a", "ring b", "act a", "act b"], ["ring a", "act a", "ring b", "act b"],
+                                   ["act a", "act b", "ring a", "ring b"], ["act b", "ring b", "act a", "ring a"]])
+def test_transitions_that_an_event_enables_belong_to_it(order):
+    system = clocks_with_flags(order)
+    for b in (0.7, 0.8):
+        found = saltus.final_derivatives(
+            saltus.HybridProblem(system, mode="run", initial=[0.7, b, 0, 0, 0, 0], duration=2))
+        assert found.remark == ""
+        assert_allclose(found.by_initial[4:, :2], [[-1, 0], [0, -1]], atol=1e-12)
+
+
+def test_a_flow_between_tied_events_is_a_kink():
+    # x' = 1 while one of two clocks has rung: x = |a - b|.
+    system = saltus.HybridSystem(
+        states={"run": ["a", "b", "flag a", "flag b", "x"]},
+        flow={"run": lambda t, x, u, p: [-1, -1, 0, 0, x[2] + x[3] - 2 * x[2] * x[3]]},
+        guards={"run": {"ring a": lambda t, x, p: x[0], "ring b": lambda t, x, p: x[1]}},
+        resets={"run": {"ring a": lambda t, x, p: ("run", [9, x[1], 1, *x[3:]]),
+                        "ring b": lambda t, x, p: ("run", [x[0], 9, x[2], 1, x[4]])}})
+    for b, slopes in ((0.6999, [1, -1]), (0.7, None), (0.7001, [-1, 1])):
+        found = saltus.final_derivatives(saltus.HybridProblem(system, mode="run", initial=[0.7, b, 0, 0, 0], duration=2))
+        if slopes is None:
+            assert "'ring a', 'ring b'" in found.remark
+        else:
+            assert found.remark == ""
+            assert_allclose(found.by_initial[4, :2], slopes, atol=1e-12)
+
+
+@pytest.mark.parametrize("duration, time, gap", [(2, 1, 1e-9), (1e4, 1, 1e-9), (1e4, 9e3, 1e-9), (3.15e7, 1, 1e-5),
+                                                 (3.15e7, 3e7, 1e-5), (3.15e7, 3e7, 1e-6)])
+@pytest.mark.parametrize("order", [["add", "double"], ["double", "add"]])
+def test_events_are_taken_in_the_order_of_time(duration, time, gap, order):
+    guard = {"double": lambda t, x, p: time - t, "add": lambda t, x, p: time + p[0] - t}
+    resets = {"add": lambda t, x, p: ("added", [x[0] + 1]), "double": lambda t, x, p: ("doubled", [2 * x[0]])}
+    system = saltus.HybridSystem(
+        states={k: ["x"] for k in ("both", "doubled", "added", "end")}, parameters=["gap"],
+        flow={k: (lambda t, x, u, p: [0.0]) for k in ("both", "doubled", "added", "end")},
+        guards={"both": {k: guard[k] for k in order}, "doubled": {"add": guard["add"]},
+                "added": {"double": guard["double"]}},
+        resets={"both": {k: resets[k] for k in order}, "doubled": {"add": lambda t, x, p: ("end", [x[0] + 1])},
+                "added": {"double": lambda t, x, p: ("end", [2 * x[0]])}})
+    for sign, expected in ((1, 3), (-1, 4)):
+        motion = saltus.rollout(saltus.HybridProblem(system, mode="both", initial=[1], parameters=[sign * gap],
+                                                     duration=duration))
+        assert motion.final[0] == expected
+        assert motion.remark == ""
+
+
+def test_cells_that_synchronize_are_not_ambiguous():
+    def flow(t, x, u, p):
+        return [1.3 - x[0] + x[2], 1.3 - x[1] + x[4], x[3] - x[2], -x[3], x[5] - x[4], -x[5]]
+
+    cells = saltus.HybridSystem(
+        states={"m": ["x1", "x2", "s1", "r1", "s2", "r2"]}, flow={"m": flow},
+        guards={"m": {"1": lambda t, x, p: 1 - x[0], "2": lambda t, x, p: 1 - x[1]}},
+        resets={"m": {"1": lambda t, x, p: ("m", [0, x[1], x[2], x[3], x[4], x[5] - 0.4]),
+                      "2": lambda t, x, p: ("m", [x[0], 0, x[2], x[3] - 0.4, x[4], x[5]])}})
+    motion = saltus.rollout(saltus.HybridProblem(cells, mode="m", initial=[0, 0.3, 0, 0, 0, 0], duration=200))
+    assert motion.remark == ""
+    assert len(motion.events) == 184
+    assert_allclose(motion.final[:2], 0.640949270801252643, atol=1e-9)
+
+
+def test_a_control_that_jumps_at_an_event_that_does_not_depend_on_it():
+    # A ball, and a cart that the control pushes: the impact is where the control jumps.
+    system = saltus.HybridSystem(
+        states={"air": ["y", "v", "x", "w"]}, controls=["f"],
+        flow={"air": lambda t, x, u, p: [x[1], -8, x[3], u[0]]}, guards={"air": {"ground": lambda t, x, p: x[0]}},
+        resets={"air": {"ground": lambda t, x, p: ("air", [x[0], -0.6 * x[1], x[2], x[3]])}})
+    problem = saltus.HybridProblem(system, mode="air", initial=[1, 0, 0, 0], duration=1, control=[[0], [1]])
+    found = saltus.final_derivatives(problem)
+    assert found.remark == ""
+    assert_allclose(found.by_initial[0, 0], -0.6 + (1 + 0.6) * 8 / 4 * 0.5, rtol=1e-12)
+    coupled = saltus.HybridSystem(
+        states={"air": ["y", "v"]}, controls=["f"], flow={"air": lambda t, x, u, p: [x[1], u[0] - 8]},
+        guards={"air": {"ground": lambda t, x, p: x[0]}},
+        resets={"air": {"ground": lambda t, x, p: ("air", [x[0], -0.6 * x[1]])}})
+    problem = saltus.HybridProblem(coupled, mode="air", initial=[1, 0], duration=1, control=[[0], [1]])
+    assert "where the control jumps" in saltus.rollout(problem).remark
+
+
+def bouncing(e, **options):
+    ball = saltus.HybridSystem(
+        states={"air": ["y", "v"], "rest": ["y", "v"]}, parameters=["e"],
+        flow={"air": lambda t, x, u, p: [x[1], -9.81], "rest": lambda t, x, u, p: [0, 0]},
+        guards={"air": {"ground": lambda t, x, p: x[0]}},
+        resets={"air": {"ground": lambda t, x, p: ("air", [0, -p[0] * x[1]])}}, **options)
+    return saltus.HybridProblem(ball, mode="air", initial=[1, 0], parameters=[e], duration=12)
+
+
+@pytest.mark.parametrize("e", [0.9, 0.7, 0.5, 0.3, 0.1, 0.08, 0.05, 0.0])
+def test_bounces_that_accumulate_go_on_in_the_mode_that_is_named(e):
+    motion = saltus.rollout(bouncing(e, on_accumulation={"air": {"ground": "rest"}}))
+    assert motion.mode == "rest"
+    assert_allclose(motion.final, 0, atol=1e-6)
+    with pytest.raises(RuntimeError, match=r"Zeno behaviour.*guard 'ground'.*on_accumulation") as error:
+        saltus.rollout(bouncing(e))
+    assert_allclose(error.value.accumulation, math.sqrt(2 / 9.81) * (1 + e) / (1 - e), rtol=1e-9)
+
+
+def test_a_flow_that_points_at_its_switch_goes_on_in_the_mode_that_is_named():
+    box = saltus.HybridSystem(
+        states={k: ["x", "v"] for k in ("right", "left", "stick")},
+        flow={"right": lambda t, x, u, p: [x[1], -2.94], "left": lambda t, x, u, p: [x[1], 2.94],
+              "stick": lambda t, x, u, p: [0, 0]},
+        guards={"right": {"stop": lambda t, x, p: x[1]}, "left": {"stop": lambda t, x, p: -x[1]}},
+        resets={"right": {"stop": lambda t, x, p: ("left", x)}, "left": {"stop": lambda t, x, p: ("right", x)}},
+        on_accumulation={"right": {"stop": "stick"}, "left": {"stop": "stick"}})
+    problem = saltus.HybridProblem(box, mode="right", initial=[0, 1], duration=3)
+    motion = saltus.rollout(problem)
+    assert motion.mode == "stick"
+    assert_allclose(motion.final, [1 / (2 * 2.94), 0], atol=1e-14)
+    found = saltus.final_derivatives(problem)
+    assert found.remark == ""
+    assert_allclose(found.by_initial, [[1, 1 / 2.94], [0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("c", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("level", [0.3, 0.325])
+def test_a_reset_to_rest_on_its_own_guard(c, level):
+    # x' = v - w, whose difference the event leaves at one unit of rounding, and then v' = -c.
+    system = saltus.HybridSystem(
+        states={"run": ["x", "v", "w", "b"]}, parameters=["level", "c"],
+        flow={"run": lambda t, x, u, p: [x[1] - x[2], -p[1], 0, 0]},
+        guards={"run": {"below": lambda t, x, p: saltus.where(x[3] > 0.5, p[0] - x[0], x[0] - p[0])}},
+        resets={"run": {"below": lambda t, x, p: ("run", [
+            x[0], *saltus.where(x[3] > 0.5, x[1:3], [p[0] - p[0] + 0.1 + 0.2, 0.3]), 1 - x[3]])}})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="run", initial=[1, -1, 0, 0], parameters=[level, c],
+                                                 duration=1.5, steps_per_interval=100))
+    assert len(motion.events) == 1 and motion.final[3] == 1
+    time = motion.events[0][0]
+    assert_allclose(motion.final[0] - level, -c * (1.5 - time) ** 2 / 2, rtol=1e-6, atol=1e-14)
+
+
+def test_a_guard_that_rests_at_zero_has_its_event_when_it_falls():
+    # A cart is stopped at 0 and pulled on later: by the control that jumps, or by a force that sets in.
+    def cart(force):
+        return saltus.HybridSystem(
+            states={"run": ["x", "v"], "off": ["x", "v"]}, controls=["f"],
+            flow={"run": force, "off": lambda t, x, u, p: [0, 0]},
+            guards={"run": {"edge": lambda t, x, p: x[0]}},
+            resets={"run": {"edge": lambda t, x, p: ("off", x)}})
+
+    jumps = cart(lambda t, x, u, p: [x[1], u[0]])
+    motion = saltus.rollout(saltus.HybridProblem(jumps, mode="run", initial=[0, 0], duration=3, control=[[0], [0], [-1]]))
+    assert motion.mode == "off" and "edge" in motion.remark
+    assert_allclose(motion.events[0][0], 2, atol=1e-9)
+    sets_in = cart(lambda t, x, u, p: [x[1], saltus.where(t > 1.23, -(t - 1.23), 0)])
+    motion = saltus.rollout(saltus.HybridProblem(sets_in, mode="run", initial=[0, 0], duration=3))
+    assert motion.mode == "off" and "rate of zero" in motion.remark
+    assert_allclose(motion.events[0][0], 1.23, atol=5e-3)
+
+
+@pytest.mark.parametrize("n", [2, 50, 51, 80])
+def test_independent_events_at_one_time(n):
+    names = [f"x{i}" for i in range(n)] + [f"flag{i}" for i in range(n)]
+
+    def turned(x, i, value, flag):
+        after = list(x)
+        after[i], after[n + i] = value, flag
+        return "run", after
+
+    guards, resets = {}, {}
+    for i in range(n):
+        guards[f"time{i}"] = lambda t, x, p, i=i: saltus.where(x[i] > 0.5, 1, 1.5 - t)
+        resets[f"time{i}"] = lambda t, x, p, i=i: turned(x, i, 1, 1)
+    for i in range(n):
+        guards[f"act{i}"] = lambda t, x, p, i=i: saltus.where(x[n + i] > 0.5, -1, 1)
+        resets[f"act{i}"] = lambda t, x, p, i=i: turned(x, i, x[i], 0)
+    system = saltus.HybridSystem(states={"run": names}, flow={"run": lambda t, x, u, p: [0] * 2 * n},
+                                 guards={"run": guards}, resets={"run": resets})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="run", initial=[0] * 2 * n, duration=2))
+    assert len(motion.events) == 2 * n
+    assert_allclose(motion.final, [1] * n + [0] * n)
+    assert motion.remark == ""
+
+
+def test_limits_are_arguments_and_are_named():
+    # Counts down from n without time passing.
+    counter = saltus.HybridSystem(
+        states={"run": ["t", "n"]}, flow={"run": lambda t, x, u, p: [-1, 0]},
+        guards={"run": {"down": lambda t, x, p: saltus.where(x[1] > 0.5, x[0], 1)}},
+        resets={"run": {"down": lambda t, x, p: ("run", [saltus.where(x[1] > 1.5, -1, 1), x[1] - 1])}})
+
+    def run(n, **limits):
+        return saltus.rollout(saltus.HybridProblem(counter, mode="run", initial=[0.5, n], duration=1, **limits))
+
+    assert len(run(90).events) == 90
+    with pytest.raises(RuntimeError, match="more than 100 events without time passing .* of guard 'down': raise most_repeats"):
+        run(150)
+    assert len(run(150, most_repeats=200).events) == 150
+    with pytest.raises(RuntimeError, match="more than 20 events, .* of guard 'down': raise most_events"):
+        run(90, most_events=20)
+    with pytest.raises(ValueError, match="most_repeats: expected a number of at least 1"):
+        run(1, most_repeats=0)
+    with pytest.raises(TypeError, match="most_events: found float, expected a whole number"):
+        run(1, most_events=1.5)
