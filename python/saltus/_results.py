@@ -202,8 +202,11 @@ class Audit(Result):
 
 
 def _why(item: Mapping[str, Any]) -> str:
-    """The class of a model and the reasons of its verdict, after a colon; empty without any."""
+    """The class of a model and the reasons of its verdict, after a colon; empty without any. Where a simulator's derivative
+    contradicts its own motion, the class of its contact comes last."""
     reasons = [item.get("class"), item.get("why") or item.get("reason")]
+    if item.get("own_gradient") and item.get("agrees_with_differences") is False:
+        reasons.reverse()
     text = "; ".join(reason for reason in reasons if reason)
     return f": {text}" if text else ""
 
@@ -232,9 +235,10 @@ class Fit(Result):
         reason = self._data.get("reason")
         rows = [("contact", self._data["contact"]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
         for item in self._parameters:
-            if item["value"] is None:
+            if item["standard_error"] is None:
                 with_others = f" with {', '.join(item['with'])}" if "with" in item else ""
-                rows.append((item["name"], item["determination"] + with_others))
+                at = f"{item['value']:.7g}, " if item["value"] is not None else ""
+                rows.append((item["name"], at + item["determination"] + with_others))
             else:
                 low, high = item["interval"]
                 rows.append((item["name"], f"{item['value']:.7g} +- {item['standard_error']:.3g}, {low:.6g} to {high:.6g}"))
@@ -242,6 +246,7 @@ class Fit(Result):
         rows += [(key, _brief(self._data[key])) for key in keys if key in self._data]
         if self._data.get("outliers"):
             rows.append(("outliers", str(len(self._data["outliers"]))))
+        rows += [("remark", remark) for remark in self._data.get("remarks", [])]
         return rows
 
 

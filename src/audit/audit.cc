@@ -216,6 +216,10 @@ const ContactError* ModelAudit::FirstWrong() const {
   return &attribution->contacts[attribution->first_wrong];
 }
 
+bool ModelAudit::ContradictsItself() const {
+  return black_box && black_box->own_gradient && own && own->agreement == Agreement::kDiffers;
+}
+
 std::string ModelAudit::Why() const {
   const bool resolved = gradient.unresolved_steps == 0;
   if (resolved && (verdict == Verdict::kRight || verdict == Verdict::kConsistent)) return "";
@@ -226,6 +230,12 @@ std::string ModelAudit::Why() const {
   if (verdict == Verdict::kOneSided) return "every derivative by the initial state is one-sided, or there is none";
   if (!resolved) return DescribeUnresolved(gradient.unresolved_steps, gradient.num_steps);
   const std::string cause = CauseOf(*this);
+  if (ContradictsItself()) {
+    return "its gradient contradicts its own simulator: along a direction by " +
+           std::string(QuantityToString(own->quantity)) + " it is " + ToText(own->gradient, 4) +
+           ", differences of its loss give " + ToText(own->difference, 4) + "; correct the derivative first" +
+           (cause.empty() ? "" : "; " + cause);
+  }
   if (!own || own->agreement != Agreement::kDiffers || (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
     return cause;
   }
@@ -293,6 +303,7 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   }
   if (options.width_sweep || !reference) {
     if (!keep(SweepWidths(contact, scene, options.widths, stop), &audit.widths)) return audit;
+    if (reference) CompareWithExact(scene, *reference, &*audit.widths);
     if (!reference) audit.verdict = audit.widths->verdict;
   }
   return audit;

@@ -4,6 +4,7 @@
 #include <ceres/normal_prior.h>
 
 #include <algorithm>
+#include <map>
 #include <memory>
 
 #include "base/number_text.h"
@@ -192,6 +193,20 @@ void AddPrior(const FitProblem& problem, Blocks* blocks, ceres::Problem* ceres_p
   }
 }
 
+// Unknowns that are not held, and initial states; of a disc with fewer than four numbers, as many as these.
+int NumFitted(const FitProblem& problem, const FitPoint& point, const std::vector<bool>& held) {
+  auto count = static_cast<int>(problem.unknowns.size() - std::ranges::count(held, true));
+  for (const Segment& segment : point.segments) {
+    std::map<int, int> measured;  // numbers of each disc
+    for (int i = 0; i < segment.last - segment.first; ++i) {
+      const Sample& sample = problem.SampleAt(segment, i);
+      measured[sample.body] += sample.velocity ? 4 : 2;
+    }
+    for (const int body : problem.free_bodies) count += std::min(4, measured[body]);
+  }
+  return count;
+}
+
 // Covariance of the unknowns' values; empty if the Jacobian has not the rank.
 std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const std::vector<bool>& held, Blocks* blocks,
                                               ceres::Problem* ceres_problem) {
@@ -308,6 +323,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
   result.converged = summary.termination_type == ceres::CONVERGENCE;
   result.reason = summary.message;
   result.cost = summary.final_cost;
+  result.num_fitted = NumFitted(problem, point, held);
   result.iterations = summary.num_successful_steps + summary.num_unsuccessful_steps;
   result.motion = motions.motion();
   for (const MotionAtSamples& motion : result.motion) {

@@ -49,6 +49,7 @@ struct FitResult {
   bool converged = false;
   std::string reason;
   double cost = 0;
+  int num_fitted = 0;  // numbers that the samples were to determine: unknowns that are not held, and initial states
   int iterations = 0, evaluations = 0;
   FitPoint point;
   std::vector<MotionAtSamples> motion;          // of each segment, at the end, with derivatives

@@ -1,12 +1,15 @@
 #include "saltus/identify/identify.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <optional>
 #include <set>
 
+#include "base/number_text.h"
 #include "base/statistics.h"
 #include "identify/fit.h"
 #include "identify/statistics.h"
@@ -21,14 +24,26 @@ namespace {
 using Kind = Unknown::Kind;
 
 constexpr double kHorizons[] = {0.15, 0.3, 0.5, 0.7, 0.85, 1};  // shares of the samples that fits begin with
-constexpr double kWideLoss = 10;        // times the loss scale, while the motion is not found yet
-constexpr double kGainOfSearch = 1e-8;  // share of the cost that an iteration must gain, before Polish()
-constexpr double kFits = 1.25;          // misfit of a motion that is found
-constexpr double kContradicts = 2.5;    // misfit that noise does not make
-constexpr double kFewOutliers = 0.12;   // share of samples, of a motion that is found
-constexpr double kMostOutliers = 0.35;  // that noise and slips of the pen do not make
-constexpr double kFirstSigma = 1e-3;    // of the scene's length, until it is estimated
-constexpr double kLeastSigma = 1e-20;   // of the scene's length: residuals that are smaller are 0
+constexpr double kWideLoss = 10;           // times the loss scale, while the motion is not found yet
+constexpr double kGainOfSearch = 1e-8;     // share of the cost that an iteration must gain, before Polish()
+constexpr double kFits = 1.25;             // misfit of a motion that is found
+constexpr double kContradicts = 2.5;       // misfit that noise does not make
+constexpr double kFewestDegrees = 4;       // of freedom, of which an interval is computed
+constexpr double kFewOutliers = 0.12;      // share of samples, of a motion that is found
+constexpr double kMostOutliers = 1.0 / 3;  // that noise and slips of the pen do not make
+constexpr double kMostScatter = 0.1;       // estimated sigma, of the extent of the motion, of a fit that says something
+constexpr double kMostWaves = 0.01;        // the same, if residuals are systematic
+constexpr double kFewRuns = 3;             // standard deviations below what independent errors make
+constexpr double kAsWell = 2;   // squares of the interval's quantile by which a motion explains samples as well
+constexpr int kScreened = 100;  // starts that are compared, by kind of line
+constexpr int kFitted = 5;      // times the starts, of which these are fitted a little
+constexpr double kGainOfScreening = 0.1;  // share of the cost that an iteration of these must gain
+constexpr int kFewLeft = 20;              // the same, below which one outlier may look like noise
+constexpr double kMostMeanSquare = 2.5;   // standard deviations by which a mean square may then exceed that of noise
+constexpr double kNoOutlier = 0.005;      // estimated sigma, of the extent of the motion, that then is no outlier
+constexpr int kManyLeft = 60;             // numbers more than unknowns, from which on one start may be enough
+constexpr double kFirstSigma = 1e-3;      // of the scene's length, until it is estimated
+constexpr double kLeastSigma = 1e-20;     // of the scene's length: residuals that are smaller are 0
 
 // The i-th number of the low-discrepancy sequence of van der Corput, in (0, 1).
 double RadicalInverse(int i, int base) {
@@ -63,21 +78,62 @@ struct Track {
   std::vector<double> flat[2];
 };
 
+// How a line through the first samples is found, as starts differ in it.
+enum class LineKind {
+  kMedians,      // of slopes: precise, unless more than a quarter of the samples are outliers
+  kLeastMedian,  // through those two samples that leave the least median miss (Rousseeuw 1984): up to half of them
+  kFirstTwo,     // an impact may come after the second sample
+  kFirst,        // through the first sample, with the velocity of the scene
+  kScene,        // none: the initial state of the scene
+  kNumLineKinds,
+};
+
+// The first `count` samples of a track, by a line in each coordinate.
+std::array<Line, 2> FitLines(const Track& track, int count, LineKind kind) {
+  const std::vector<double> time(track.time.begin(), track.time.begin() + count);
+  std::array<Line, 2> best;
+  if (kind == LineKind::kMedians) {
+    for (int j = 0; j < 2; ++j) best[j] = FitLine(time, {track.flat[j].begin(), track.flat[j].begin() + count});
+    return best;
+  }
+  double least = std::numeric_limits<double>::infinity();
+  for (int a = 0; a < count; ++a) {
+    for (int b = a + 1; b < count; ++b) {
+      std::array<Line, 2> lines;
+      for (int j = 0; j < 2; ++j) {
+        const std::vector<double>& y = track.flat[j];
+        lines[j].slope = (y[b] - y[a]) / (time[b] - time[a]);
+        lines[j].at = y[a] - lines[j].slope * time[a];
+      }
+      std::vector<double> misses;
+      for (int i = 0; i < count; ++i) {
+        const auto miss = [&](int j) { return track.flat[j][i] - lines[j].at - lines[j].slope * time[i]; };
+        misses.push_back(std::hypot(miss(0), miss(1)));
+      }
+      lines[0].miss = Median(std::move(misses));
+      if (!(lines[0].miss < least)) continue;
+      least = lines[0].miss;
+      best = lines;
+    }
+  }
+  return best;
+}
+
 // The line whose velocity is known best: long, unless an impact bends the motion.
-void FitTrack(const Track& track, double noise, const Vec2d& scene_velocity, Vec2d* position, Vec2d* velocity) {
+void FitTrack(const Track& track, double noise, LineKind kind, const Vec2d& scene_velocity, Vec2d* position,
+              Vec2d* velocity) {
   const int count = static_cast<int>(track.time.size());
-  if (count == 1) {
+  if (count == 1 || kind == LineKind::kFirst) {
     *position = {track.flat[0][0], track.flat[1][0]};
     *velocity = scene_velocity;
     *position -= track.time[0] * *velocity;
     return;
   }
   double best = std::numeric_limits<double>::infinity();
-  for (int n = std::min(count, kFewest); n <= std::min(count, kMost); ++n) {
-    const std::vector<double> time(track.time.begin(), track.time.begin() + n);
-    Line line[2];
-    for (int j = 0; j < 2; ++j) line[j] = FitLine(time, {track.flat[j].begin(), track.flat[j].begin() + n});
-    const double error = (line[0].miss + line[1].miss + noise) / (time.back() * std::sqrt(n));
+  const int most = kind == LineKind::kFirstTwo ? 2 : kMost;
+  for (int n = std::min({count, kFewest, most}); n <= std::min(count, most); ++n) {
+    const std::array<Line, 2> line = FitLines(track, n, kind);
+    const double error = (line[0].miss + line[1].miss + noise) / (track.time[n - 1] * std::sqrt(n));
     if (error >= best) continue;
     best = error;
     *position = {line[0].at, line[1].at};
@@ -128,7 +184,7 @@ std::vector<Segment> CutIntoSegments(const std::vector<Recording>& recordings, d
 // Initial states of `free_bodies` by lines through their first samples, less what gravity and forces do, whatever a few
 // outliers say; those of the others are the scene's. Discs that overlap are moved apart. In the scene's units.
 std::vector<double> InitialFromData(const Scene& scene, const std::vector<Sample>& samples, const Segment& segment,
-                                    const std::vector<int>& free_bodies) {
+                                    const std::vector<int>& free_bodies, LineKind kind) {
   std::vector<double> initial = InitialState(scene);
   for (const int body : free_bodies) {
     Track track;
@@ -142,10 +198,11 @@ std::vector<double> InitialFromData(const Scene& scene, const std::vector<Sample
       track.time.push_back(t);
       for (int j = 0; j < 2; ++j) track.flat[j].push_back(sample.position[j] - 0.5 * t * t * acceleration[j]);
     }
-    if (track.time.empty()) continue;
+    if (track.time.empty() || kind == LineKind::kScene) continue;
     Vec2d position, velocity;
     FitTrack(track,
              kNoise * NaturalUnits(scene).length,
+             kind,
              measured.value_or(scene.bodies[body].velocity),
              &position,
              &velocity);
@@ -291,7 +348,7 @@ class Identification {
   }
 
   // The scene's values first, then values spread over what is plausible.
-  FitPoint StartAt(int number) const {
+  FitPoint StartAt(int number, LineKind kind) const {
     static constexpr int kBases[] = {2, 3, 5, 7, 11, 13, 17, 19, 23, 29};
     FitPoint point;
     for (int u = 0; u < problem_.num_plain; ++u) {
@@ -323,7 +380,8 @@ class Identification {
     const Scene scene = problem_.SceneAt(point.coordinates);
     point.segments = segments_;
     for (Segment& segment : point.segments) {
-      segment.initial = InitialFromData(scene, recordings_[segment.recording].samples, segment, problem_.free_bodies);
+      segment.initial =
+          InitialFromData(scene, recordings_[segment.recording].samples, segment, problem_.free_bodies, kind);
     }
     return point;
   }
@@ -393,13 +451,98 @@ class Identification {
     return sequence;
   }
 
+  // Of few samples, no first part shows where a motion begins. Many starts are compared by how far they miss all
+  // samples, and the best ones are fitted.
+  std::vector<FitPoint> ScreenStarts() {
+    std::map<std::size_t, std::vector<std::pair<double, FitPoint>>> starts;  // by the number of contacts
+    at_work_ = "starts";
+    for (int number = 0; number < kScreened && !Interrupted(); ++number) {
+      for (int kind = 0; kind < static_cast<int>(LineKind::kNumLineKinds); ++kind) {
+        FitPoint point = StartAt(number, static_cast<LineKind>(kind));
+        const auto [miss, contacts] = MissOf(point);
+        if (std::isfinite(miss)) starts[contacts].emplace_back(miss, std::move(point));
+      }
+    }
+    // The best of each number of contacts, the second best of each, and so on.
+    std::vector<FitPoint> best;
+    std::size_t place = 0;
+    for (auto& [contacts, group] : starts) std::ranges::stable_sort(group, {}, &std::pair<double, FitPoint>::first);
+    for (bool any = true; any && static_cast<int>(best.size()) < kFitted * options_.starts; ++place) {
+      any = false;
+      std::vector<std::pair<double, FitPoint*>> row;
+      for (auto& [contacts, group] : starts) {
+        if (place < group.size()) row.emplace_back(group[place].first, &group[place].second);
+      }
+      std::ranges::stable_sort(row, {}, &std::pair<double, FitPoint*>::first);
+      for (auto& [miss, point] : row) {
+        any = true;
+        best.push_back(std::move(*point));
+      }
+    }
+    std::vector<std::pair<double, FitPoint>> fitted;
+    for (const FitPoint& point : best) {
+      if (Interrupted()) break;
+      FitResult fit = MinimizeFrom(
+          problem_, point, kWideLoss * options_.loss_scale, {}, /*with_covariance=*/false, kGainOfScreening);
+      Count(fit);
+      if (fit.ok) fitted.emplace_back(fit.cost, std::move(fit.point));
+    }
+    std::ranges::stable_sort(fitted, {}, &std::pair<double, FitPoint>::first);
+    best.clear();
+    for (auto& [cost, point] : fitted) {
+      if (static_cast<int>(best.size()) < options_.starts) best.push_back(std::move(point));
+    }
+    return best;
+  }
+
+  // The sum of the distances of all samples from the motion, in sigmas, and its number of contacts; infinite if there
+  // is none.
+  std::pair<double, std::size_t> MissOf(const FitPoint& point) const {
+    FitResult at;
+    std::size_t contacts = 0;
+    at.point = point;
+    const Scene scene = problem_.SceneAt(point.coordinates);
+    const std::optional<ImpactLaw> law = problem_.LawAt(point.coordinates);
+    const std::optional<EventFunctions> events = problem_.EventsAt(point.coordinates);
+    for (const Segment& segment : point.segments) {
+      at.motion.push_back(MoveThrough(
+          problem_.contact, scene, segment, problem_.RequestOf(segment, law, events), /*with_derivatives=*/false));
+      if (!at.motion.back().ok) return {std::numeric_limits<double>::infinity(), 0};
+      contacts += at.motion.back().touches.size();
+    }
+    double miss = 0;
+    ForEachSample(
+        problem_, at, [&](int, int, const Sample&, const Eigen::VectorXd& residual) { miss += residual.norm(); });
+    return {miss, contacts};
+  }
+
+  // With all samples at once.
+  FitResult FitAll(const FitPoint& start, const std::string& name) {
+    FitResult fit;
+    fit.point = start;
+    for (const double wider : {kWideLoss, 1.0}) {
+      at_work_ = name;
+      FitResult next =
+          MinimizeFrom(problem_, fit.point, options_.loss_scale * wider, {}, /*with_covariance=*/false, kGainOfSearch);
+      Count(next);
+      if (!next.ok) return next;
+      fit = std::move(next);
+    }
+    return fit;
+  }
+
   FitResult SearchFromStarts() {
     FitResult best;
     best.reason = "no start has a motion";
     std::set<std::string> sequences;
     const int starts = problem_.num_plain > 0 ? options_.starts : 1;  // which differ in these unknowns only
+    const bool few = NumbersLeft() < kManyLeft;
+    const std::vector<FitPoint> screened = few ? ScreenStarts() : std::vector<FitPoint>();
     for (int number = 0; number < starts && !Interrupted(); ++number) {
-      FitResult fit = FitFrom(StartAt(number), "start " + std::to_string(number + 1));
+      const std::string name = "start " + std::to_string(number + 1);
+      FitResult fit = number > 0 && number <= static_cast<int>(screened.size())
+                          ? FitAll(screened[number - 1], name)
+                          : FitFrom(StartAt(number, static_cast<LineKind>(number % 3)), name);
       ++report_.starts;
       if (!fit.ok) {
         if (!best.ok) best.reason = fit.reason;
@@ -408,11 +551,12 @@ class Identification {
       const bool known = !sequences.insert(SequenceOf(fit)).second;
       const double before = best.cost;
       const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
+      if (few) others_.push_back(fit.point);
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
       // Without a stated sigma nothing says that a fit is good, but that another start finds it again. Nor, where it
       // is good but for many outliers.
       const bool again = same && known && (!states_sigma_ || MisfitOf(problem_, best) < kFits);
-      if (again || (states_sigma_ && IsFound(best))) break;
+      if (!few && (again || (states_sigma_ && IsFound(best)))) break;
     }
     report_.sequences = static_cast<int>(sequences.size());
     return best;
@@ -424,12 +568,15 @@ class Identification {
 
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
   // says how much noise they have.
-  bool HasResiduals() const {
+  bool HasResiduals() const { return NumbersLeft() > 0; }
+  // Measured numbers less unknown ones.
+  int NumbersLeft() const {
     std::size_t measured = 0;
     for (const Recording& recording : recordings_) {
       for (const Sample& sample : recording.samples) measured += sample.velocity ? 4 : 2;
     }
-    return measured > static_cast<std::size_t>(problem_.num_plain) + 4 * problem_.free_bodies.size() * segments_.size();
+    return static_cast<int>(measured) - problem_.num_plain -
+           static_cast<int>(4 * problem_.free_bodies.size() * segments_.size());
   }
 
   // Estimates sigma if none is stated, holds what the data leave open, and takes the covariance.
@@ -444,18 +591,48 @@ class Identification {
       fit = std::move(next);
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
-    if (!states_sigma_ && !HasResiduals()) {
+    if ((!states_sigma_ && !HasResiduals()) || !WhyTooFew(fit).empty()) {
       open_.determination.assign(open_.determination.size(), Determination::kUndetermined);
     }
     std::vector<bool> held;
     for (const Determination at : open_.determination) held.push_back(at != Determination::kDetermined);
-    FitResult last = MinimizeFrom(problem_, fit.point, options_.loss_scale, held, /*with_covariance=*/true);
+    FitPoint point = fit.point;
+    for (int u = 0; u < problem_.num_plain; ++u) {
+      if (open_.determination[u] == Determination::kAtBound) MoveToBound(problem_.unknowns[u], &point.coordinates[u]);
+    }
+    FitResult last = MinimizeFrom(problem_, point, options_.loss_scale, held, /*with_covariance=*/true);
     Count(last);
     return last.ok ? last : fit;
   }
 
+  // Why the samples are too few to tell the error of a fit; empty if they are not.
+  std::string WhyTooFew(const FitResult& fit) const {
+    if (!HasResiduals()) return "";
+    const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
+    const std::string remedy = "; take more samples, or let fewer parameters be unknown";
+    if (confidence.degrees < kFewestDegrees) {
+      return "too few samples to judge: beyond the " + std::to_string(fit.num_fitted) +
+             FormatNumbers(" numbers that are unknown, those that are no outliers have %.2g, expected at least %.2g",
+                           std::max(0.0, confidence.degrees),
+                           kFewestDegrees) +
+             remedy;
+    }
+    if (NumbersLeft() >= kFewLeft) return "";
+    const std::string outlier = "too few samples to judge: they scatter as one does that is an outlier, ";
+    const double sigma = problem_.sigma / ExtentOf(problem_, fit);
+    if (!states_sigma_ && sigma > kNoOutlier) {
+      return outlier + FormatNumbers("by %.2g %% of the extent of the motion", 100 * sigma) + remedy;
+    }
+    // Its standard deviation, of normal errors, is sqrt(2 / degrees).
+    if (states_sigma_ && confidence.scatter > 1 + kMostMeanSquare * std::sqrt(2 / confidence.degrees)) {
+      return outlier + FormatNumbers("by %.2g times their sigma", std::sqrt(confidence.scatter)) + remedy;
+    }
+    return "";
+  }
+
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
+    LeaveOpenWhatOthersDeny(fit);
     if (options_.law) report_.law = LearnedLawOf(problem_, fit, options_.loss_scale);
     if (options_.events) report_.events = LearnedEventsOf(problem_, fit);
     ReportResiduals(fit);
@@ -472,18 +649,18 @@ class Identification {
   }
 
   void SetVerdict(const FitResult& fit) {
-    const double share = OutlierShareOf(problem_, fit);
+    const std::string too_few = WhyTooFew(fit);
+    const bool none_left = !states_sigma_ && !HasResiduals();
+    const std::string contradiction = !too_few.empty() || none_left ? "" : ContradictionOf(fit);
+    const double outliers = OutlierShareOf(problem_, fit);
     if (Interrupted()) {
       report_.verdict = FitVerdict::kInterrupted;
-    } else if (report_.misfit > kContradicts || share > kMostOutliers) {
+    } else if (!too_few.empty()) {
+      report_.verdict = FitVerdict::kNotJudged;
+      report_.reason = too_few;
+    } else if (!contradiction.empty()) {
       report_.verdict = FitVerdict::kContradicted;
-      char text[120];
-      std::snprintf(text,
-                    sizeof text,
-                    "samples miss the motion by %.3g times their sigma, %.0f %% are outliers",
-                    report_.misfit,
-                    100 * share);
-      report_.reason = text;
+      report_.reason = contradiction;
     } else if (!fit.converged) {
       report_.verdict = FitVerdict::kNotConverged;
       report_.reason = fit.reason;
@@ -491,10 +668,56 @@ class Identification {
       report_.verdict = FitVerdict::kNotDetermined;
       report_.reason = HasResiduals() ? "the samples do not determine any unknown"
                                       : "the samples have no more numbers than there are unknowns";
+    } else if (outliers >= kMostOutliers) {
+      report_.verdict = FitVerdict::kNotJudged;
+      report_.reason = FormatNumbers("%.0f %% of the samples are outliers, expected less than a third", 100 * outliers);
+    } else if (const std::string at_bound = AtBounds(); !states_sigma_ && !at_bound.empty()) {
+      report_.verdict = FitVerdict::kNotJudged;
+      report_.reason = at_bound + " is at its bound, and no sigma says whether the samples allow that; state sigma";
     } else {
       report_.verdict = FitVerdict::kFits;
       report_.reason.clear();
     }
+  }
+
+  std::string AtBounds() const {
+    std::string names;
+    for (const Estimate& estimate : report_.estimates) {
+      if (estimate.determination != Determination::kAtBound) continue;
+      names += (names.empty() ? "" : ", ") + estimate.name;
+    }
+    return names;
+  }
+
+  // Why no parameters explain the samples; empty if these may. Without a stated sigma, adds remarks on what the
+  // residuals tell.
+  std::string ContradictionOf(const FitResult& fit) {
+    if (states_sigma_) {
+      if (report_.misfit <= kContradicts) return "";
+      return FormatNumbers("samples miss the motion by %.3g times their sigma, %.0f %% are outliers",
+                           report_.misfit,
+                           100 * OutlierShareOf(problem_, fit));
+    }
+    const double extent = ExtentOf(problem_, fit), share = problem_.sigma / extent;
+    const Runs runs = CountRuns(problem_, fit);
+    const bool systematic = runs.found < runs.expected - kFewRuns * runs.deviation;
+    const std::string waves =
+        "residuals are systematic: " + std::to_string(runs.found) + " runs of one sign among " +
+        std::to_string(runs.signs) +
+        FormatNumbers(", expected %.0f +- %.0f of independent errors", runs.expected, runs.deviation);
+    const std::string scatter =
+        FormatNumbers("sigma was estimated: %.3g m, %.2g %% of the extent of the motion", problem_.sigma, 100 * share);
+    report_.remarks.push_back(scatter);
+    if (systematic) {
+      report_.remarks.push_back(waves +
+                                "; the scene lacks something of the size of sigma, and the standard errors are "
+                                "too small");
+    }
+    const std::string remedy = "; check the units, and what the scene says of sizes, walls and forces";
+    if (!(share < kMostScatter)) {
+      return scatter + FormatNumbers(", where less than %.0f %% is expected", 100 * kMostScatter) + remedy;
+    }
+    return systematic && share > kMostWaves ? waves + "; " + scatter + remedy : "";
   }
 
   // Whether anything was found that was asked for. Without unknowns that is the motion.
@@ -509,7 +732,8 @@ class Identification {
   }
 
   void ReportEstimates(const FitResult& fit) {
-    const double factor = CovarianceFactor(problem_, fit, options_.loss_scale);
+    const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
+    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence.degrees));
     std::vector<int> determined;
     for (int u = 0; u < problem_.num_plain; ++u) {
       Estimate estimate;
@@ -525,8 +749,10 @@ class Identification {
       if (estimate.determination == Determination::kDetermined) {
         determined.push_back(u);
         estimate.value = FromCoordinate(estimate.unknown, fit.point.coordinates[u]);
-        estimate.standard_error = std::sqrt(factor * fit.covariance[u][u]);
-        SetInterval(&estimate);
+        estimate.standard_error = std::sqrt(confidence.factor * fit.covariance[u][u]);
+        SetInterval(quantile, &estimate);
+      } else if (estimate.determination == Determination::kAtBound) {
+        estimate.value = BoundNear(estimate.unknown, FromCoordinate(estimate.unknown, fit.point.coordinates[u]));
       }
       report_.estimates.push_back(std::move(estimate));
     }
@@ -539,8 +765,43 @@ class Identification {
     }
   }
 
-  static void SetInterval(Estimate* estimate) {
-    const double half = 1.959963985 * estimate->standard_error;
+  // Few samples may lie on several motions. A parameter is not determined if a motion of another start explains them
+  // about as well, and has another value of it.
+  void LeaveOpenWhatOthersDeny(const FitResult& fit) {
+    if (Interrupted()) return;
+    const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
+    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence.degrees));
+    const double most = fit.cost + kAsWell * quantile * quantile * confidence.scatter / 2;
+    for (const FitPoint& point : others_) {
+      const auto value = [&](const FitPoint& at, std::size_t u) {
+        return FromCoordinate(report_.estimates[u].unknown, at.coordinates[u]);
+      };
+      const auto denies = [&](const FitPoint& at, std::size_t u) {
+        const Estimate& estimate = report_.estimates[u];
+        const bool outside = value(at, u) < estimate.low || value(at, u) > estimate.high;
+        return estimate.determination == Determination::kDetermined && outside;
+      };
+      std::vector<std::size_t> denied;
+      for (std::size_t u = 0; u < report_.estimates.size(); ++u) {
+        if (denies(point, u)) denied.push_back(u);
+      }
+      if (denied.empty()) continue;
+      const FitResult other = MinimizeFrom(problem_, point, options_.loss_scale);
+      Count(other);
+      if (!other.ok || other.cost > most) continue;
+      for (const std::size_t u : denied) {
+        if (!denies(other.point, u)) continue;
+        Estimate& estimate = report_.estimates[u];
+        report_.remarks.push_back("the samples lie about as well on a motion with " + estimate.name + " " +
+                                  ToText(value(other.point, u), 4) + " as on one with " + ToText(estimate.value, 4) +
+                                  "; take more samples");
+        estimate.determination = Determination::kUndetermined;
+      }
+    }
+  }
+
+  static void SetInterval(double quantile, Estimate* estimate) {
+    const double half = quantile * estimate->standard_error;
     estimate->low = estimate->value - half;
     estimate->high = estimate->value + half;
     const Kind kind = estimate->unknown.kind;
@@ -566,6 +827,7 @@ class Identification {
   std::vector<Segment> segments_;  // without initial states
   bool states_sigma_ = false;
   Openness open_;
+  std::vector<FitPoint> others_;  // in which fits from other starts ended
   IdentifyReport report_;
 };
 
@@ -577,13 +839,19 @@ IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::v
 }
 
 const char* DeterminationToString(Determination determination) {
-  constexpr const char* kNames[] = {"determined", "only in combination", "not determined"};
+  constexpr const char* kNames[] = {"determined", "only in combination", "not determined", "at its bound"};
   return kNames[static_cast<int>(determination)];
 }
 
 const char* FitVerdictToString(FitVerdict verdict) {
-  constexpr const char* kNames[] = {
-      "fits", "not determined", "contradicted", "failed", "not converged", "interrupted", "not applicable"};
+  constexpr const char* kNames[] = {"fits",
+                                    "not determined",
+                                    "contradicted",
+                                    "not judged",
+                                    "failed",
+                                    "not converged",
+                                    "interrupted",
+                                    "not applicable"};
   return kNames[static_cast<int>(verdict)];
 }
 

@@ -18,23 +18,46 @@ void ForEachSample(const FitProblem& problem, const FitResult& fit, const Visit&
   }
 }
 
-// |r| of every sample, as a multiple of what is typical of noise in so many coordinates: the median is 1 if the model
-// and sigma are right.
+// The scatter of the samples over their sigma: 1 if the model and sigma are right. It is the median of |r| over what is
+// typical of noise in so many coordinates, without the smallest, of which there are as many as the numbers that were
+// fitted make samples (Holland and Welsch 1977): a robust fit may pass through so many samples.
 double MisfitOf(const FitProblem& problem, const FitResult& fit);
 
 // Share of the samples with |r| above IdentifyOptions::outlier.
 double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
 
+// The extent of the motion, m: the diagonal of the largest box around one disc in one recording, of that of its samples
+// and that of the fit the smaller one, as samples have outliers.
+double ExtentOf(const FitProblem& problem, const FitResult& fit);
+
+// Runs of residuals of one sign, by disc, coordinate and time, without outliers, beside the number that independent
+// errors have (Wald and Wolfowitz 1940).
+struct Runs {
+  int found = 0, signs = 0;
+  double expected = 0, deviation = 0;  // mean, standard deviation
+};
+Runs CountRuns(const FitProblem& problem, const FitResult& fit);
+
 // Which unknowns the data leave open at the minimum: from the information on them, initial states and parameters of a
 // law eliminated, in units of a change that matters. The latter, which have a prior, are never open.
+// Unknowns that the samples push beyond their bounds are at their bounds.
 struct Openness {
   std::vector<Determination> determination;
   std::vector<std::vector<int>> with;  // of combined ones: the others
 };
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale);
 
-// By how much the loss and the true noise change (J^T J)^-1: Huber's factor for M-estimators.
-double CovarianceFactor(const FitProblem& problem, const FitResult& fit, double loss_scale);
+// What the residuals say of the confidence in what was fitted.
+struct Confidence {
+  double scatter = 1;  // mean square of the standardised numbers, as the loss has them, per degree of freedom
+  double factor = 1;   // by which the loss and the true noise change (J^T J)^-1: Huber's (1973) for M-estimators
+  double degrees = 0;  // of freedom: numbers that the loss lets count, less those that were fitted
+};
+Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double loss_scale);
+
+// The number that a variable of Student's t distribution exceeds in magnitude with a probability of 5 %. Precondition:
+// degrees >= 3, for an error below 0.2 %.
+double StudentQuantile(double degrees);
 
 // Precondition: a law is learned, and the fit has its motion.
 LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double loss_scale);

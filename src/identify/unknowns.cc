@@ -58,6 +58,16 @@ double FromCoordinate(const Unknown& unknown, double coordinate) {
   return IsPositive(unknown.kind) ? std::exp(coordinate) : coordinate;
 }
 
+double BoundNear(const Unknown& unknown, double value) {
+  return unknown.kind == Kind::kRestitution && value > 0.5 ? 1 : 0;
+}
+
+void MoveToBound(const Unknown& unknown, double* coordinate) {
+  constexpr double kFar = 23;  // where restitution and friction are 1e-10 from their bounds
+  if (unknown.kind == Kind::kRestitution) *coordinate = std::copysign(kFar, *coordinate);
+  if (unknown.kind == Kind::kFriction) *coordinate = -kFar;
+}
+
 double SlopeAt(const Unknown& unknown, double coordinate) {
   const double value = FromCoordinate(unknown, coordinate);
   if (unknown.kind == Kind::kRestitution) return value * (1 - value);

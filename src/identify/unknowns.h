@@ -11,6 +11,11 @@ bool HasBounds(const Unknown& unknown);
 // From a coordinate without bounds to the parameter: logistic for restitution, exponential for what is positive, the
 // identity for the rest.
 double FromCoordinate(const Unknown& unknown, double coordinate);
+// The bound of an unknown that is nearest to a value.
+double BoundNear(const Unknown& unknown, double value);
+// To a coordinate at the bound nearest to it as exactly as matters; one whose bound no motion has stays where it is.
+void MoveToBound(const Unknown& unknown, double* coordinate);
+
 // d parameter / d coordinate there.
 double SlopeAt(const Unknown& unknown, double coordinate);
 // The coordinate of a value; of one at a bound, a little inside.

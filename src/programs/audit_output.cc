@@ -127,7 +127,9 @@ Table VerdictTable(const AuditReport& report) {
     if (!audit.gradient.ok()) continue;
     std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
                              Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
-                             audit.recognition ? Cell(ContactClassToString(audit.recognition->contact_class)) : Cell()};
+                             audit.recognition && !audit.ContradictsItself()
+                                 ? Cell(ContactClassToString(audit.recognition->contact_class))
+                                 : Cell()};
     for (const Quantity quantity : kShown) {
       row.push_back(VerdictCell(audit.refinement ? audit.refinement->Find(quantity) : nullptr));
     }
@@ -164,7 +166,7 @@ Table BlackBoxTable(const AuditReport& report) {
 }
 
 Table PlateauTable(const AuditReport& report) {
-  Table table(ColumnsOf("contact; entry; gradient:5; narrow differences:5; wide differences:5; finding"));
+  Table table(ColumnsOf("contact; entry; gradient:5; narrow differences:5; wide differences:5; exact:5; finding"));
   for (const ModelAudit& audit : report.models) {
     if (!audit.widths) continue;
     for (const WidthSweep& sweep : audit.widths->sweeps) {
@@ -175,6 +177,7 @@ Table PlateauTable(const AuditReport& report) {
                     sweep.gradient,
                     sweep.narrow,
                     sweep.wide,
+                    sweep.exact,
                     Cell(WidthFindingToString(sweep.finding)).With(tone)});
     }
   }
@@ -270,6 +273,7 @@ Json WidthsToJson(const WidthSweepStudy& study) {
                       {"gradient", sweep.gradient},
                       {"narrow", sweep.narrow},
                       {"wide", sweep.wide},
+                      {"exact", sweep.exact ? Json(*sweep.exact) : Json()},
                       {"finding", WidthFindingToString(sweep.finding)},
                       {"grid_width", sweep.grid_width},
                       {"widths", sweep.widths},
@@ -522,30 +526,13 @@ int TellingEntry(const AuditReport& report, Quantity quantity) {
       const WidthSweep& sweep = audit.widths->sweeps[i];
       if (sweep.quantity != quantity) continue;
       const double miss = std::abs(sweep.gradient - sweep.wide);
-      if (sweep.finding == WidthFinding::kUndecided || miss <= largest) continue;
+      const bool tells = sweep.finding != WidthFinding::kUndecided && sweep.finding != WidthFinding::kFarther;
+      if (!tells || miss <= largest) continue;
       largest = miss;
       telling = static_cast<int>(i);
     }
   }
   return telling;
-}
-
-// The exact derivative along the direction of a sweep.
-std::optional<double> ExactAlong(const Scene& scene, const AuditReport& report, const WidthSweep& sweep) {
-  if (!report.reference) return std::nullopt;
-  if (sweep.quantity == Quantity::kControl) {
-    const std::vector<double> sums = EntriesOf(scene, *report.reference, Quantity::kControl, 1);
-    const std::vector<std::string> names = EntryNames(scene, Quantity::kControl, 1);
-    for (size_t i = 0; i < names.size(); ++i) {
-      // "ux[0] striker" is the only interval of "ux striker".
-      if (names[i].substr(0, 2) + names[i].substr(5) == sweep.entry) return sums[i];
-    }
-    return std::nullopt;
-  }
-  const std::vector<std::string> names = EntryNames(scene, sweep.quantity, 1);
-  const auto at = std::ranges::find(names, sweep.entry);
-  if (at == names.end()) return std::nullopt;
-  return EntriesOf(scene, *report.reference, sweep.quantity, 1)[at - names.begin()];
 }
 
 // Error against the step, log-log: one panel for each of position, velocity and control, one line a model, whose label
@@ -580,9 +567,8 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
       std::vector<double> x = sweep.widths;
       for (double& width : x) width /= sweep.grid_width;
       panel.series.push_back(Series::ForModel(audit.gradient.contact, x, sweep.slopes));
-      if (const std::optional<double> exact = ExactAlong(scene, report, sweep);
-          exact && panel.reference_lines.empty()) {
-        panel.reference_lines.push_back({.value = *exact, .label = "exact"});
+      if (sweep.exact && panel.reference_lines.empty()) {
+        panel.reference_lines.push_back({.value = *sweep.exact, .label = "exact"});
       }
       low = std::min({low, sweep.narrow, sweep.wide});
       high = std::max({high, sweep.narrow, sweep.wide});

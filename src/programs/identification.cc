@@ -24,6 +24,11 @@ bool HasMinimum(const IdentifyReport& report) { return !report.residuals.empty()
 
 bool IsDetermined(const Estimate& estimate) { return estimate.determination == Determination::kDetermined; }
 
+// One at its bound has a value, but no standard error.
+bool HasValue(const Estimate& estimate) {
+  return IsDetermined(estimate) || estimate.determination == Determination::kAtBound;
+}
+
 // The fit that the others are compared with; null if there is none.
 const IdentifyReport* ExactFit(const Identified& identified) {
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
@@ -46,7 +51,7 @@ Json EstimatesToJson(const IdentifyReport& report, const IdentifyReport* exact) 
     const Estimate& estimate = report.estimates[i];
     const bool determined = IsDetermined(estimate);
     Json item = {{"name", estimate.name}, {"start", estimate.start}};
-    item["value"] = determined ? Json(estimate.value) : Json();
+    item["value"] = HasValue(estimate) ? Json(estimate.value) : Json();
     item["standard_error"] = determined ? Json(estimate.standard_error) : Json();
     item["interval"] = determined ? Json({estimate.low, estimate.high}) : Json();
     item["determination"] = DeterminationToString(estimate.determination);
@@ -204,11 +209,11 @@ Table EstimateTable(const Identified& identified) {
         for (const std::string& other : estimate.with)
           remark += (&other == &estimate.with[0] ? " with " : ", ") + other;
       }
-      const auto known = [&](double value) { return remark.empty() ? Cell(value) : Cell(); };
+      const auto known = [&](double value) { return IsDetermined(estimate) ? Cell(value) : Cell(); };
       table.AddRow({identified.contacts[i],
                     estimate.name,
                     estimate.start,
-                    known(estimate.value),
+                    HasValue(estimate) ? Cell(estimate.value) : Cell(),
                     known(estimate.standard_error),
                     known(estimate.low),
                     known(estimate.high),
@@ -224,6 +229,16 @@ Table FitTable(const Json& document) {
       "",
       "contact; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts; starts; sequences; iterations; "
       "seconds:3; remark=reason");
+}
+
+std::vector<std::string> FitRemarks(const Identified& identified) {
+  std::vector<std::string> remarks;
+  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
+    for (const std::string& remark : identified.reports[i].remarks) {
+      remarks.push_back(identified.contacts[i] + ": " + remark);
+    }
+  }
+  return remarks;
 }
 
 // Every parameter under every contact model, beside what the exact fit has; empty without that, or others.
@@ -244,7 +259,7 @@ Table ComparisonTable(const Identified& identified) {
       if (estimate != nullptr && !known) remark = DeterminationToString(estimate->determination);
       table.AddRow({reference.name,
                     identified.contacts[i],
-                    known ? Cell(estimate->value) : Cell(),
+                    estimate != nullptr && HasValue(*estimate) ? Cell(estimate->value) : Cell(),
                     known ? Cell(estimate->standard_error) : Cell(),
                     bias,
                     bias ? Cell(*bias / reference.standard_error) : Cell(),
@@ -295,6 +310,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
     interrupted |= report.verdict == FitVerdict::kInterrupted;
     Json item = {{"contact", identified.contacts[i]}, {"verdict", FitVerdictToString(report.verdict)}};
     if (!report.reason.empty()) item["reason"] = report.reason;
+    if (!report.remarks.empty()) item["remarks"] = report.remarks;
     if (HasMinimum(report)) {
       item["cost"] = report.cost;
       if (report.misfit > 0) item["misfit"] = report.misfit;
@@ -408,6 +424,7 @@ void WriteIdentifyReport(const Request& request, const Identified& identified, c
   Page page = StartPage(scene);
   page.AddHeading("Fits");
   page.AddTableIfAny(FitTable(document), "The fit of each contact model.");
+  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page.AddList(remarks);
   page.AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
   page.AddTableIfAny(
       ComparisonTable(identified),

@@ -62,6 +62,8 @@ inline constexpr std::size_t kMostOutliersNamed = 20;
 // Parameters by contact model, and how each fit went.
 Table EstimateTable(const Identified& identified);
 Table FitTable(const Json& document);
+// Remarks on fits, each behind its contact model.
+std::vector<std::string> FitRemarks(const Identified& identified);
 // Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
 // by `event`, or without others.
 Table ComparisonTable(const Identified& identified);

@@ -93,6 +93,7 @@ void PrintTables(const Scene& scene, const Identified& identified, const Json& d
   };
   const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
   print(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
+  for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, layout.width) << std::endl;
   print_if_any("95 % confidence is from ... to", EstimateTable(identified));
   print_if_any("Beside event, whose motion and derivatives are exact: bias is what a value is more",
                ComparisonTable(identified));

@@ -598,7 +598,10 @@ std::string FirstOf(const std::vector<std::string>& names) {
 }
 
 Page StartPage(const Scene& scene) {
-  return Page(scene.name, std::to_string(scene.steps) + " steps over " + Cell(scene.duration).Display(6) + " s");
+  const bool free = scene.objective.duration.has_value();
+  return Page(scene.name,
+              std::to_string(scene.steps) + (free ? " steps over a free duration, given as " : " steps over ") +
+                  Cell(scene.duration).Display(6) + " s");
 }
 
 void FinishPage(const Request& request, const Json& results, Page* page) {

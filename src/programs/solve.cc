@@ -173,9 +173,11 @@ std::string WhyNoAnswer(const SolveReport& report) {
 }
 
 Table RunTable(const SolvedRuns& solved) {
-  Table table(ColumnsOf("contact; solver; initial loss:10; final loss:10; exact loss:10; iterations; gradients; "
-                        "seconds:3; termination; remark"),
-              2);
+  Table table(
+      ColumnsOf(
+          "contact; solver; initial loss:10; final loss:10; exact loss:10; duration (s):6; iterations; gradients; "
+          "seconds:3; termination; remark"),
+      2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination == Termination::kNotApplicable) continue;  // below
@@ -187,6 +189,7 @@ Table RunTable(const SolvedRuns& solved) {
                   of_solver(report.initial_loss),
                   of_run(report.final_loss),
                   run.exact.ok ? of_run(run.exact.loss) : Cell(),
+                  run.duration,
                   of_solver(report.iterations),
                   of_solver(report.evaluations),
                   of_run(report.seconds),
@@ -208,10 +211,11 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
   const std::string name = request.scene.name + ": ";
   PrintTable(name + std::to_string(request.scene.steps) + " steps", RunTable(solved));
   PrintTableIfAny(name + "parameters that were optimized, SI units", DesignTable(request.scene, solved));
-  PrintTableIfAny(name + "certificates of the exact loss, stationary with a residual of at most " +
-                      Format("%g", kCertificateTolerance) +
-                      ", a minimum with positive curvature (1 is that of the effort alone)",
-                  CertificateTable(solved));
+  PrintTableIfAny(
+      name + "certificates of the exact loss, stationary with a residual of at most " +
+          Format("%g", kCertificateTolerance) +
+          (HasCurvatures(solved) ? ", a minimum with positive curvature (1 is that of the effort alone)" : ""),
+      CertificateTable(solved));
   const NamedStudies studies = StudiesOf(solved);
   if (!studies.empty()) PrintFeedback(name, *request.feedback, studies);
 }

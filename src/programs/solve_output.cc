@@ -6,6 +6,7 @@
 #include <functional>
 #include <iostream>
 #include <new>
+#include <numeric>
 #include <utility>
 
 #include "base/interrupt.h"
@@ -76,6 +77,8 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
   return std::nullopt;
 }
 
+bool HasCurvature(const Certificate& certificate) { return certificate.IsStationary() && certificate.curvature; }
+
 // What the verdict says of the control, in a sentence or two.
 std::string MeaningOf(const Certificate& certificate) {
   switch (certificate.verdict) {
@@ -125,15 +128,19 @@ Table CertificateTable(const SolvedRuns& solved) {
     if (!run.certificate) continue;
     const Certificate& certificate = *run.certificate;
     const std::string verdict = VerdictInWords(certificate);
-    const bool looked_at = certificate.IsStationary() && certificate.curvature;
     table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
                   run.report.solver,
                   verdict.empty() ? "not certified" : verdict,
                   ResidualOf(certificate),
-                  looked_at ? std::optional(certificate.curvature->smallest) : std::nullopt,
+                  HasCurvature(certificate) ? std::optional(certificate.curvature->smallest) : std::nullopt,
                   MeaningOf(certificate)});
   }
   return table;
+}
+
+bool HasCurvatures(const SolvedRuns& solved) {
+  return std::ranges::any_of(solved.runs,
+                             [](const SolvedRun& run) { return run.certificate && HasCurvature(*run.certificate); });
 }
 
 // ---- States, and NPZ files
@@ -433,6 +440,9 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
           {words.empty() ? "not certified" : words, "verdict of its certificate", good ? Tone::kGood : Tone::kWarning});
     }
   }
+  if (!runs.empty() && runs[0]->duration) {
+    tiles.push_back({Cell(*runs[0]->duration).Display(6) + " s", "duration, by " + LabelOfRun(runs[0]->report)});
+  }
   const auto failed =
       std::ranges::count_if(solved.runs, [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
   const auto refused = std::ranges::count_if(
@@ -536,9 +546,9 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                  "dynamics: only "
                  "exact losses may be compared between models.");
   page->AddTableIfAny(DesignTable(request.scene, solved), "Parameters of the scene that were optimized, in SI units.");
-  page->AddTableIfAny(
-      CertificateTable(solved),
-      "Certificates of the exact loss. Residuals are relative; a curvature of 1 is that of the effort alone.");
+  page->AddTableIfAny(CertificateTable(solved),
+                      std::string("Certificates of the exact loss. Residuals are relative") +
+                          (HasCurvatures(solved) ? "; a curvature of 1 is that of the effort alone." : "."));
   AddImpacts(request.scene, runs, page);
   const NamedStudies studies = StudiesOf(solved);
   if (!studies.empty()) {
@@ -638,6 +648,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       };
       add_solution("", report);
       if (!report.standard_error.empty()) item["standard_error"] = report.standard_error;
+      if (run.duration) item["duration"] = *run.duration;
       if (!report.durations.empty()) item["durations"] = report.durations;
       if (report.best && !report.best->initial_state.empty()) {
         add_solution("best_", *report.best);
@@ -755,6 +766,9 @@ SolvedRun SolveAndCheck(const Scene& given, const std::string& solver, const Con
   SolvedRun run;
   run.report = Solve(solver, {given, contact, precision}, options);
   if (run.report.losses.empty()) return run;
+  if (given.objective.duration) {
+    run.duration = std::accumulate(run.report.durations.begin(), run.report.durations.end(), 0.0);
+  }
   keep(run);
   const Scene scene = WithDesign(given, run.report.parameters);
   CheckExactly(scene, &run);

@@ -20,6 +20,7 @@ struct SolvedRun {
   ExactRun exact;
   std::optional<Certificate> certificate;
   std::vector<double> final_state;        // B x 4, under its contact model; empty if that fails
+  std::optional<double> duration;         // s, of the solution, where it was free
   bool simulated = false;                 // nothing was solved, and the start has a finite loss
   std::optional<FeedbackStudy> feedback;  // if asked for
 
@@ -52,6 +53,8 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact);
 Table DesignTable(const Scene& scene, const SolvedRuns& solved);
 // One row a run with a certificate: verdict, residual, smallest curvature and what they mean.
 Table CertificateTable(const SolvedRuns& solved);
+// Whether that table has a curvature: no certificate of a free duration or of parameters has one.
+bool HasCurvatures(const SolvedRuns& solved);
 
 // Those of the runs that have one, by the label of the run.
 NamedStudies StudiesOf(const SolvedRuns& solved);

@@ -221,21 +221,37 @@ SweepFigure LossFigure(const Results& results, const std::string& option) {
   return {"loss_against_" + option, figure};
 }
 
-// The order in which an error goes to zero, of the finer half of the steps: coarse ones are not there yet.
-std::string OrderLabel(const Series& series) {
+// The order in which an error goes to zero, of the finer half of the steps: coarse ones are not there yet. None where
+// all errors are zero, NaN of too few steps.
+std::optional<double> OrderOf(const Curve& errors) {
   std::vector<double> x, y;
-  for (size_t i = 0; i < series.x.size(); ++i) {
-    if (!(series.y[i] > 0)) continue;
-    x.push_back(series.x[i]);
-    y.push_back(series.y[i]);
+  for (const auto& [dt, error] : errors) {
+    if (!(error > 0)) continue;
+    x.push_back(dt);
+    y.push_back(error);
   }
-  if (x.empty()) return "exact";
+  if (x.empty()) return std::nullopt;
   const size_t finer = std::max<size_t>(3, (x.size() + 1) / 2);
   x.resize(std::min(finer, x.size()));
   y.resize(x.size());
-  const double order = Order(x, y);
-  if (!std::isfinite(order)) return "too few steps";
-  return Format(order <= -0.005 ? "order −%.2f" : "order %.2f", std::abs(order));
+  return Order(x, y);
+}
+
+// The order of each refinement, in which nothing but the steps differs: the largest error over other options has no
+// order of its own.
+std::string OrderLabel(const std::vector<Curve>& refinements) {
+  const auto text = [](double order) { return Format(order <= -0.005 ? "−%.2f" : "%.2f", std::abs(order)); };
+  Extent orders;
+  bool exact = true;
+  for (const Curve& refinement : refinements) {
+    const std::optional<double> order = OrderOf(refinement);
+    exact = exact && !order;
+    if (order && std::isfinite(*order)) orders.Add(*order);
+  }
+  if (exact) return "exact";
+  if (orders.least > orders.most) return "too few steps";
+  const std::string least = text(orders.least), most = text(orders.most);
+  return "order " + (least == most ? least : least + " to " + most);
 }
 
 SweepFigure GradientErrorFigure(const Results& results) {
@@ -247,7 +263,23 @@ SweepFigure GradientErrorFigure(const Results& results) {
   const std::map<Method, Curve> curves = BestOf<Curve>(results, dt, "relative_error", std::greater<>());
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
-  for (Series& series : panel.series) series.label += ": " + OrderLabel(series);
+  // By what else a row was computed with.
+  std::map<Method, std::map<std::vector<std::string>, Curve>> refinements;
+  for (size_t row = 0; row < results.size(); ++row) {
+    const double error = results.Number(row, "relative_error");
+    if (!std::isfinite(error)) continue;
+    std::vector<std::string> others;
+    for (const std::string& option : results.study().options()) {
+      if (option != "steps") others.push_back(results.Text(row, option));
+    }
+    refinements[MethodOf(results, row)][others][dt(row)] = error;
+  }
+  auto series = panel.series.begin();
+  for (const auto& [method, by_others] : refinements) {
+    std::vector<Curve> all;
+    for (const auto& [others, curve] : by_others) all.push_back(curve);
+    (series++)->label += ": " + OrderLabel(all);
+  }
   Figure figure{.width = 900, .panel_height = 420};
   figure.title = scene.name + ": error of the gradient" + results.Over("largest", {"steps", "duration"});
   figure.panels = {panel};

@@ -21,8 +21,83 @@ DEFINE_double(segment, 1, "s, of the pieces of that");
 DEFINE_int32(threads, 2, "for it");
 DEFINE_string(write, "", "folder for long.yaml and long.csv, of that recording, which then is not fitted here");
 
+DEFINE_bool(coverage, false,
+            "instead: the table of how often 95 % intervals hold, by number of samples and share of outliers, each of "
+            "--problems problems");
+
+DEFINE_int32(samples, 0, "of that table: only this number");
+DEFINE_double(outliers, -1, "of that table: only this share");
+
 namespace saltus {
 namespace {
+
+// How fits of so many samples went.
+struct Coverage {
+  int problems = 0, intervals = 0, covered = 0, fits = 0, contradicted = 0, not_judged = 0;
+};
+
+Coverage CoverageOf(int samples, double outliers, bool states_sigma) {
+  Coverage count;
+  for (int i = 0; i < FLAGS_problems; ++i) {
+    const GeneratedProblem problem = FewSamples(FLAGS_seed + i, samples, outliers, states_sigma);
+    const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    ++count.problems;
+    count.fits += report.verdict == FitVerdict::kFits;
+    count.contradicted += report.verdict == FitVerdict::kContradicted;
+    if (FLAGS_print) {
+      std::printf("seed %lld: %s %s, misfit %.3f, sigma %.3g, cost %.4g, %d starts\n",
+                  static_cast<long long>(FLAGS_seed + i),
+                  FitVerdictToString(report.verdict),
+                  report.reason.c_str(),
+                  report.misfit,
+                  report.sigma,
+                  report.cost,
+                  report.starts);
+    }
+    for (const Estimate& estimate : report.estimates) {
+      const double truth = TrueValue(problem, estimate.unknown);
+      if (FLAGS_print) {
+        std::printf("  %s %s %.5f +- %.5f [%.5f %.5f], true %.5f%s\n",
+                    estimate.name.c_str(),
+                    DeterminationToString(estimate.determination),
+                    estimate.value,
+                    estimate.standard_error,
+                    estimate.low,
+                    estimate.high,
+                    truth,
+                    truth >= estimate.low && truth <= estimate.high ? "" : " *");
+      }
+      if (estimate.determination != Determination::kDetermined || report.verdict != FitVerdict::kFits) continue;
+      ++count.intervals;
+      count.covered += truth >= estimate.low && truth <= estimate.high;
+    }
+  }
+  return count;
+}
+
+int MeasureCoverage() {
+  std::printf(
+      "| samples | outliers | sigma | fits | contradicted | intervals | hold |\n|---|---|---|---|---|---|---|\n");
+  for (const int samples : {6, 8, 12, 20, 40, 60}) {
+    for (const double outliers : {0.0, 0.1, 0.25}) {
+      if (FLAGS_samples > 0 && samples != FLAGS_samples) continue;
+      if (FLAGS_outliers >= 0 && outliers != FLAGS_outliers) continue;
+      for (const bool states_sigma : {true, false}) {
+        const Coverage count = CoverageOf(samples, outliers, states_sigma);
+        std::printf("| %d | %.0f %% | %s | %d | %d | %d | %.1f %% |\n",
+                    samples,
+                    100 * outliers,
+                    states_sigma ? "stated" : "estimated",
+                    count.fits,
+                    count.contradicted,
+                    count.intervals,
+                    100.0 * count.covered / std::max(1, count.intervals));
+        std::fflush(stdout);
+      }
+    }
+  }
+  return 0;
+}
 
 struct Tally {
   int found = 0, intervals = 0, covered = 0, open = 0, impacts = 0;
@@ -112,6 +187,7 @@ int FitLongRecording() {
 
 int Main() {
   if (FLAGS_minutes > 0) return FitLongRecording();
+  if (FLAGS_coverage) return MeasureCoverage();
   Tally tally;
   for (int i = 0; i < FLAGS_problems; ++i) Run(FLAGS_seed + i, &tally);
   const double found = double(tally.found) / FLAGS_problems, covered = double(tally.covered) / tally.intervals;

@@ -126,6 +126,58 @@ inline GeneratedProblem GenerateProblem(uint64_t seed, double noise = 2e-3, doub
   return problem;
 }
 
+// The position of a ball that falls from rest at `height` and moves on sideways at `speed`, by the formulas of free
+// fall.
+inline Vec2d BouncingBallAt(double time, const Scene& scene) {
+  const Body& ball = scene.bodies[0];
+  const double g = -scene.gravity[1], e = scene.contact.restitution;
+  double y = ball.position[1], v = 0, rest = time;
+  while (true) {
+    const double fall = (v + std::sqrt(v * v + 2 * g * (y - ball.radius))) / g;
+    if (fall > rest) return {ball.position[0] + ball.velocity[0] * time, y + v * rest - g * rest * rest / 2};
+    rest -= fall;
+    v = -e * (v - g * fall);
+    y = ball.radius;
+  }
+}
+
+// A ball that bounces on a floor, measured at so many random times, perhaps once within a flight. Restitution and
+// gravity are unknown. Samples that are wrong miss the ball by 30 times as much as the others.
+inline GeneratedProblem FewSamples(uint64_t seed, int samples, double outliers, bool states_sigma) {
+  GeneratedRandom random(seed);
+  GeneratedProblem problem;
+  Scene& scene = problem.truth;
+  scene.name = "few_samples";
+  scene.duration = 1.5;
+  scene.steps = 100;
+  scene.gravity = {0, -random.Uniform(8, 12)};
+  scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {0, random.Uniform(0.8, 1.2)}}};
+  scene.bodies[0].velocity = {0.5, 0};
+  scene.planes = {{"floor", {0, 0}, {0, 1}}};
+  scene.contact.restitution = random.Uniform(0.6, 0.85);
+  problem.recording.name = "few";
+  std::vector<double> times(samples);
+  for (double& time : times) time = random.Uniform(0, scene.duration);
+  std::sort(times.begin(), times.end());
+  constexpr double kNoise = 2e-3;
+  for (const double time : times) {
+    const bool wrong = random.Uniform(0, 1) < outliers;
+    const double spread = wrong ? 30 * kNoise : kNoise, x = random.Normal(), y = random.Normal();
+    problem.recording.samples.push_back({.time = time,
+                                         .body = 0,
+                                         .position = BouncingBallAt(time, scene) + spread * Vec2d(x, y),
+                                         .sigma = states_sigma ? kNoise : 0});
+    problem.outlier.push_back(wrong);
+  }
+  problem.unknowns = {{Unknown::Kind::kRestitution}, {Unknown::Kind::kGravity, -1, 1}};
+  problem.guess = scene;
+  problem.guess.contact.restitution = 0.8;
+  problem.guess.gravity = {0, -9};
+  problem.guess.bodies[0].position = {0, 1};
+  problem.guess.bodies[0].velocity = {0.4, 0.2};
+  return problem;
+}
+
 // A disc that is fast in a box without gravity, about five impacts a second for so many seconds, restitution 1 but for
 // a little; two of a hundred samples are wrong.
 inline GeneratedProblem LongProblem(double seconds) {
@@ -150,6 +202,7 @@ inline GeneratedProblem LongProblem(double seconds) {
 inline double TrueValue(const GeneratedProblem& problem, const Unknown& unknown) {
   if (unknown.kind == Unknown::Kind::kRestitution) return problem.truth.contact.restitution;
   if (unknown.kind == Unknown::Kind::kFriction) return problem.truth.contact.friction;
+  if (unknown.kind == Unknown::Kind::kGravity) return problem.truth.gravity[unknown.component];
   return problem.truth.bodies[unknown.body].mass;
 }
 

@@ -137,6 +137,37 @@ TEST(SweepFigures, GradientErrorHasItsOrder) {
   EXPECT_THAT(labels, ElementsAre("direct: order 2.00", "event: exact"));
 }
 
+// An error that falls with the first power of the step under one stiffness and with the second under the other: the
+// larger of the two falls with neither.
+TEST(SweepFigures, TheLargestErrorOverAnotherOptionHasNoOrderOfItsOwn) {
+  const Request request = GradientRequest({"direct", "event"});
+  const auto labels_of = [&](const std::string& sweep, const auto& error) {
+    const SweepStudy study(request, ParseSweep(sweep, request.scene));
+    const auto figures = MakeSweepFigures(study,
+                                          MakePoints(
+                                              study, [](const SweepRow&) { return 1.0; }, error));
+    std::vector<std::string> labels;
+    for (const SweepFigure& figure : figures) {
+      if (figure.name != "gradient_error_against_dt") continue;
+      for (const Series& series : figure.figure.panels[0].series) {
+        if (series.line) labels.push_back(series.label);
+      }
+    }
+    return labels;
+  };
+  EXPECT_THAT(labels_of("steps=100,200,400; stiffness=1,2",
+                        [](const SweepRow& row) {
+                          const double dt = 100 / ToNumber(row[0]);
+                          if (row[2] == "event") return 0.0;
+                          return ToNumber(row[1]) == 1 ? dt : 2 * dt * dt;
+                        }),
+              ElementsAre("direct: order 1.00 to 2.00", "event: exact"));
+  // One number of steps each of several motions is no refinement.
+  EXPECT_THAT(
+      labels_of("duration=0.5,1,2", [](const SweepRow& row) { return row[1] == "event" ? 0.0 : ToNumber(row[0]); }),
+      ElementsAre("direct: too few steps", "event: exact"));
+}
+
 TEST(SweepFigures, AMapCoversThePlaneWithOneCellAPair) {
   const Request request = GradientRequest({"event"});
   const SweepStudy study(request, ParseSweep("stiffness=1,10,100; friction=0,1", request.scene));

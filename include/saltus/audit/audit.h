@@ -123,6 +123,9 @@ struct ModelAudit {
 
   // The contact that the error begins with, or null.
   const ContactError* FirstWrong() const;
+  // Whether the derivative that a black box gives is not that of its own motion: then its contact is not the first
+  // fault.
+  bool ContradictsItself() const;
   // Why the verdict is what it is, in one sentence; empty for a right or a consistent gradient.
   std::string Why() const;
 };

@@ -9,6 +9,7 @@
 // agrees with narrow differences to seven digits is still wrong.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -29,7 +30,8 @@ enum class WidthFinding {
   kNothing,         // the gradient is that of the motion
   kOnlyOfItsSteps,  // it agrees with narrow differences, not with wide ones
   kOfNeither,       // it agrees with no differences of its loss
-  kUndecided        // wide differences scatter, or discs start too close for them
+  kUndecided,       // wide differences scatter, or discs start too close for them
+  kFarther          // wide differences are farther from the exact value than the gradient is
 };
 const char* WidthFindingToString(WidthFinding finding);
 
@@ -39,8 +41,9 @@ struct WidthSweep {
   double gradient = 0;    // the model's, at the refined steps
   double grid_width = 0;  // m, m/s or N
   std::vector<double> widths, slopes;
-  double narrow = 0, wide = 0;                // plateaus: medians of the slopes
-  double narrow_spread = 0, wide_spread = 0;  // medians of the distance to them
+  double narrow = 0, wide = 0;                 // plateaus: medians of the slopes
+  double narrow_spread = 0, wide_spread = 0;   // medians of the distance to them
+  std::optional<double> exact = std::nullopt;  // derivative of the exact motion, if it is known
   WidthFinding finding = WidthFinding::kUndecided;
 };
 
@@ -56,6 +59,10 @@ struct WidthSweepStudy {
   // One sentence for a person.
   std::string Summary() const;
 };
+
+// Notes the exact derivatives. Wide differences that are farther from them than the gradient is are no evidence against
+// it. Precondition: the gradient is that of `scene`.
+void CompareWithExact(const Scene& scene, const ModelGradient& exact, WidthSweepStudy* study);
 
 // Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
 WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options = {},

@@ -58,6 +58,7 @@ enum class Determination {
   kDetermined,
   kCombined,      // the data determine only a combination of this parameter with others
   kUndetermined,  // the data say nothing of it, or next to nothing
+  kAtBound,       // the samples push it to its bound or beyond, where there is no standard error
 };
 const char* DeterminationToString(Determination determination);
 
@@ -83,7 +84,8 @@ struct SampleResidual {
 enum class FitVerdict {
   kFits,
   kNotDetermined,  // the data say nothing of anything that is unknown, though a motion may pass through them
-  kContradicted,   // samples miss the motion by far more than their sigma, whatever the parameters
+  kContradicted,   // samples miss the motion by far more than their sigma, or the extent of the motion allows
+  kNotJudged,      // the samples are too few to say, or without a sigma do not tell, whether the model is right
   kFailed,         // no start has a motion that can be simulated and compared, see `reason`
   kNotConverged,
   kInterrupted,
@@ -126,6 +128,7 @@ struct LearnedEventFunctions {
 struct IdentifyReport {
   FitVerdict verdict = FitVerdict::kFailed;
   std::string reason;
+  std::vector<std::string> remarks;  // what else is to be known: that sigma was estimated, or residuals are systematic
   std::vector<Estimate> estimates;
   std::vector<std::vector<double>> correlation;  // of the determined ones, in their order
   std::vector<std::vector<double>> initial;      // of each segment, B x 4

@@ -495,6 +495,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
       plan.Say("differences of every width", of_widths);
       const WidthSweepOptions widths = WidthsOf(findings, options.widths);
       if (!keep(SweepWidths(contact, scene, widths, stop), &audit.widths)) return audit;
+      if (reference) CompareWithExact(scene, *reference, &*audit.widths);
       if (!reference) audit.verdict = audit.widths->verdict;
     } else {
       findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));

@@ -160,6 +160,18 @@ double GradientAlong(const Direction& direction, const ModelGradient& gradient, 
   return sum;
 }
 
+// The exact derivative along the direction of a sweep; none of a torque.
+std::optional<double> ExactAlong(const Scene& scene, const ModelGradient& exact, const WidthSweep& sweep) {
+  std::vector<std::string> names = EntryNames(scene, sweep.quantity, 1);
+  if (sweep.quantity == Quantity::kControl) {
+    // "ux[0] striker" is the only interval of "ux striker".
+    for (std::string& name : names) name = name.substr(0, 2) + name.substr(5);
+  }
+  const auto at = std::ranges::find(names, sweep.entry);
+  if (at == names.end()) return std::nullopt;
+  return EntriesOf(scene, exact, sweep.quantity, 1)[at - names.begin()];
+}
+
 void Convert(const Units& from, const Units& to, WidthSweep* sweep) {
   const double by = GradientFactor(sweep->quantity, from, to);
   for (double* slope : {&sweep->gradient, &sweep->narrow, &sweep->wide, &sweep->narrow_spread, &sweep->wide_spread}) {
@@ -174,8 +186,11 @@ void Convert(const Units& from, const Units& to, WidthSweep* sweep) {
 }  // namespace
 
 const char* WidthFindingToString(WidthFinding finding) {
-  constexpr const char* kNames[] = {
-      "nothing found", "agrees with narrow differences, not with wide ones", "agrees with no differences", "undecided"};
+  constexpr const char* kNames[] = {"nothing found",
+                                    "agrees with narrow differences, not with wide ones",
+                                    "agrees with no differences",
+                                    "undecided",
+                                    "wide differences are farther from the exact value"};
   return kNames[static_cast<int>(finding)];
 }
 
@@ -195,10 +210,12 @@ std::string WidthSweepStudy::Summary() const {
   if (!ok()) return reason;
   const WidthSweep* worst = Worst();
   if (worst == nullptr) {
-    const bool undecided =
-        std::ranges::any_of(sweeps, [](const WidthSweep& sweep) { return sweep.finding == WidthFinding::kUndecided; });
-    return undecided ? "differences of some entries scatter too much to tell"
-                     : "differences of all widths agree with it";
+    const auto any = [&](WidthFinding finding) {
+      return std::ranges::count(sweeps, finding, &WidthSweep::finding) > 0;
+    };
+    if (any(WidthFinding::kFarther)) return "wide differences are farther from the exact gradient than it is";
+    return any(WidthFinding::kUndecided) ? "differences of some entries scatter too much to tell"
+                                         : "differences of all widths agree with it";
   }
   // Differences of rounding are shown as none.
   const auto shown = [&](double value) { return std::abs(value) < 1e-7 * std::abs(worst->wide) ? 0.0 : value; };
@@ -237,6 +254,17 @@ Verdict JudgeSweeps(double loss, const WidthSweepOptions& options, std::vector<W
     if (verdict == Verdict::kUnknown || flips) verdict = flips ? Verdict::kWrongSign : Verdict::kWrong;
   }
   return verdict;
+}
+
+void CompareWithExact(const Scene& scene, const ModelGradient& exact, WidthSweepStudy* study) {
+  for (WidthSweep& sweep : study->sweeps) {
+    sweep.exact = ExactAlong(scene, exact, sweep);
+    const auto miss = [&](double value) { return std::abs(value - *sweep.exact); };
+    if (sweep.exact && IsAgainst(sweep) && miss(sweep.wide) >= miss(sweep.gradient)) {
+      sweep.finding = WidthFinding::kFarther;
+    }
+  }
+  if (study->Worst() == nullptr) study->verdict = Verdict::kUnknown;
 }
 
 WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options,
