@@ -62,8 +62,8 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
   return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded)));
 }
 
-// name, "steps" | "event" | "end", "cost" | "equality" | "inequality", mode, guard, before, letters of what the
-// function reads (some of "xupth", in this order), sizes of these, the function.
+// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, letters of what
+// the function reads (some of "xupth", in this order), sizes of these, the function.
 using TermTuple =
     std::tuple<std::string, std::string, std::string, int, int, bool, std::string, std::vector<int>, Outputs>;
 
@@ -75,6 +75,7 @@ HybridTerm ReadTerm(const TermTuple& tuple) {
                             : HybridTerm::At::kEnd;
   term.role = role == "equality"     ? HybridTerm::Role::kEquality
               : role == "inequality" ? HybridTerm::Role::kInequality
+              : role == "value"      ? HybridTerm::Role::kValue
                                      : HybridTerm::Role::kCost;
   const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
   term.with_state = has('x');

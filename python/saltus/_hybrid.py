@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import threading
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
@@ -303,6 +304,37 @@ def residuals(
         raise ValueError("guard: only a term at events has one")
     label = name or getattr(function, "__name__", "cost").replace("<lambda>", f"cost at {at}")
     return Cost(label, function, at, role, mode, guard, before, None)
+
+
+def cost(
+    function: Callable[..., Any],
+    *,
+    at: str = "end",
+    mode: str | None = None,
+    guard: str | None = None,
+    before: bool = False,
+    name: str | None = None,
+) -> Cost:
+    """A cost that is no square: the loss gains the value of a function, of some of t, x, u, p and h.
+
+    The function returns a number, or several that are summed; the other arguments are those of `residuals`. A Mayer cost
+    is ``saltus.cost(lambda x: x[2])``; the integral of f over time is
+    ``saltus.cost(lambda x, u, h: h * f(x, u), at="steps")`` by the rule of rectangles.
+    """
+    term = residuals(function, at=at, mode=mode, guard=guard, before=before, name=name)
+    term.role = "value"
+    return term
+
+
+def maximise(function: Callable[..., Any], **options: Any) -> Cost:
+    """The negative of `cost`, with the same arguments: the loss loses the value of a function."""
+
+    @functools.wraps(function)
+    def negative(*arguments: Any) -> Any:
+        values = function(*arguments)
+        return [-value for value in values] if np.ndim(values) > 0 else -values
+
+    return cost(negative, **options)
 
 
 def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = None) -> Cost:

@@ -25,7 +25,7 @@ def solvers() -> dict[str, str]:
 def solve(
     scene: SceneLike | HybridProblem,
     contact: Any = "event",
-    solver: str = "gd",
+    solver: str | None = None,
     *,
     optimize: Sequence[str] | None = None,
     bounds: Mapping[str, Any] | None = None,
@@ -49,7 +49,8 @@ def solve(
     Args:
         scene: a Scene, a dict or the path of a scene file, or a HybridProblem.
         contact: name of a contact model, or a class derived from ContactModel.
-        solver: name of a solver; those of a HybridProblem are hybrid_solvers().
+        solver: name of a solver; those of a HybridProblem are hybrid_solvers(). Without one it is gd, or auto for a
+            HybridProblem.
         optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
             and parameters; default: the control.
         bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control.
@@ -74,6 +75,8 @@ def solve(
     Raises:
         ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
+    if solver is None:
+        solver = "auto" if isinstance(scene, HybridProblem) else "gd"
     expect("text", solver=solver, precision=precision, sequence=sequence)
     expect("a whole number", iterations=iterations, threads=threads)
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)

@@ -37,7 +37,7 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
     guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
   }
   for (const HybridTerm& term : problem_.terms) {
-    if (term.role != HybridTerm::Role::kCost || term.at == HybridTerm::At::kEvent) continue;
+    if (!term.IsCost() || term.at == HybridTerm::At::kEvent) continue;
     const int times = term.at == HybridTerm::At::kEachInterval ? start_.num_intervals : 1;
     num_residuals_ += times * term.function->num_residuals();
   }
@@ -83,7 +83,7 @@ bool HybridShooting::FindPlaces() {
   const std::vector<double> times = input_.Times();
   const std::vector<HybridEvent>& events = simulator_.events();
   for (const HybridTerm& term : problem_.terms) {
-    const bool is_cost = term.role == HybridTerm::Role::kCost;
+    const bool is_cost = term.IsCost();
     std::vector<Place>& places = is_cost ? places_ : constraint_places_;
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
@@ -154,8 +154,8 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
     for (const Place& place : *places) {
       if (!ValuesAt(place, false, &values)) return FailAt(place);
       for (const double r : values.residuals) {
-        if (place.term->role == HybridTerm::Role::kCost) {
-          outcome->loss += r * r;
+        if (place.term->IsCost()) {
+          outcome->loss += place.term->LossOf(r);
           continue;
         }
         const double violation = place.term->role == HybridTerm::Role::kEquality ? std::abs(r) : r;
@@ -204,15 +204,16 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   Values values;
   for (const Place& place : places_) {
     if (!ValuesAt(place, gradient != nullptr, &values)) return FailAt(place);
-    for (const double residual : values.residuals) *loss += residual * residual;
-    if (gradient == nullptr) continue;
     const HybridTerm& term = *place.term;
+    for (const double residual : values.residuals) *loss += term.LossOf(residual);
+    if (gradient == nullptr) continue;
     auto jacobian = values.jacobians.begin();
     const auto pull_back = [&] {
-      const Eigen::Map<const Eigen::RowVectorXd> r(values.residuals.data(), values.residuals.size());
-      const auto width = static_cast<int>(jacobian->size() / values.residuals.size());
-      const Eigen::Map<const Matrix> J((jacobian++)->data(), r.size(), width);
-      return Eigen::RowVectorXd(2 * r * J);
+      Eigen::RowVectorXd slopes(values.residuals.size());
+      for (Eigen::Index i = 0; i < slopes.size(); ++i) slopes[i] = term.SlopeOf(values.residuals[i]);
+      const Eigen::Map<const Matrix> J(jacobian->data(), slopes.size(), jacobian->size() / slopes.size());
+      ++jacobian;
+      return Eigen::RowVectorXd(slopes * J);
     };
     if (term.with_state) {
       const Eigen::RowVectorXd by_state = pull_back();

@@ -19,6 +19,7 @@
 #include "hybrid/free_variables.h"
 #include "hybrid/runge_kutta.h"
 #include "optimality/cone_conditions.h"
+#include "optimality/constrained_curvature.h"
 #include "optimality/optimality_conditions.h"
 #include "saltus/optimality/hybrid_certificate.h"
 
@@ -26,15 +27,16 @@ namespace saltus {
 namespace {
 
 using Matrix = RungeKutta::Matrix;
+using Sparse = Eigen::SparseMatrix<double>;
 using Kind = FreeVariable::Kind;
 using Eigen::VectorXd;
 
-constexpr double kAtBound = 1e-6;      // of a bound's range, or an inequality's violation that counts as active
-constexpr double kAtNode = 1e-6;       // of an interval: an event so near to its end is at it
-constexpr double kSameTime = 1e-14;    // of the duration
-constexpr double kNoInterval = 1e-9;   // of the duration: of an interval so short nothing is asked
-constexpr double kSmallTerms = 0.01;   // of the largest size of a component of the control: the least of a component
-constexpr int kMostMultipliers = 200;  // of which conditions are looked at
+constexpr double kAtBound = 1e-6;       // of a bound's range, or an inequality's violation that counts as active
+constexpr double kAtNode = 1e-6;        // of an interval: an event so near to its end is at it
+constexpr double kSameTime = 1e-14;     // of the duration
+constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
+constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
+constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
 
 // A step of the motion, from `begin` to `end`, with its derivatives [x t p u h].
 struct Step {
@@ -122,7 +124,7 @@ class HybridConditions {
       Judge(&result);
     }
     if (result.IsStationary()) {
-      result.curvature = FindCurvature(moving);
+      result.curvature = FindCurvature(moving, outcome.loss);
       Judge(&result);
     }
     return result;
@@ -148,10 +150,11 @@ class HybridConditions {
     return "";
   }
 
-  // Whether the residuals of all costs are of the size of rounding errors of the motion.
+  // Whether all costs are squares whose residuals are of the size of rounding errors of the motion.
   bool IsZero() const {
     constexpr double kRounding = 1e-10;
     for (const HybridShooting::TermAt& at : terms_) {
+      if (at.term->role == HybridTerm::Role::kValue) return false;
       if (at.term->role != HybridTerm::Role::kCost) continue;
       const auto rows = static_cast<Eigen::Index>(at.residuals.size());
       for (Eigen::Index row = 0; row < rows; ++row) {
@@ -227,7 +230,7 @@ class HybridConditions {
   void FindMultipliers() {
     for (size_t i = 0; i < terms_.size(); ++i) {
       const HybridShooting::TermAt& at = terms_[i];
-      if (at.term->role == HybridTerm::Role::kCost) continue;
+      if (at.term->IsCost()) continue;
       const bool inequality = at.term->role == HybridTerm::Role::kInequality;
       for (size_t row = 0; row < at.residuals.size(); ++row) {
         if (inequality && at.residuals[row] < -kAtBound) continue;
@@ -241,9 +244,10 @@ class HybridConditions {
 
   // The derivative of what a term adds to the Lagrangian by its rows; nothing if it adds nothing.
   std::optional<Eigen::RowVectorXd> RowWeights(size_t term, const VectorXd& residuals, const VectorXd& weights) const {
-    if (terms_[term].term->role == HybridTerm::Role::kCost) {
+    const HybridTerm& of = *terms_[term].term;
+    if (of.IsCost()) {
       if (weights[0] == 0) return std::nullopt;
-      return Eigen::RowVectorXd(2 * weights[0] * residuals.transpose());
+      return Eigen::RowVectorXd(weights[0] * residuals.unaryExpr([&](double r) { return of.SlopeOf(r); }).transpose());
     }
     Eigen::RowVectorXd rows = Eigen::RowVectorXd::Zero(residuals.size());
     for (size_t c = 0; c < constraints_.size(); ++c) {
@@ -351,7 +355,7 @@ class HybridConditions {
     for (const Source& source : at_end) {
       if (source.state.size() > 0) costate += source.state;
     }
-    VectorXd by_flow = VectorXd::Zero(K * m);
+    VectorXd by_flow = VectorXd::Zero(K * m), by_flow_size = VectorXd::Zero(K * m), terms;
     int event = num_events() - 1, interval = K;
     // Of the states at the beginnings of intervals that are not before `time`.
     const auto add_interval_states = [&](double time) {
@@ -368,6 +372,7 @@ class HybridConditions {
       if (costates != nullptr) costates->of_steps[s] = costate;
       const int n = system_.state_size(step.mode);
       const Eigen::RowVectorXd by = costate.transpose() * step.by;
+      terms = step.by.cwiseAbs().transpose() * costate.cwiseAbs();
       const double by_h = by[n + 1 + P + m], by_t = by[n];
       sweep.hamiltonian_size =
           std::max(sweep.hamiltonian_size, (costate.cwiseProduct(step.by.col(n + 1 + P + m))).cwiseAbs().sum());
@@ -375,20 +380,25 @@ class HybridConditions {
       AddTime(step.end, step.phase, by_h, &sweep.times);
       sweep.scale += (by_t * step.begin + by_h * (step.end - step.begin)) / input_.duration;
       by_flow.segment(step.interval * m, m) += by.segment(n + 1 + P, m).transpose();
+      by_flow_size.segment(step.interval * m, m) += terms.segment(n + 1 + P, m);
       sweep.parameters += by.segment(n + 1, P).transpose();
-      sweep.parameters_size += by.segment(n + 1, P).transpose().cwiseAbs();
+      sweep.parameters_size += terms.segment(n + 1, P);
       costate = by.head(n).transpose();
       add_interval_states(step.begin);
     }
     for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
     sweep.initial = costate;
     sweep.initial_size = costate.cwiseAbs();
+    // The terms of the first step, if its state is the initial one.
+    if (terms.size() == costate.size() + 1 + P + m + 1) {
+      sweep.initial_size = sweep.initial_size.cwiseMax(terms.head(costate.size()));
+    }
     sweep.control += by_flow;
     for (int i = 0; i < K * m; ++i) {
       const double length = times_[i / m + 1] - times_[i / m];
       if (length <= kNoInterval * input_.duration) continue;
       double& size = sweep.control_size[i % m];
-      size = std::max(size, (std::abs(own_control[i]) + std::abs(by_flow[i])) / length);
+      size = std::max(size, (std::abs(own_control[i]) + by_flow_size[i]) / length);
     }
     return sweep;
   }
@@ -446,79 +456,128 @@ class HybridConditions {
 
   // ------------------------------------------------------------------------------------------------- second derivative
   //
-  // Of the Lagrangian along the variables that no bound holds. It is the sum over steps, resets, guards and terms of
-  // V^T W V, with the second derivative W of what each adds by what it reads, weighted by the costate behind it, and
-  // the derivative V of what it reads by the variables. W is by central differences of exact first derivatives. Times
-  // of events follow from their guards, and what holds constraints restricts the directions.
+  // The second derivative of the Lagrangian along the variables that no bound holds. Unknown are the changes of these
+  // variables, of the times of the events and of the states after each step and reset. With the second derivative M of
+  // what each step, reset, guard and term adds, weighted by the costate behind it, and the derivative V of what it
+  // reads by the unknowns, the form is the sum of V^T M V. Linear equations relate the unknowns: the steps and resets,
+  // the guards at the events, and the constraints that are held. M is by central differences of exact first
+  // derivatives.
 
-  std::vector<FreeVariable> UnboundVariables() const {
-    std::vector<FreeVariable> unbound;
-    for (const auto& [variable, sign] : variables_) {
-      if (sign == 0) unbound.push_back(variable);
+  // A derivative by the unknowns: pairs of an unknown and a coefficient, whose sum counts if an unknown comes twice.
+  using SparseRow = std::vector<std::pair<int, double>>;
+  using SparseRows = std::vector<SparseRow>;
+
+  // The quadratic form and the equations, for unknowns that are divided by their sizes.
+  class QuadraticForm {
+   public:
+    // Returns the derivative of an unknown of this size by the unknowns.
+    SparseRow AddUnknown(double size) { return {{count_++, size > 0 ? size : 1.0}}; }
+    void Add(const Eigen::MatrixXd& second, const SparseRows& along) { AddTo(&form_, second, along); }
+    void AddMetric(const Eigen::MatrixXd& second, const SparseRows& along) { AddTo(&metric_, second, along); }
+    void AddEquation(const SparseRow& row) {
+      double square = 0;
+      for (const auto& [column, value] : row) square += value * value;
+      if (square == 0) return;
+      for (const auto& [column, value] : row)
+        equations_.emplace_back(num_equations_, column, value / std::sqrt(square));
+      ++num_equations_;
     }
-    return unbound;
+
+    int count() const { return count_; }
+    Sparse Form() const { return MatrixOf(form_, count_); }
+    Sparse Metric() const { return MatrixOf(metric_, count_); }
+    Sparse Equations() const { return MatrixOf(equations_, num_equations_); }
+
+   private:
+    using Triplets = std::vector<Eigen::Triplet<double>>;
+    static void AddTo(Triplets* sum, const Eigen::MatrixXd& second, const SparseRows& along) {
+      for (Eigen::Index i = 0; i < second.rows(); ++i) {
+        for (Eigen::Index j = 0; j < second.cols(); ++j) {
+          if (second(i, j) == 0) continue;
+          for (const auto& [a, by_a] : along[i]) {
+            for (const auto& [b, by_b] : along[j]) sum->emplace_back(a, b, by_a * second(i, j) * by_b);
+          }
+        }
+      }
+    }
+    Sparse MatrixOf(const Triplets& entries, int rows) const {
+      Sparse matrix(rows, count_);
+      matrix.setFromTriplets(entries.begin(), entries.end());
+      return matrix;
+    }
+
+    int count_ = 0, num_equations_ = 0;
+    Triplets form_, metric_, equations_;
+  };
+
+  static void AddScaled(double factor, const SparseRow& row, SparseRow* sum) {
+    if (factor == 0) return;
+    for (const auto& [column, value] : row) sum->emplace_back(column, factor * value);
   }
+  static SparseRow Combined(double a, const SparseRow& x, double b, const SparseRow& y) {
+    SparseRow sum;
+    AddScaled(a, x, &sum);
+    AddScaled(b, y, &sum);
+    return sum;
+  }
+  // Returns the rows of matrix * along.
+  static SparseRows Image(const Eigen::Ref<const Matrix, 0, Eigen::OuterStride<>>& matrix, const SparseRows& along) {
+    SparseRows image(matrix.rows());
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+      for (Eigen::Index j = 0; j < matrix.cols(); ++j) AddScaled(matrix(i, j), along[j], &image[i]);
+    }
+    return image;
+  }
+
   double LengthOf(int interval) const { return times_[interval + 1] - times_[interval]; }
 
-  // The derivatives by the variables of times, of what holds constraints and of states.
+  // The derivatives of what the motion reads by the unknowns.
   struct Directions {
     bool moving = false;
-    Eigen::MatrixXd boundaries;  // of the boundaries of phases
-    Eigen::MatrixXd held;        // of constraints, and of guards of events that are held at the ends of intervals
-    Eigen::MatrixXd initial, control, parameters;
+    SparseRows boundaries;  // of the boundaries of phases
+    SparseRows initial, control, parameters;
+    SparseRows variables;  // of those that no bound holds, in the order of variables_
+    std::vector<FreeVariable> unbound;
   };
-  // Nothing if times of events have no derivative.
-  std::optional<Directions> DirectionsOf(const std::vector<FreeVariable>& variables, bool moving) const {
-    const auto count = static_cast<Eigen::Index>(variables.size());
+  Directions DirectionsOf(bool moving, QuadraticForm* form) const {
     const int E = num_events();
     Directions to;
     to.moving = moving;
-    to.boundaries = Eigen::MatrixXd::Zero(E + 2, count);
-    to.initial = Eigen::MatrixXd::Zero(input_.initial.size(), count);
-    to.control = Eigen::MatrixXd::Zero(input_.control.size(), count);
-    to.parameters = Eigen::MatrixXd::Zero(system_.num_parameters(), count);
-    // Of each guard and constraint: by the variables with the intervals as `moving` says, and by times of events.
-    Eigen::MatrixXd rows(num_multipliers(), count), by_times(num_multipliers(), E);
-    for (int j = 0; j < num_multipliers(); ++j) {
-      const Sweep& sweep = sweeps_[j + 1];
-      for (Eigen::Index i = 0; i < count; ++i) rows(j, i) = ByVariable(sweep, variables[i], moving);
-      for (int k = 0; k < E; ++k) by_times(j, k) = moving ? sweep.times[k + 1] : sweep.event_late[k];
+    to.boundaries.resize(E + 2);
+    to.initial.resize(input_.initial.size());
+    to.control.resize(input_.control.size());
+    to.parameters.resize(system_.num_parameters());
+    for (const auto& [variable, sign] : variables_) {
+      if (sign != 0) continue;
+      const SparseRow row = form->AddUnknown(SizeOfVariable(variable));
+      to.variables.push_back(row);
+      to.unbound.push_back(variable);
+      if (variable.kind == Kind::kControl) to.control[variable.index] = row;
+      if (variable.kind == Kind::kInitial) to.initial[variable.index] = row;
+      if (variable.kind == Kind::kParameter) to.parameters[variable.index] = row;
+      if (variable.kind == Kind::kDuration) to.boundaries[E + 1] = row;
     }
-    const auto held = [&](int k) { return !moving && on_node_[k]; };
-    Eigen::MatrixXd matrix = by_times.topRows(E), right = -rows.topRows(E);
-    std::vector<int> kept;
     for (int k = 0; k < E; ++k) {
-      if (!held(k)) continue;
-      kept.push_back(k);
-      matrix.row(k).setZero();
-      matrix(k, k) = 1;
-      right.row(k).setZero();
-    }
-    const Eigen::MatrixXd shifts = E > 0 ? SolveLuColumns(matrix, right) : right;
-    if (!shifts.allFinite()) return std::nullopt;
-    for (int j = E; j < num_multipliers(); ++j) kept.push_back(j);
-    to.held.resize(kept.size(), count);
-    for (size_t i = 0; i < kept.size(); ++i) to.held.row(i) = rows.row(kept[i]) + by_times.row(kept[i]) * shifts;
-    to.boundaries.middleRows(1, E) = shifts;
-    for (Eigen::Index i = 0; i < count; ++i) {
-      const FreeVariable& v = variables[i];
-      if (v.kind == Kind::kControl) to.control(v.index, i) = 1;
-      if (v.kind == Kind::kInitial) to.initial(v.index, i) = 1;
-      if (v.kind == Kind::kParameter) to.parameters(v.index, i) = 1;
-      if (v.kind != Kind::kDuration) continue;
-      to.boundaries(E + 1, i) = 1;
-      for (int k = 1; k <= E && !moving; ++k) to.boundaries(k, i) += boundaries_[k] / input_.duration;
+      if (!moving && on_node_[k]) {
+        AddScaled(boundaries_[k + 1] / input_.duration, to.boundaries[E + 1], &to.boundaries[k + 1]);
+      } else {
+        to.boundaries[k + 1] = form->AddUnknown(input_.duration);
+      }
     }
     return to;
   }
+  double SizeOfVariable(const FreeVariable& variable) const {
+    if (variable.kind == Kind::kControl) return control_sizes_[variable.index % width()];
+    return std::abs(variable.In(input_));
+  }
 
-  // Of a time in a phase.
-  Eigen::RowVectorXd TimeRow(const Directions& to, double t, int phase) const {
-    if (t == boundaries_[phase]) return to.boundaries.row(phase);
-    if (t == boundaries_[phase + 1]) return to.boundaries.row(phase + 1);
-    if (!to.moving) return t / input_.duration * to.boundaries.row(num_events() + 1);
+  // The derivative of a time in a phase.
+  SparseRow TimeRow(const Directions& to, double t, int phase) const {
+    if (t == boundaries_[phase]) return to.boundaries[phase];
+    if (t == boundaries_[phase + 1]) return to.boundaries[phase + 1];
+    if (!to.moving) return Combined(t / input_.duration, to.boundaries[num_events() + 1], 0, {});
     const double part = PartOf(phase, t);
-    return (1 - part) * to.boundaries.row(phase) + part * to.boundaries.row(phase + 1);
+    return Combined(1 - part, to.boundaries[phase], part, to.boundaries[phase + 1]);
   }
 
   // By central differences of a gradient.
@@ -538,138 +597,153 @@ class HybridConditions {
     return 0.5 * (second + second.transpose());
   }
 
-  // What has been added of the second derivative, and the sizes of the terms on its diagonal, which may cancel.
-  struct Second {
-    Eigen::MatrixXd sum;
-    VectorXd sizes;
-    void Add(const Eigen::MatrixXd& second, const Eigen::MatrixXd& along) {
-      const Eigen::MatrixXd half = Multiply(second, along);
-      sum += MultiplyTransposed(along, half);
-      sizes += along.cwiseProduct(half).cwiseAbs().colwise().sum().transpose();
-    }
-  };
-
-  std::optional<Curvature> FindCurvature(bool moving) const {
-    constexpr Eigen::Index kMostVariables = 400;
+  std::optional<Curvature> FindCurvature(bool moving, double loss) {
     constexpr double kRounding = 1e-8;  // of central differences
-    const std::vector<FreeVariable> variables = UnboundVariables();
-    const auto count = static_cast<Eigen::Index>(variables.size());
-    if (count == 0 || count > kMostVariables) return std::nullopt;
-    const std::optional<Directions> to = DirectionsOf(variables, moving);
-    if (!to) return std::nullopt;
-    Second second{Eigen::MatrixXd::Zero(count, count), VectorXd::Zero(count)};
-    AddSecondDerivatives(*to, &second);
-    // The costs of the control alone; other variables have the sizes of the terms that cancel.
-    Eigen::MatrixXd metric = Eigen::MatrixXd::Zero(count, count);
-    for (const HybridShooting::TermAt& at : terms_) {
-      if (at.term->role != HybridTerm::Role::kCost || at.interval < 0 || !at.term->with_control) continue;
-      const auto rows = static_cast<Eigen::Index>(at.residuals.size());
-      const Eigen::MatrixXd by = Eigen::Map<const Matrix>(at.jacobians[at.term->with_state].data(), rows, width());
-      const Eigen::MatrixXd along = to->control.middleRows(static_cast<Eigen::Index>(at.interval) * width(), width());
-      const Eigen::MatrixXd image = Multiply(by, along);
-      metric += 2 * MultiplyTransposed(image, image);
-    }
-    for (Eigen::Index i = 0; i < count; ++i) {
-      if (metric(i, i) <= 1e-12 * second.sizes[i]) metric(i, i) += second.sizes[i] > 0 ? second.sizes[i] : 1.0;
-    }
-    const Eigen::MatrixXd gram = SolveLuColumns(metric, Eigen::MatrixXd::Identity(count, count));
-    if (!gram.allFinite() || !second.sum.allFinite()) return std::nullopt;
-    const LeastCurvature least = FindLeastCurvature(gram, second.sum - metric, to->held, 1);
+    FindStateSizes();
+    QuadraticForm form;
+    const Directions to = DirectionsOf(moving, &form);
+    if (to.variables.empty()) return std::nullopt;
+    AddSecondDerivatives(to, &form);
+    AddMetric(to, loss, &form);
+    const Sparse second = form.Form(), equations = form.Equations(), metric = form.Metric();
+    if (second.nonZeros() > 0 && !second.coeffs().allFinite()) return std::nullopt;
     CurvatureRange found;
-    if (least.source.size() == 0) return WithKind(found, kRounding);
-    found.smallest = 1 + least.smallest;
-    found.largest = 1 + least.largest;
-    const VectorXd direction = gram * least.source;
+    const std::optional<ConstrainedCurvature> least = FindConstrainedCurvature(second, equations, metric);
+    if (!least) return std::nullopt;
+    found.smallest = least->smallest;
+    found.largest = least->largest;
     // The control, and behind it what else is free.
     found.direction = VectorXd::Zero(input_.control.size());
     double square = 0;
-    for (Eigen::Index i = 0; i < count; ++i) {
-      const FreeVariable& v = variables[i];
-      const bool of_control = v.kind == Kind::kControl;
-      square += (of_control ? LengthOf(v.index / width()) : 1.0) * direction[i] * direction[i];
-      if (of_control) found.direction[v.index] = direction[i];
-    }
+    std::vector<double> others;
     for (const FreeVariable& free : FreeVariables(problem_.free, width(), /*num_intervals=*/0)) {
-      found.direction.conservativeResize(found.direction.size() + 1);
-      double& last = found.direction[found.direction.size() - 1] = 0;
-      for (Eigen::Index i = 0; i < count; ++i) {
-        if (variables[i].kind == free.kind && variables[i].index == free.index) last = direction[i];
+      others.push_back(0);
+      for (size_t i = 0; i < to.unbound.size(); ++i) {
+        if (to.unbound[i].kind == free.kind && to.unbound[i].index == free.index) others.back() = Along(*least, to, i);
       }
+      square += others.back() * others.back();
     }
-    found.direction /= std::sqrt(square);
+    for (size_t i = 0; i < to.unbound.size(); ++i) {
+      if (to.unbound[i].kind != Kind::kControl) continue;
+      const double change = Along(*least, to, i);
+      found.direction[to.unbound[i].index] = change;
+      square += LengthOf(to.unbound[i].index / width()) * change * change;
+    }
+    const Eigen::Index controls = found.direction.size();
+    found.direction.conservativeResize(controls + static_cast<Eigen::Index>(others.size()));
+    for (size_t i = 0; i < others.size(); ++i) found.direction[controls + static_cast<Eigen::Index>(i)] = others[i];
+    if (square > 0) found.direction /= std::sqrt(square);
     Eigen::Index most = 0;
     found.direction.cwiseAbs().maxCoeff(&most);
     if (found.direction[most] < 0) found.direction = -found.direction;
     return WithKind(found, kRounding);
   }
+  // The change of variable i of the unbound ones.
+  static double Along(const ConstrainedCurvature& least, const Directions& to, size_t i) {
+    return to.variables[i][0].second * least.direction[to.variables[i][0].first];
+  }
 
-  void AddSecondDerivatives(const Directions& to, Second* second) const {
+  // The metric of the variables is the second derivative of the costs of the control alone. A variable without such
+  // costs has the loss per square of its size, a control over its share of the duration.
+  void AddMetric(const Directions& to, double loss, QuadraticForm* form) const {
+    VectorXd costs = VectorXd::Zero(static_cast<Eigen::Index>(input_.control.size()));
+    for (const HybridShooting::TermAt& at : terms_) {
+      if (at.term->role != HybridTerm::Role::kCost || at.interval < 0 || !at.term->with_control) continue;
+      const auto rows = static_cast<Eigen::Index>(at.residuals.size());
+      const Eigen::MatrixXd by = Eigen::Map<const Matrix>(at.jacobians[at.term->with_state].data(), rows, width());
+      const Eigen::MatrixXd second = 2 * MultiplyTransposed(by, by);
+      const int first = at.interval * width();
+      form->AddMetric(second, {to.control.begin() + first, to.control.begin() + first + width()});
+      costs.segment(first, width()) += second.diagonal();
+    }
+    const double unit = 2 * (loss != 0 ? std::abs(loss) : 1.0);
+    for (size_t i = 0; i < to.unbound.size(); ++i) {
+      const FreeVariable& variable = to.unbound[i];
+      const bool of_control = variable.kind == Kind::kControl;
+      if (of_control && costs[variable.index] > 0) continue;
+      const double size = to.variables[i][0].second;
+      const double share = of_control ? LengthOf(variable.index / width()) / input_.duration : 1.0;
+      form->AddMetric(Eigen::MatrixXd::Constant(1, 1, unit * share / (size * size)), {to.variables[i]});
+    }
+  }
+
+  // The sizes of states by mode, of controls and of parameters over the motion.
+  void FindStateSizes() {
+    for (int mode = 0; mode < system_.num_modes(); ++mode) {
+      state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
+    }
+    for (const Step& step : steps_) state_sizes_[step.mode] = state_sizes_[step.mode].cwiseMax(step.state.cwiseAbs());
+    control_sizes_ = VectorXd::Zero(width());
+    for (size_t i = 0; i < input_.control.size(); ++i) {
+      double& size = control_sizes_[static_cast<Eigen::Index>(i) % width()];
+      size = std::max(size, std::abs(input_.control[i]));
+    }
+    parameter_sizes_ = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
+  }
+
+  // Adds a state as unknowns that equal `image`, which a step or a reset leads to.
+  static SparseRows AddState(const SparseRows& image, const VectorXd& sizes, QuadraticForm* form) {
+    SparseRows state;
+    for (size_t i = 0; i < image.size(); ++i) {
+      state.push_back(form->AddUnknown(sizes[static_cast<Eigen::Index>(i)]));
+      form->AddEquation(Combined(1, image[i], -1, state.back()));
+    }
+    return state;
+  }
+
+  void AddSecondDerivatives(const Directions& to, QuadraticForm* form) const {
     VectorXd weights(1 + num_multipliers());
     weights << 1, theta_;
     Costates costates{std::vector<VectorXd>(steps_.size()), std::vector<VectorXd>(num_events())};
     SweepOf(weights, &costates);
     const int P = system_.num_parameters(), m = width();
-    const auto sizes_of = [](const auto& numbers) {
-      return VectorXd(Eigen::Map<const VectorXd>(numbers.data(), static_cast<Eigen::Index>(numbers.size())).cwiseAbs());
-    };
-    const VectorXd parameter_sizes = sizes_of(input_.parameters);
-    std::vector<VectorXd> state_sizes;
-    for (int mode = 0; mode < system_.num_modes(); ++mode) {
-      state_sizes.push_back(VectorXd::Zero(system_.state_size(mode)));
-    }
-    for (const Step& step : steps_) state_sizes[step.mode] = state_sizes[step.mode].cwiseMax(step.state.cwiseAbs());
-    VectorXd control_sizes = VectorXd::Zero(m);
-    for (size_t i = 0; i < input_.control.size(); ++i) {
-      control_sizes[i % m] = std::max(control_sizes[i % m], std::abs(input_.control[i]));
-    }
-
-    Eigen::MatrixXd states = to.initial;
+    SparseRows states = to.initial;
+    RungeKutta integrator(functions_);
     int interval = 0, event = 0;
-    const auto jump = [&](int k) { states = JumpForward(to, k, weights, costates, parameter_sizes, states, second); };
+    const auto jump = [&](int k) { states = JumpForward(to, k, weights, costates, states, form); };
     for (size_t s = 0; s < steps_.size(); ++s) {
       const Step& step = steps_[s];
       for (; event < step.phase; ++event) jump(event);
       const double next = s + 1 < steps_.size() ? steps_[s + 1].begin - kSameTime * input_.duration : INFINITY;
       for (; interval < input_.num_intervals && times_[interval] < next; ++interval) {
-        AddTerms(to, interval, -1, weights, state_sizes[step.mode], states, second);
+        AddTerms(to, interval, -1, weights, state_sizes_[step.mode], states, form);
       }
       const int n = system_.state_size(step.mode), size = n + 1 + P + m + 1;
       const VectorXd& costate = costates.of_steps[s];
-      Eigen::MatrixXd along(size, states.cols());
-      along.topRows(n) = states;
-      along.row(n) = TimeRow(to, step.begin, step.phase);
-      along.middleRows(n + 1, P) = to.parameters;
-      along.middleRows(n + 1 + P, m) = to.control.middleRows(static_cast<Eigen::Index>(step.interval) * m, m);
-      along.row(size - 1) = TimeRow(to, step.end, step.phase) - along.row(n);
+      const SparseRow begin_row = TimeRow(to, step.begin, step.phase);
+      SparseRows along = states;
+      along.push_back(begin_row);
+      along.insert(along.end(), to.parameters.begin(), to.parameters.end());
+      along.insert(along.end(), to.control.begin() + step.interval * m, to.control.begin() + (step.interval + 1) * m);
+      along.push_back(Combined(1, TimeRow(to, step.end, step.phase), -1, begin_row));
       VectorXd at(size), sizes(size);
       at << step.state, step.begin, Eigen::Map<const VectorXd>(input_.parameters.data(), P),
           Eigen::Map<const VectorXd>(ControlOf(step.interval), m), step.end - step.begin;
       // A step may be far shorter than others.
-      sizes << state_sizes[step.mode], input_.duration, parameter_sizes, control_sizes,
+      sizes << state_sizes_[step.mode], input_.duration, parameter_sizes_, control_sizes_,
           input_.duration / static_cast<double>(steps_.size());
-      RungeKutta integrator(functions_);
-      second->Add(SecondDerivative(at,
-                                   sizes,
-                                   [&](const VectorXd& y) {
-                                     VectorXd gradient = VectorXd::Zero(size);
-                                     double* g = gradient.data();
-                                     StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                                     const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
-                                     integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
-                                     gradient[n] = by.t;
-                                     gradient[size - 1] = by.h;
-                                     return gradient;
-                                   }),
-                  along);
-      states = Multiply(step.by, along);
+      form->Add(SecondDerivative(at,
+                                 sizes,
+                                 [&](const VectorXd& y) {
+                                   VectorXd gradient = VectorXd::Zero(size);
+                                   double* g = gradient.data();
+                                   StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                                   const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
+                                   integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
+                                   gradient[n] = by.t;
+                                   gradient[size - 1] = by.h;
+                                   return gradient;
+                                 }),
+                along);
+      states = AddState(Image(step.by, along), state_sizes_[step.mode], form);
     }
     for (; event < num_events(); ++event) jump(event);
-    AddTerms(to, -1, -1, weights, state_sizes[simulator().final_mode()], states, second);
+    AddTerms(to, -1, -1, weights, state_sizes_[simulator().final_mode()], states, form);
   }
 
   // Adds the guard, the reset and the terms of event k; returns the derivatives of the state after it.
-  Eigen::MatrixXd JumpForward(const Directions& to, int k, const VectorXd& weights, const Costates& costates,
-                              const VectorXd& parameter_sizes, const Eigen::MatrixXd& states, Second* second) const {
+  SparseRows JumpForward(const Directions& to, int k, const VectorXd& weights, const Costates& costates,
+                         const SparseRows& states, QuadraticForm* form) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
     // With the control behind, if the guard depends on it.
@@ -681,67 +755,76 @@ class HybridConditions {
       const ModePoint there{event.mode, y[n], y.data(), ControlOf(before), y.data() + n + 1};
       functions_.ResetJacobian(there, event.guard, after.data(), reset.data());
     };
+    const auto find_guard = [&](const VectorXd& y) {
+      const double* u = m > 0 ? y.data() + columns : ControlOf(before);
+      functions_.GuardGradient({event.mode, y[n], y.data(), u, y.data() + n + 1}, event.guard, guard.data());
+    };
     const Eigen::Map<const VectorXd> control(ControlOf(before), m);
     VectorXd at(columns + m), sizes(columns + m);
     at << Eigen::Map<const VectorXd>(event.before.data(), n), event.time,
         Eigen::Map<const VectorXd>(input_.parameters.data(), P), control;
-    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes, control.cwiseAbs();
-    Eigen::MatrixXd along(columns + m, states.cols());
-    along << states, to.boundaries.row(k + 1), to.parameters,
-        to.control.middleRows(static_cast<Eigen::Index>(before) * width(), m);
-    second->Add(
-        SecondDerivative(
-            at,
-            sizes,
-            [&](const VectorXd& y) {
-              linearize(y);
-              const double* u = m > 0 ? y.data() + columns : ControlOf(before);
-              functions_.GuardGradient({event.mode, y[n], y.data(), u, y.data() + n + 1}, event.guard, guard.data());
-              VectorXd gradient = weights[1 + k] * guard.head(columns + m);
-              gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
-              return gradient;
-            }),
-        along);
+    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes_, control.cwiseAbs();
+    SparseRows along = states;
+    along.push_back(to.boundaries[k + 1]);
+    along.insert(along.end(), to.parameters.begin(), to.parameters.end());
+    along.insert(along.end(), to.control.begin() + before * width(), to.control.begin() + before * width() + m);
+    form->Add(SecondDerivative(at,
+                               sizes,
+                               [&](const VectorXd& y) {
+                                 linearize(y);
+                                 find_guard(y);
+                                 VectorXd gradient = weights[1 + k] * guard.head(columns + m);
+                                 gradient.head(columns) += reset.topRows(costate.size()).transpose() * costate;
+                                 return gradient;
+                               }),
+              along);
+    find_guard(at);
+    const Matrix guard_row = guard.head(columns + m).transpose();
+    form->AddEquation(Image(guard_row, along)[0]);
     linearize(at);
-    const Eigen::MatrixXd next = Multiply(reset.topRows(costate.size()), along.topRows(columns));
-    AddTerms(to, -1, k, weights, sizes.head(n), states, second, /*before=*/true);
-    AddTerms(to, -1, k, weights, VectorXd::Zero(next.rows()), next, second);
+    AddTerms(to, -1, k, weights, sizes.head(n), states, form, /*before=*/true);
+    along.resize(columns);
+    const SparseRows image = Image(reset.topRows(costate.size()), along);
+    const SparseRows next = AddState(image, state_sizes_[event.next_mode], form);
+    AddTerms(to, -1, k, weights, state_sizes_[event.next_mode], next, form);
     return next;
   }
 
-  // Adds the terms of an interval, of an event, or else of the end, given the derivatives of the state that they read.
+  // Adds the terms of an interval, of an event, or else of the end, and the equations of constraints that are held,
+  // given the derivatives of the state that they read.
   void AddTerms(const Directions& to, int interval, int event, const VectorXd& weights, const VectorXd& state_sizes,
-                const Eigen::MatrixXd& states, Second* second, bool before = false) const {
+                const SparseRows& states, QuadraticForm* form, bool before = false) const {
     for (size_t i = 0; i < terms_.size(); ++i) {
       const HybridShooting::TermAt& at = terms_[i];
       const HybridTerm& term = *at.term;
       if (at.interval != interval || at.event != event || (event >= 0 && term.before != before)) continue;
       const auto rows = static_cast<Eigen::Index>(at.residuals.size());
-      if (!RowWeights(i, Eigen::Map<const VectorXd>(at.residuals.data(), rows), weights)) continue;
       Eigen::Index size = 0;
       for (const std::vector<double>& block : at.blocks) size += static_cast<Eigen::Index>(block.size());
       VectorXd values(size), sizes(size);
-      Eigen::MatrixXd along(size, states.cols());
+      SparseRows along;
       Eigen::Index first = 0;
       size_t block = 0;
-      const auto add = [&](const auto& rows_of_block, const VectorXd& of_block) {
+      const auto add = [&](SparseRows rows_of_block, const VectorXd& of_block) {
         const auto length = static_cast<Eigen::Index>(at.blocks[block].size());
         values.segment(first, length) = Eigen::Map<const VectorXd>(at.blocks[block++].data(), length);
         sizes.segment(first, length) = of_block.size() == length
                                            ? VectorXd(of_block.cwiseMax(values.segment(first, length).cwiseAbs()))
                                            : VectorXd(values.segment(first, length).cwiseAbs());
-        along.middleRows(first, length) = rows_of_block;
+        along.insert(along.end(), rows_of_block.begin(), rows_of_block.end());
         first += length;
       };
       const int m = width();
       const double begin = interval >= 0 ? times_[interval] : 0, end = interval >= 0 ? times_[interval + 1] : 0;
-      const Eigen::RowVectorXd time = interval >= 0 ? TimeRow(to, begin, PhaseAt(begin, false))
-                                                    : to.boundaries.row(event >= 0 ? event + 1 : num_events() + 1);
+      const SparseRow time = interval >= 0 ? TimeRow(to, begin, PhaseAt(begin, false))
+                                           : to.boundaries[event >= 0 ? event + 1 : num_events() + 1];
       if (term.with_state) add(states, state_sizes);
-      if (term.with_control) add(to.control.middleRows(static_cast<Eigen::Index>(interval) * m, m), {});
+      if (term.with_control) add({to.control.begin() + interval * m, to.control.begin() + (interval + 1) * m}, {});
       if (term.with_parameters) add(to.parameters, {});
-      if (term.with_time) add(time, VectorXd::Constant(1, input_.duration));
-      if (term.with_length) add(TimeRow(to, end, PhaseAt(end, true)) - time, {});
+      if (term.with_time) add({time}, VectorXd::Constant(1, input_.duration));
+      if (term.with_length) add({Combined(1, TimeRow(to, end, PhaseAt(end, true)), -1, time)}, {});
+      AddHeld(i, along, form);
+      if (!RowWeights(i, Eigen::Map<const VectorXd>(at.residuals.data(), rows), weights)) continue;
       const auto gradient = [&](const VectorXd& y) {
         std::vector<const double*> blocks;
         std::vector<Matrix> jacobians;
@@ -763,7 +846,24 @@ class HybridConditions {
         }
         return out;
       };
-      second->Add(SecondDerivative(values, sizes, gradient), along);
+      form->Add(SecondDerivative(values, sizes, gradient), along);
+    }
+  }
+
+  // Adds the equations of the rows of a term that are held.
+  void AddHeld(size_t term, const SparseRows& along, QuadraticForm* form) const {
+    const HybridShooting::TermAt& at = terms_[term];
+    const auto rows = static_cast<Eigen::Index>(at.residuals.size());
+    for (const Constraint& constraint : constraints_) {
+      if (constraint.term != static_cast<int>(term)) continue;
+      SparseRow row;
+      size_t next = 0;
+      for (const std::vector<double>& jacobian : at.jacobians) {
+        const auto columns = static_cast<Eigen::Index>(jacobian.size()) / rows;
+        for (Eigen::Index j = 0; j < columns; ++j)
+          AddScaled(jacobian[constraint.row * columns + j], along[next++], &row);
+      }
+      form->AddEquation(row);
     }
   }
 
@@ -933,9 +1033,11 @@ class HybridConditions {
   std::vector<HybridShooting::TermAt> terms_;
   std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)
   std::vector<Constraint> constraints_;
-  std::vector<Sweep> sweeps_;    // of the objective, and of each multiplier
-  std::vector<double> weights_;  // of these, in sizes: 1, and the multipliers' absolute values
-  VectorXd theta_;               // the multipliers
+  std::vector<Sweep> sweeps_;                 // of the objective, and of each multiplier
+  std::vector<double> weights_;               // of these, in sizes: 1, and the multipliers' absolute values
+  VectorXd theta_;                            // the multipliers
+  std::vector<VectorXd> state_sizes_;         // by mode
+  VectorXd control_sizes_, parameter_sizes_;  // largest values
   size_t num_conditions_ = 0;
 };
 

@@ -22,8 +22,14 @@ namespace saltus {
 
 struct HybridTerm {
   enum class At { kEachInterval, kEvent, kEnd };
-  // Of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
-  enum class Role { kCost, kEquality, kInequality };
+  // With the residuals r: the loss gains |r|^2 (without Ceres' half), or the sum of r, or r = 0, or r <= 0.
+  enum class Role { kCost, kValue, kEquality, kInequality };
+
+  // Whether the loss gains something.
+  bool IsCost() const { return role == Role::kCost || role == Role::kValue; }
+  // What the loss gains from a residual, and the derivative of that by the residual. Precondition: IsCost().
+  double LossOf(double residual) const { return role == Role::kValue ? residual : residual * residual; }
+  double SlopeOf(double residual) const { return role == Role::kValue ? 1 : 2 * residual; }
 
   std::string name = "term";  // for messages
   At at = At::kEnd;

@@ -31,6 +31,13 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               events: SolveReport::durations. It takes constraints and bounds and reports a
 //                               certificate (saltus/optimality/hybrid_certificate.h). Options: iterations (of Ceres, in
 //                               all), callback, stop; with `search` off the sequence of events of the guess is kept.
+//   ipopt                       the problem of ceres_phases, by the interior-point method of IPOPT with second
+//   derivatives.
+//                               kNotApplicable if saltus was built without IPOPT.
+//   auto                        ceres_phases or ipopt, by the structure of the problem, and the other one if the first
+//   ends
+//                               without an optimum; solvers by shooting where phases do not apply. SolveReport::solver
+//                               and the reason name which was used, and why.
 //   mode_search                 ceres_phases along neighbouring sequences of events, from several starts. Options:
 //                               iterations (solves), search_options, threads, callback, status and stop. In
 //                               SolveReport::optima an event stands in a sequence as {mode, guard}.

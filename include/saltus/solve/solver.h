@@ -61,6 +61,10 @@ struct SolverOptions {
 
   bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
 
+  // Whether solvers in phases of a hybrid system solve on few control intervals first, and double their number up to
+  // that of the guess, each time from the solution before.
+  bool coarse_to_fine = true;
+
   // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets
   // mode_search leave it for others, and with none given those that mend it.
   std::optional<ContactSequence> sequence = std::nullopt;

@@ -191,8 +191,7 @@ std::string WhyNotAudited(const HybridProblem& problem) {
   if (!problem.guess.lengths.empty()) return "the control intervals have lengths of their own, expected equal ones";
   bool any = false;
   for (const HybridTerm& term : problem.terms) {
-    if (term.role != HybridTerm::Role::kCost)
-      return term.name + " is a constraint: the loss of an audit has only costs";
+    if (!term.IsCost()) return term.name + " is a constraint: the loss of an audit has only costs";
     if (term.at == HybridTerm::At::kEvent) return term.name + " is a cost at events, of which a scheme has none";
     any = true;
   }

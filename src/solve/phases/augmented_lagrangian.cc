@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "solve/phases/interior_point.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
@@ -38,13 +39,18 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
       : function_(std::move(function)),
         roles_(roles),
         weights_(weights),
-        multipliers_(roles.equalities + roles.inequalities, 0.0) {
+        multipliers_(roles.equalities + roles.inequalities, 0.0),
+        references_(roles.values, NAN) {
     set_num_residuals(function_->num_residuals());
     *mutable_parameter_block_sizes() = function_->parameter_block_sizes();
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     if (!function_->Evaluate(parameters, residuals, jacobians)) return false;
+    for (int i = 0; i < roles_.values; ++i) {
+      double& row = residuals[num_constraints() + i];
+      row += 0.5 - (std::isnan(references_[i]) ? row : references_[i]);
+    }
     for (int row = 0; row < num_constraints(); ++row) {
       const bool equality = row < roles_.equalities;
       const double weight = equality ? weights_->equality : weights_->inequality;
@@ -65,9 +71,20 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     std::vector<double> rows(num_residuals());
     if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
     double cost = 0;
-    for (int row = num_constraints(); row < num_residuals(); ++row) cost += rows[row] * rows[row];
+    for (int row = num_constraints(); row < num_residuals(); ++row) cost += CostOf(row, rows[row]);
     return cost;
   }
+
+  // Sets the references of values to where the blocks stand.
+  void SetReferences(const std::vector<double*>& blocks) {
+    if (references_.empty()) return;
+    std::vector<double> rows(num_residuals());
+    if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return;
+    std::copy_n(rows.begin() + num_constraints(), references_.size(), references_.begin());
+  }
+
+  const ceres::CostFunction& function() const { return *function_; }
+  const RowRoles& roles() const { return roles_; }
 
   int num_equalities() const { return roles_.equalities; }
   void ClearMultipliers() { std::fill(multipliers_.begin(), multipliers_.end(), 0.0); }
@@ -93,17 +110,19 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
         multipliers_[row] = std::max(0.0, multipliers_[row] + weights_->inequality * rows[row]);
         violation = std::max(violation, rows[row]);
       } else {
-        *cost += rows[row] * rows[row];
+        *cost += CostOf(row, rows[row]);
       }
     }
     return violation;
   }
 
  private:
+  double CostOf(int row, double value) const { return row < num_constraints() + roles_.values ? value : value * value; }
+
   std::unique_ptr<ceres::CostFunction> function_;
   RowRoles roles_;
   const Weights* weights_;
-  std::vector<double> multipliers_;
+  std::vector<double> multipliers_, references_;
 };
 
 void AugmentedLagrangian::Options::ScaleTo(int steps) {
@@ -198,6 +217,19 @@ double AugmentedLagrangian::LargestWeight() const {
 }
 
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
+  return options.algorithm == Algorithm::kInteriorPoint ? MinimizeByInteriorPoint(Functions(), options, &problem_)
+                                                        : MinimizeLeastSquares(options);
+}
+
+std::vector<ConstrainedFunction> AugmentedLagrangian::Functions() const {
+  std::vector<ConstrainedFunction> functions;
+  for (const auto& [weighted, blocks] : functions_) {
+    functions.push_back({&weighted->function(), weighted->roles(), blocks});
+  }
+  return functions;
+}
+
+AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Options& options) {
   const std::vector<double> start = Values();
   weights_ = {options.equality_weight, options.inequality_weight};
   Summary result;
@@ -220,6 +252,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& option
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
     ceres_options.max_num_iterations = options.iterations - result.iterations;
+    for (const auto& [function, blocks] : functions_) function->SetReferences(blocks);
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, &problem_, &summary);
     result.jacobians += summary.num_jacobian_evaluations;

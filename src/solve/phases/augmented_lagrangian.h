@@ -1,13 +1,15 @@
 // Constrained nonlinear least squares on Ceres, which knows no constraints:
 //
-//   minimize sum |f(x)|^2   subject to   c(x) = 0,  d(x) <= 0
+//   minimize sum |f(x)|^2 + sum v(x)   subject to   c(x) = 0,  d(x) <= 0
 //
 // by an augmented Lagrangian whose residuals stay least squares. With a weight w and a multiplier l for each row,
 //
 //   equality     sqrt(w) (c + l / w),          after each solve  l += w c
 //   inequality   sqrt(w) max(0, d + l / w),    after each solve  l = max(0, l + w d)
+//   value        v - v' + 1/2,                 after each solve  v' = v
 //
-// and w grows tenfold from solve to solve. At the end 2 l is the multiplier of the Lagrangian sum |f|^2 + ....
+// The square of the last has the derivative of v at v = v'. w grows tenfold from solve to solve. At the end 2 l is the
+// multiplier of the Lagrangian sum |f|^2 + ....
 //
 // Rows are expected to be of order one: variables and functions without units (e.g. Nocedal, Wright, "Numerical
 // Optimization", chapter 17).
@@ -23,15 +25,32 @@
 
 namespace saltus {
 
-// What the rows of a function are, in this order: equalities, inequalities, and then costs.
+// What the rows of a function are, in this order: equalities, inequalities, costs that are values, and then costs that
+// are squares of rows.
 struct RowRoles {
   int equalities = 0;
   int inequalities = 0;
+  int values = 0;
+  // The last parameter blocks, of this number, enter by affine terms that no other block multiplies.
+  int affine_blocks = 0;
+  // Each row is an inequality of one component, in which it is affine.
+  bool are_bounds = false;
+};
+
+// A function of parameter blocks, with the roles of its rows.
+struct ConstrainedFunction {
+  const ceres::CostFunction* function = nullptr;
+  RowRoles roles;
+  std::vector<double*> blocks;
 };
 
 class AugmentedLagrangian {
  public:
+  enum class Algorithm { kLeastSquares, kInteriorPoint };
   struct Options {
+    // kInteriorPoint solves the problem by interior_point.h, which reads `iterations`, `tolerance` and `callback`
+    // alone.
+    Algorithm algorithm = Algorithm::kLeastSquares;
     int iterations = 200;                                    // of all solves together, at most
     int rounds = 16;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
@@ -44,7 +63,7 @@ class AugmentedLagrangian {
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
     // start meets the equalities.
     double most_open = INFINITY;
-    // Called after each iteration with the sum of squares of the cost rows; false interrupts.
+    // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
 
@@ -56,7 +75,7 @@ class AugmentedLagrangian {
     bool usable = false;     // no solve failed
     bool converged = false;  // no row is violated by more than the tolerance, and the last solve gained nothing more
     bool interrupted = false;
-    double cost = 0;       // sum of squares of the cost rows
+    double cost = 0;       // squares and values together
     double violation = 0;  // largest of a row
     int iterations = 0, jacobians = 0;
   };
@@ -78,6 +97,8 @@ class AugmentedLagrangian {
     double equality = 0, inequality = 0;
   };
 
+  Summary MinimizeLeastSquares(const Options& options);
+  std::vector<ConstrainedFunction> Functions() const;
   void EstimateMultipliers();
   double Cost() const;
   double LargestWeight() const;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/sequence_mending.h"
 
@@ -165,7 +166,7 @@ void HybridPhaseRun::FindScales() {
     scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), problem_.guess.duration);
   }
   scales_.Finish();
-  if (guess_.exact.ok && guess_.exact.loss > 0) scales_.loss = guess_.exact.loss;
+  if (guess_.exact.ok && guess_.exact.loss != 0) scales_.loss = std::abs(guess_.exact.loss);
 }
 
 HybridInput HybridPhaseRun::InputOf(const HybridMotion& motion) const {
@@ -401,10 +402,99 @@ SolveReport MendHybrid(HybridPhaseRun* run) {
       });
 }
 
+namespace {
+
+using Algorithm = AugmentedLagrangian::Algorithm;
+
+// The numbers of control intervals of the solves from coarse to fine; the last is that of the guess.
+std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& options) {
+  constexpr int kCoarsest = 20;
+  std::vector<int> grids = {problem.guess.num_intervals};
+  if (!options.coarse_to_fine || !problem.free.control || !problem.guess.lengths.empty()) return grids;
+  while (grids.back() >= 2 * kCoarsest) grids.push_back((grids.back() + 1) / 2);
+  std::reverse(grids.begin(), grids.end());
+  return grids;
+}
+
+// The problem with the guess on equal intervals, of which each has the control in its middle.
+HybridProblem OnGrid(HybridProblem problem, int intervals) {
+  HybridInput& guess = problem.guess;
+  if (intervals == guess.num_intervals) return problem;
+  const int width = problem.system.num_controls();
+  std::vector<double> control;
+  for (int k = 0; k < intervals && !guess.control.empty(); ++k) {
+    const int from = static_cast<int>((k + 0.5) * guess.num_intervals / intervals);
+    control.insert(control.end(), &guess.control[from * width], &guess.control[from * width] + width);
+  }
+  guess.control = std::move(control);
+  guess.num_intervals = intervals;
+  return problem;
+}
+
+// One solve for each grid, from the solution of the grid before.
+SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
+                        const SolverOptions& options) {
+  const std::vector<int> grids = GridsOf(problem, options);
+  std::optional<HybridMotion> start;
+  std::vector<double> losses;
+  double seconds = 0;
+  int evaluations = 0;
+  SolveReport report;
+  for (const int intervals : grids) {
+    SolverOptions of_grid = options;
+    const int before = static_cast<int>(losses.size());
+    of_grid.iterations = std::max(options.iterations - before, 1);
+    if (options.callback) {
+      of_grid.callback = [&options, before](int iteration, double loss) {
+        return options.callback(before + iteration, loss);
+      };
+    }
+    HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start);
+    run.set_algorithm(algorithm);
+    if (auto refused = run.WhyNotStart()) {
+      if (intervals != grids.back()) continue;
+      return *refused;
+    }
+    const bool last = intervals == grids.back();
+    report = MendHybrid(&run);
+    losses.insert(losses.end(), report.losses.begin(), report.losses.end());
+    seconds += report.seconds;
+    evaluations += report.evaluations;
+    if (report.termination == Termination::kInterrupted && !last) continue;
+    if (report.termination == Termination::kConverged) {
+      start = {report.control, report.durations, report.initial_state, report.parameters, {}};
+    }
+  }
+  if (grids.size() == 1) return report;
+  HybridPhaseRun guess(solver, problem, options);
+  report.initial_loss = losses.front() = guess.guess().exact.loss;
+  report.initial_violation = guess.ViolationOf(guess.guess());
+  report.losses = std::move(losses);
+  report.iterations = static_cast<int>(report.losses.size()) - 1;
+  report.seconds = seconds;
+  report.evaluations = evaluations;
+  return report;
+}
+
+}  // namespace
+
 SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options) {
-  HybridPhaseRun run("ceres_phases", problem, options);
-  if (auto refused = run.WhyNotStart()) return *refused;
-  return MendHybrid(&run);
+  return SolveHybrid("ceres_phases", Algorithm::kLeastSquares, problem, options);
+}
+
+std::string WhyNotInteriorPoint(const HybridProblem& problem) {
+  if (!HasInteriorPoint()) return "this build has no IPOPT; install it (coinor-libipopt-dev) and build saltus again";
+  return WhyNotHybridPhases(problem);
+}
+
+SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options) {
+  // An interior-point method gains nothing from a start near the optimum: coarse grids help where it fails.
+  SolverOptions directly = options;
+  directly.coarse_to_fine = false;
+  SolveReport report = SolveHybrid("ipopt", Algorithm::kInteriorPoint, problem, directly);
+  const bool ended = report.termination != Termination::kNoProgress && report.termination != Termination::kFailed;
+  if (ended || GridsOf(problem, options).size() == 1) return report;
+  return SolveHybrid("ipopt", Algorithm::kInteriorPoint, problem, options);
 }
 
 }  // namespace saltus

@@ -104,6 +104,11 @@ std::string WhyNotHybridPhases(const HybridProblem& problem);
 // (hybrid_transcription.h). Converged means: an optimum along its sequence, and the exact roll-out has these events and
 // violates no constraint. Precondition: WhyNotHybridPhases is empty.
 SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options);
+
+// Does so by the interior-point method of IPOPT, with the Hessian of the Lagrangian (interior_point.h).
+std::string WhyNotInteriorPoint(const HybridProblem& problem);
+SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options);
+
 SolveReport MendHybrid(HybridPhaseRun* run);
 
 }  // namespace saltus

@@ -463,7 +463,7 @@ void HybridTranscription::AddSteps() {
       blocks.insert(blocks.end(), {Begin(j), End(j), nodes_[phase.first_node + k + 1].data()});
       lagrangian_.Add(std::make_unique<StepRows>(
                           functions_, &integrator_, phase.mode, k, count, Projects(j, k), scales_.state[phase.mode]),
-                      {.equalities = static_cast<int>(scales_.state[phase.mode].size())},
+                      {.equalities = static_cast<int>(scales_.state[phase.mode].size()), .affine_blocks = 1},
                       blocks);
     }
   }
@@ -548,7 +548,7 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
     blocks.push_back(after);
     const std::vector<double>& sizes = scales_.state[event.next_mode];
     lagrangian_.Add(std::make_unique<ResetRows>(functions_, event, control, sizes),
-                    {.equalities = static_cast<int>(sizes.size())},
+                    {.equalities = static_cast<int>(sizes.size()), .affine_blocks = 1},
                     blocks);
   }
 }
@@ -620,6 +620,9 @@ void HybridTranscription::AddTerms() {
     double scale = 1;
     if (term.role == HybridTerm::Role::kCost) {
       scale = root * (plan_.only_violation ? kCostOfViolation : 1);
+    } else if (term.role == HybridTerm::Role::kValue) {
+      roles.values = rows;
+      scale = root * root * (plan_.only_violation ? kCostOfViolation * kCostOfViolation : 1);
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
     } else if (!plan_.only_violation) {
@@ -655,7 +658,9 @@ void HybridTranscription::AddTerms() {
 void HybridTranscription::AddBounds() {
   for (int j = 0; j < num_phases(); ++j) {
     if (phases_[j].intervals == 0) continue;
-    lagrangian_.Add(std::make_unique<LengthRow>(problem_.guess.duration), {.inequalities = 1}, {Begin(j), End(j)});
+    lagrangian_.Add(std::make_unique<LengthRow>(problem_.guess.duration),
+                    {.inequalities = 1, .affine_blocks = 2},
+                    {Begin(j), End(j)});
   }
   const HybridFree& free = problem_.free;
   const auto add = [&](double* block,
@@ -666,7 +671,9 @@ void HybridTranscription::AddBounds() {
     std::vector<BoundRows::Bound> bounds = BoundsOf(components, min, max);
     const int rows = static_cast<int>(bounds.size());
     if (rows > 0)
-      lagrangian_.Add(std::make_unique<BoundRows>(size, std::move(bounds)), {.inequalities = rows}, {block});
+      lagrangian_.Add(std::make_unique<BoundRows>(size, std::move(bounds)),
+                      {.inequalities = rows, .affine_blocks = 1, .are_bounds = true},
+                      {block});
   };
   std::vector<int> all(functions_.layout().num_controls);
   std::iota(all.begin(), all.end(), 0);

@@ -161,6 +161,7 @@ class TranscribedPlan {
     };
     bool left = false;
     AugmentedLagrangian::Options options;
+    options.algorithm = run_.algorithm();
     options.iterations = kMostIterations;
     options.callback = [&](double cost) {
       if (!run_.Record(cost)) return false;

@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "saltus/solve/solver.h"
+#include "solve/phases/augmented_lagrangian.h"
 
 namespace saltus {
 
@@ -26,6 +27,9 @@ class SequenceRun {
   bool interrupted() const { return interrupted_; }
   bool IsOutOfIterations() const { return static_cast<int>(report_.losses.size()) > std::max(1, options_.iterations); }
   SolveReport& report() { return report_; }
+  // How problems along a sequence are minimized.
+  AugmentedLagrangian::Algorithm algorithm() const { return algorithm_; }
+  void set_algorithm(AugmentedLagrangian::Algorithm algorithm) { algorithm_ = algorithm; }
 
  protected:
   SolveReport Refuse(Termination termination, std::string reason) const;
@@ -37,6 +41,7 @@ class SequenceRun {
   bool interrupted_ = false;
 
  private:
+  AugmentedLagrangian::Algorithm algorithm_ = AugmentedLagrangian::Algorithm::kLeastSquares;
   std::chrono::steady_clock::time_point start_;
 };
 

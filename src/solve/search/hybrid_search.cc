@@ -114,7 +114,9 @@ class HybridSearch {
   int Shoot(const SolverOptions& options, HybridMotion* motion) const {
     HybridProblem relaxed = run_.problem();
     std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
-    for (HybridTerm& term : relaxed.terms) term.role = HybridTerm::Role::kCost;
+    for (HybridTerm& term : relaxed.terms) {
+      if (!term.IsCost()) term.role = HybridTerm::Role::kCost;
+    }
     relaxed.guess.control = motion->control;
     relaxed.guess.initial = motion->initial;
     relaxed.guess.parameters = motion->parameters;

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <optional>
 
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
@@ -60,7 +61,7 @@ class HybridRun final : public ShootingRun {
 
 std::string WhyNotShot(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
-    if (term.role != HybridTerm::Role::kCost) return term.name + " is a constraint, which takes multipliers";
+    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers";
   }
   const HybridFree& free = problem.free;
   if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
@@ -85,6 +86,8 @@ std::string WhyNotLbfgs(const HybridProblem& problem) {
 
 std::string WhyNotLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
+    if (term.role == HybridTerm::Role::kValue)
+      return term.name + " is a cost that is no square: least squares needs squares";
     if (term.at == HybridTerm::At::kEvent) {
       return term.name + " is a cost at events, whose number changes: least squares needs a fixed number of residuals";
     }
@@ -133,14 +136,83 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
   return MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds);
 }
 
+// ---------------------------------------------------------------------------------------------------------------- auto
+
+std::string WhyNotAny(const HybridProblem& problem) {
+  const HybridFree& free = problem.free;
+  const bool none = !free.control && free.initial.empty() && free.parameters.empty() && !free.duration;
+  return none ? "the problem leaves nothing to optimize" : "";
+}
+
+// Why Gauss-Newton steps miss a part of the curvature that matters; empty if they do not.
+std::string WhyNotGaussNewton(const HybridProblem& problem) {
+  for (const HybridTerm& term : problem.terms) {
+    if (term.role == HybridTerm::Role::kValue) return term.name + " is a cost that is no square";
+    if (!term.IsCost()) return term.name + " is a constraint";
+  }
+  if (problem.free.duration) return "the duration is free";
+  return "";
+}
+
+bool IsBetter(const SolveReport& report, const SolveReport& than) {
+  const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
+  if (converged(report) != converged(than)) return converged(report);
+  const bool feasible = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
+  if (feasible != other) return feasible;
+  return feasible ? report.final_loss < than.final_loss : report.final_violation < than.final_violation;
+}
+
+SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options) {
+  std::vector<const HybridSolverEntry*> chosen;
+  const std::string curved = WhyNotGaussNewton(problem);
+  const bool by_phases = WhyNotHybridPhases(problem).empty();
+  const std::vector<std::string_view> order = !by_phases
+                                                  ? std::vector<std::string_view>{"ceres_lm", "ceres_lbfgs", "gd"}
+                                              : curved.empty() ? std::vector<std::string_view>{"ceres_phases", "ipopt"}
+                                                               : std::vector<std::string_view>{"ipopt", "ceres_phases"};
+  std::string words = !by_phases       ? WhyNotHybridPhases(problem)
+                      : curved.empty() ? "all costs are squares, without constraints"
+                                       : curved;
+  std::optional<SolveReport> best;
+  std::string tried;
+  for (const std::string_view name : order) {
+    const HybridSolverEntry& entry = *std::find_if(
+        HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
+    if (!entry.why_not(problem).empty()) continue;
+    SolveReport report = entry.solve(problem, options);
+    JudgeByCertificate(&report);
+    if (best) {
+      report.seconds += best->seconds;
+      best->seconds = report.seconds;
+    }
+    const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
+    tried += (tried.empty() ? "" : ", then ") + std::string(name);
+    if (!best || IsBetter(report, *best)) best = std::move(report);
+    if (ended) break;
+  }
+  if (!best) {
+    best.emplace();
+    best->solver = "auto";
+    best->termination = Termination::kNotApplicable;
+    best->reason = "no solver supports this problem: " + words;
+    return *best;
+  }
+  const std::string choice = "auto used " + best->solver + ", as " + words;
+  best->reason = choice + (tried == best->solver ? "" : " (tried: " + tried + ")") +
+                 (best->reason.empty() ? "" : "; " + best->reason);
+  return *best;
+}
+
 }  // namespace
 
 const std::vector<HybridSolverEntry>& HybridSolvers() {
   static const std::vector<HybridSolverEntry> solvers = {
+      {"auto", "chooses from the structure of the problem, and goes on with another", WhyNotAny, SolveAutomatically},
       {"gd", "gradient descent at a fixed rate", WhyNotShot, SolveByGradientDescent},
       {"ceres_lbfgs", "L-BFGS on the adjoint gradient", WhyNotLbfgs, SolveByLbfgs},
       {"ceres_lm", "Levenberg-Marquardt, states eliminated", WhyNotLm, SolveByLm},
       {"ceres_phases", "phases between events, a cost for every step", WhyNotHybridPhases, SolveHybridByPhases},
+      {"ipopt", "phases between events, by an interior-point method", WhyNotInteriorPoint, SolveHybridByInteriorPoint},
       {"mode_search", "search over sequences of events, by ceres_phases", WhyNotHybridPhases, SolveHybridByModeSearch},
   };
   return solvers;

@@ -1,0 +1,29 @@
+// The extreme curvatures of a quadratic form along the directions that linear equations leave:
+//
+//   minimize (maximize) d^T H d   subject to   A d = 0,  d^T W d = 1,
+//
+// with H, A and W sparse, W positive semidefinite, and positive definite along the directions d with A d = 0.
+//
+// A shift s is below the least curvature if and only if H - s W + rho A^T A is positive definite for a large rho
+// (Debreu 1952), which a sparse Cholesky factorization decides. For the matrices of a motion it takes a time linear in
+// the number of steps, as a Riccati sweep does. Shifts come from inverse iteration: v solves (H - s W) v + A^T l = W v0
+// with A v = 0, and its Rayleigh quotient is an upper bound.
+#pragma once
+
+#include <Eigen/SparseCore>
+#include <optional>
+
+namespace saltus {
+
+struct ConstrainedCurvature {
+  double smallest = 0, largest = 0;
+  Eigen::VectorXd direction;  // d of the smallest
+};
+
+// The columns of H, A and W are of variables of order one, and so are the entries of W. Returns std::nullopt if no
+// direction is left, or if the least curvature is not found within the accuracy of the factorization.
+std::optional<ConstrainedCurvature> FindConstrainedCurvature(const Eigen::SparseMatrix<double>& hessian,
+                                                             const Eigen::SparseMatrix<double>& equations,
+                                                             const Eigen::SparseMatrix<double>& metric);
+
+}  // namespace saltus

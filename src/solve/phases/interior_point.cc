@@ -1,0 +1,438 @@
+#include "solve/phases/interior_point.h"
+
+#ifdef SALTUS_WITH_IPOPT
+#include <ceres/manifold.h>
+#include <glog/logging.h>
+
+#include <Eigen/Core>
+#include <IpIpoptApplication.hpp>
+#include <IpIpoptCalculatedQuantities.hpp>
+#include <IpIpoptData.hpp>
+#include <IpOrigIpoptNLP.hpp>
+#include <IpTNLP.hpp>
+#include <IpTNLPAdapter.hpp>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <mutex>
+#include <unordered_map>
+#endif
+
+namespace saltus {
+
+#ifndef SALTUS_WITH_IPOPT
+
+bool HasInteriorPoint() { return false; }
+AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<ConstrainedFunction>&,
+                                                     const AugmentedLagrangian::Options&, ceres::Problem*) {
+  return {};
+}
+
+#else
+
+namespace {
+
+using Ipopt::Index;
+using Ipopt::Number;
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+constexpr double kNoBound = 2e19;  // IPOPT takes a bound beyond 1e19 for none
+constexpr double kWidth = 1e-5;    // of differences, relative to the size of a variable
+
+// The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order of
+// ceres::Problem; rows are the constraints of the functions in their order.
+class InteriorPointProblem final : public Ipopt::TNLP {
+ public:
+  InteriorPointProblem(const std::vector<ConstrainedFunction>& functions, const AugmentedLagrangian::Options& options,
+                       ceres::Problem* problem, AugmentedLagrangian::Summary* summary)
+      : options_(options), summary_(*summary) {
+    FindVariables(problem);
+    for (const ConstrainedFunction& function : functions) AddFunction(function);
+    FindSizes();
+  }
+
+  bool get_nlp_info(Index& n, Index& m, Index& nonzeros_of_jacobian, Index& nonzeros_of_hessian,
+                    IndexStyleEnum& style) override {
+    n = static_cast<Index>(components_.size());
+    m = num_rows_;
+    nonzeros_of_jacobian = nonzeros_of_hessian = 0;
+    for (const Function& function : functions_) {
+      const auto columns = static_cast<Index>(function.columns.size());
+      const auto curved = static_cast<Index>(function.curved.size());
+      nonzeros_of_jacobian += function.num_constraints() * columns;
+      nonzeros_of_hessian += function.HasSquares() ? columns * (columns + 1) / 2 : curved * (curved + 1) / 2;
+    }
+    style = C_STYLE;
+    return true;
+  }
+
+  bool get_bounds_info(Index n, Number* lower, Number* upper, Index /*m*/, Number* rows_lower,
+                       Number* rows_upper) override {
+    std::copy_n(lower_.data(), n, lower);
+    std::copy_n(upper_.data(), n, upper);
+    for (const Function& function : functions_) {
+      for (int row = 0; row < function.num_constraints(); ++row) {
+        *rows_lower++ = row < function.roles().equalities ? 0 : -kNoBound;
+        *rows_upper++ = 0;
+      }
+    }
+    return true;
+  }
+
+  bool get_starting_point(Index n, bool /*init_x*/, Number* x, bool /*init_z*/, Number* /*z_lower*/,
+                          Number* /*z_upper*/, Index /*m*/, bool /*init_lambda*/, Number* /*lambda*/) override {
+    for (Index i = 0; i < n; ++i) x[i] = *components_[i];
+    return true;
+  }
+
+  bool eval_f(Index /*n*/, const Number* x, bool is_new, Number& value) override {
+    if (!Evaluate(x, is_new)) return false;
+    value = Cost();
+    return std::isfinite(value);
+  }
+
+  bool eval_grad_f(Index n, const Number* x, bool is_new, Number* gradient) override {
+    if (!Linearize(x, is_new)) return false;
+    std::fill_n(gradient, n, 0.0);
+    for (const Function& function : functions_) {
+      for (int row = function.num_constraints(); row < function.num_rows(); ++row) {
+        const double weight = function.IsValue(row) ? 1 : 2 * function.rows[row];
+        for (size_t j = 0; j < function.columns.size(); ++j) {
+          gradient[function.columns[j].variable] += weight * function.At(row, function.columns[j]);
+        }
+      }
+    }
+    return true;
+  }
+
+  bool eval_g(Index /*n*/, const Number* x, bool is_new, Index /*m*/, Number* rows) override {
+    if (!Evaluate(x, is_new)) return false;
+    for (const Function& function : functions_)
+      rows = std::copy_n(function.rows.data(), function.num_constraints(), rows);
+    return true;
+  }
+
+  bool eval_jac_g(Index /*n*/, const Number* x, bool is_new, Index /*m*/, Index /*nonzeros*/, Index* rows,
+                  Index* columns, Number* values) override {
+    if (values != nullptr && !Linearize(x, is_new)) return false;
+    Index first = 0;
+    for (const Function& function : functions_) {
+      for (int row = 0; row < function.num_constraints(); ++row) {
+        for (const Column& column : function.columns) {
+          if (values != nullptr) {
+            *values++ = function.At(row, column);
+          } else {
+            *rows++ = first + row;
+            *columns++ = column.variable;
+          }
+        }
+      }
+      first += function.num_constraints();
+    }
+    return true;
+  }
+
+  bool eval_h(Index /*n*/, const Number* x, bool is_new, Number factor, Index /*m*/, const Number* multipliers,
+              bool /*new_multipliers*/, Index /*nonzeros*/, Index* rows, Index* columns, Number* values) override {
+    if (values == nullptr) {
+      for (const Function& function : functions_) {
+        const std::vector<Column>& among = function.HasSquares() ? function.columns : function.curved;
+        for (size_t i = 0; i < among.size(); ++i) {
+          for (size_t j = 0; j <= i; ++j) {
+            *rows++ = std::max(among[i].variable, among[j].variable);
+            *columns++ = std::min(among[i].variable, among[j].variable);
+          }
+        }
+      }
+      return true;
+    }
+    if (!Linearize(x, is_new)) return false;
+    for (Function& function : functions_) {
+      values = AddHessian(factor, multipliers, &function, values);
+      multipliers += function.num_constraints();
+    }
+    return true;
+  }
+
+  bool intermediate_callback(Ipopt::AlgorithmMode mode, Index iteration, Number /*value*/, Number /*primal*/,
+                             Number /*dual*/, Number /*mu*/, Number /*step*/, Number /*regularization*/,
+                             Number /*dual_length*/, Number /*primal_length*/, Index /*trials*/,
+                             const Ipopt::IpoptData* data, Ipopt::IpoptCalculatedQuantities* quantities) override {
+    if (iteration == 0) return true;
+    ++summary_.iterations;
+    if (!options_.callback) return true;
+    if (mode == Ipopt::RegularMode) MoveTo(data, quantities);
+    summary_.interrupted = !options_.callback(Cost());
+    return !summary_.interrupted;
+  }
+
+  void finalize_solution(Ipopt::SolverReturn status, Index /*n*/, const Number* x, const Number* /*z_lower*/,
+                         const Number* /*z_upper*/, Index /*m*/, const Number* /*rows*/, const Number* /*multipliers*/,
+                         Number /*value*/, const Ipopt::IpoptData* /*data*/,
+                         Ipopt::IpoptCalculatedQuantities* /*quantities*/) override {
+    summary_.usable = Evaluate(x, true);
+    if (!summary_.usable) return;
+    summary_.cost = Cost();
+    summary_.violation = 0;
+    for (const Function& function : functions_) {
+      for (int row = 0; row < function.num_constraints(); ++row) {
+        const double value = function.rows[row];
+        summary_.violation = std::max(summary_.violation, row < function.roles().equalities ? std::abs(value) : value);
+      }
+    }
+    summary_.converged = (status == Ipopt::SUCCESS || status == Ipopt::STOP_AT_ACCEPTABLE_POINT) &&
+                         summary_.violation <= options_.tolerance;
+  }
+
+ private:
+  // A free component of a parameter block of a function.
+  struct Column {
+    int block = 0, component = 0, variable = 0;
+  };
+  struct Function {
+    const ConstrainedFunction* of;
+    std::vector<Column> columns, curved;  // all, and those of blocks in which the function is not affine
+    std::vector<double> rows;
+    std::vector<Matrix> jacobians;  // of each block
+    std::vector<double*> pointers;  // to the numbers of the Jacobians
+
+    const RowRoles& roles() const { return of->roles; }
+    int num_rows() const { return of->function->num_residuals(); }
+    int num_constraints() const { return roles().equalities + roles().inequalities; }
+    bool IsValue(int row) const { return row < num_constraints() + roles().values; }
+    bool HasSquares() const { return num_rows() > num_constraints() + roles().values; }
+    double At(int row, const Column& column) const { return jacobians[column.block](row, column.component); }
+    bool Evaluate(double** out) { return of->function->Evaluate(of->blocks.data(), rows.data(), out); }
+  };
+
+  void FindVariables(ceres::Problem* problem) {
+    std::vector<double*> blocks;
+    problem->GetParameterBlocks(&blocks);
+    for (double* block : blocks) {
+      const int size = problem->ParameterBlockSize(block);
+      std::vector<int>& variables = variables_[block];
+      variables.assign(size, -1);
+      if (problem->IsParameterBlockConstant(block)) continue;
+      const ceres::Manifold* manifold = problem->GetManifold(block);
+      Matrix tangents = Matrix::Identity(size, size);
+      if (manifold != nullptr) {
+        tangents.resize(size, manifold->TangentSize());
+        CHECK(manifold->PlusJacobian(block, tangents.data()));
+      }
+      for (int i = 0; i < size; ++i) {
+        if (tangents.row(i).isZero(0)) continue;
+        variables[i] = static_cast<int>(components_.size());
+        components_.push_back(block + i);
+      }
+    }
+    lower_.assign(components_.size(), -kNoBound);
+    upper_.assign(components_.size(), kNoBound);
+  }
+
+  void AddFunction(const ConstrainedFunction& of) {
+    Function function{&of, {}, {}, std::vector<double>(of.function->num_residuals()), {}, {}};
+    const std::vector<int>& sizes = of.function->parameter_block_sizes();
+    const auto blocks = static_cast<int>(sizes.size());
+    for (int block = 0; block < blocks; ++block) {
+      function.jacobians.emplace_back(function.num_rows(), sizes[block]);
+      const std::vector<int>& variables = variables_.at(of.blocks[block]);
+      for (int i = 0; i < sizes[block]; ++i) {
+        if (variables[i] < 0) continue;
+        function.columns.push_back({block, i, variables[i]});
+        if (block < blocks - of.roles.affine_blocks) function.curved.push_back(function.columns.back());
+      }
+    }
+    for (Matrix& jacobian : function.jacobians) function.pointers.push_back(jacobian.data());
+    if (of.roles.are_bounds) return SetBounds(&function);
+    num_rows_ += function.num_constraints();
+    functions_.push_back(std::move(function));
+    Function& added = functions_.back();  // its matrices have moved with it
+    for (size_t block = 0; block < added.jacobians.size(); ++block)
+      added.pointers[block] = added.jacobians[block].data();
+  }
+
+  // Each row is a (z - at) <= 0 of one component z.
+  void SetBounds(Function* function) {
+    if (!function->Evaluate(function->pointers.data())) return;
+    for (int row = 0; row < function->num_constraints(); ++row) {
+      for (const Column& column : function->columns) {
+        const double a = function->At(row, column);
+        if (a == 0) continue;
+        const double at = *components_[column.variable] - function->rows[row] / a;
+        double& upper = upper_[column.variable];
+        double& lower = lower_[column.variable];
+        if (a > 0) {
+          upper = std::min(upper, at);
+        } else {
+          lower = std::max(lower, at);
+        }
+      }
+    }
+  }
+
+  // The size of a variable is the change that moves some row, of order one, by one.
+  void FindSizes() {
+    sizes_.assign(components_.size(), 0.0);
+    for (Function& function : functions_) {
+      if (!function.Evaluate(function.pointers.data())) continue;
+      for (const Column& column : function.columns) {
+        const double steepest = function.jacobians[column.block].col(column.component).cwiseAbs().maxCoeff();
+        if (std::isfinite(steepest)) sizes_[column.variable] = std::max(sizes_[column.variable], steepest);
+      }
+    }
+    for (size_t i = 0; i < sizes_.size(); ++i) sizes_[i] = 1 / (sizes_[i] > 0 ? sizes_[i] : 1);
+  }
+
+  void Take(const Number* x) {
+    for (size_t i = 0; i < components_.size(); ++i) *components_[i] = x[i];
+  }
+  bool Evaluate(const Number* x, bool is_new) {
+    if (!is_new && evaluated_) return true;
+    Take(x);
+    linearized_ = false;
+    evaluated_ = std::all_of(
+        functions_.begin(), functions_.end(), [](Function& function) { return function.Evaluate(nullptr); });
+    return evaluated_;
+  }
+  bool Linearize(const Number* x, bool is_new) {
+    if (!is_new && linearized_) return true;
+    Take(x);
+    evaluated_ = linearized_ = std::all_of(functions_.begin(), functions_.end(), [](Function& function) {
+      return function.Evaluate(function.pointers.data());
+    });
+    summary_.jacobians += linearized_;
+    return linearized_;
+  }
+
+  double Cost() const {
+    double cost = 0;
+    for (const Function& function : functions_) {
+      for (int row = function.num_constraints(); row < function.num_rows(); ++row) {
+        cost += function.IsValue(row) ? function.rows[row] : function.rows[row] * function.rows[row];
+      }
+    }
+    return cost;
+  }
+
+  // Moves the parameter blocks to the current iterate.
+  void MoveTo(const Ipopt::IpoptData* data, Ipopt::IpoptCalculatedQuantities* quantities) {
+    auto* nlp = dynamic_cast<Ipopt::OrigIpoptNLP*>(GetRawPtr(quantities->GetIpoptNLP()));
+    auto* adapter = nlp != nullptr ? dynamic_cast<Ipopt::TNLPAdapter*>(GetRawPtr(nlp->nlp())) : nullptr;
+    if (adapter == nullptr) return;
+    std::vector<Number> x(components_.size());
+    adapter->ResortX(*data->curr()->x(), x.data());
+    Evaluate(x.data(), true);
+  }
+
+  // Writes the lower triangle of what a function adds to the Hessian, in the order of its structure. Returns the place
+  // behind it.
+  Number* AddHessian(Number factor, const Number* multipliers, Function* function, Number* values) {
+    const std::vector<Column>& among = function->HasSquares() ? function->columns : function->curved;
+    const auto count = static_cast<Eigen::Index>(among.size());
+    hessian_.setZero(count, count);
+    if (function->HasSquares() && factor != 0) {
+      const int rows = function->num_rows() - function->num_constraints() - function->roles().values;
+      Matrix squares(rows, count);
+      for (Eigen::Index j = 0; j < count; ++j) {
+        squares.col(j) = function->jacobians[among[j].block].col(among[j].component).tail(rows);
+      }
+      hessian_.noalias() += 2 * factor * squares.transpose() * squares;
+    }
+    Eigen::VectorXd weights(function->num_rows());
+    for (int row = 0; row < function->num_rows(); ++row) {
+      weights[row] = row < function->num_constraints() ? multipliers[row]
+                     : function->IsValue(row)          ? factor
+                                                       : 2 * factor * function->rows[row];
+    }
+    if (!weights.isZero(0)) AddDifferences(weights, function);
+    for (Eigen::Index i = 0; i < count; ++i) {
+      for (Eigen::Index j = 0; j <= i; ++j) *values++ = 0.5 * (hessian_(i, j) + hessian_(j, i));
+    }
+    return values;
+  }
+
+  // Adds d/dx (J^T w) by the curved columns, which come first among all of them.
+  void AddDifferences(const Eigen::VectorXd& weights, Function* function) {
+    const std::vector<Matrix> jacobians = function->jacobians;
+    const std::vector<double> rows = function->rows;
+    const auto gradient = [&](Eigen::VectorXd* by) {
+      by->resize(static_cast<Eigen::Index>(function->curved.size()));
+      if (!function->Evaluate(function->pointers.data())) return false;
+      for (Eigen::Index i = 0; i < by->size(); ++i) {
+        const Column& column = function->curved[i];
+        (*by)[i] = function->jacobians[column.block].col(column.component).dot(weights);
+      }
+      return by->allFinite();
+    };
+    Eigen::VectorXd above, below, middle(static_cast<Eigen::Index>(function->curved.size()));
+    for (Eigen::Index i = 0; i < middle.size(); ++i) {
+      const Column& column = function->curved[i];
+      middle[i] = jacobians[column.block].col(column.component).dot(weights);
+    }
+    for (size_t j = 0; j < function->curved.size(); ++j) {
+      const int variable = function->curved[j].variable;
+      double& value = *components_[variable];
+      const double at = value, width = std::max(kWidth * sizes_[variable], 1e-7 * std::abs(at));
+      value = at + width;
+      const double up = value - at;
+      const bool has_above = gradient(&above);
+      value = at - width;
+      const double down = at - value;
+      const bool has_below = gradient(&below);
+      value = at;
+      const auto n = middle.size();
+      auto column = hessian_.col(static_cast<Eigen::Index>(j)).head(n);
+      if (has_above && has_below) {
+        column += (above - below) / (up + down);
+      } else if (has_above) {
+        column += (above - middle) / up;
+      } else if (has_below) {
+        column += (middle - below) / down;
+      }
+    }
+    function->rows = rows;
+    for (size_t block = 0; block < jacobians.size(); ++block) function->jacobians[block] = jacobians[block];
+  }
+
+  const AugmentedLagrangian::Options& options_;
+  AugmentedLagrangian::Summary& summary_;
+  std::unordered_map<const double*, std::vector<int> > variables_;  // of each block: its components' variables, or -1
+  std::vector<double*> components_;                                 // of each variable
+  std::vector<double> lower_, upper_, sizes_;
+  std::vector<Function> functions_;
+  int num_rows_ = 0;
+  bool evaluated_ = false, linearized_ = false;
+  Matrix hessian_;
+};
+
+}  // namespace
+
+bool HasInteriorPoint() { return true; }
+
+AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<ConstrainedFunction>& functions,
+                                                     const AugmentedLagrangian::Options& options,
+                                                     ceres::Problem* problem) {
+  static std::mutex one_at_a_time;
+  const std::lock_guard<std::mutex> lock(one_at_a_time);
+  AugmentedLagrangian::Summary summary;
+  const Ipopt::SmartPtr<Ipopt::IpoptApplication> application = IpoptApplicationFactory();
+  application->Options()->SetIntegerValue("print_level", 0);
+  application->Options()->SetStringValue("sb", "yes");
+  application->Options()->SetIntegerValue("max_iter", options.iterations);
+  application->Options()->SetNumericValue("tol", 1e-9);
+  application->Options()->SetNumericValue("compl_inf_tol", 1e-14);
+  application->Options()->SetNumericValue("mu_min", 1e-16);
+  application->Options()->SetNumericValue("constr_viol_tol", 0.1 * options.tolerance);
+  application->Options()->SetNumericValue("acceptable_tol", 1e-8);
+  application->Options()->SetNumericValue("acceptable_constr_viol_tol", 0.1 * options.tolerance);
+  application->Options()->SetNumericValue("bound_relax_factor", 0.1 * options.tolerance);
+  application->Options()->SetStringValue("mu_strategy", "adaptive");
+  if (application->Initialize() != Ipopt::Solve_Succeeded) return summary;
+  const Ipopt::SmartPtr<Ipopt::TNLP> nlp = new InteriorPointProblem(functions, options, problem, &summary);
+  application->OptimizeTNLP(nlp);
+  return summary;
+}
+
+#endif
+
+}  // namespace saltus

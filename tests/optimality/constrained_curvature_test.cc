@@ -1,0 +1,54 @@
+// The extreme curvatures along the null space of equations against dense eigenvalues.
+#include "optimality/constrained_curvature.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <random>
+
+namespace saltus {
+namespace {
+
+using Eigen::MatrixXd;
+
+MatrixXd RandomMatrix(int rows, int columns, std::mt19937* random) {
+  std::normal_distribution<double> normal;
+  return MatrixXd::NullaryExpr(rows, columns, [&] { return normal(*random); });
+}
+
+TEST(ConstrainedCurvature, AgreesWithDenseEigenvalues) {
+  std::mt19937 random(1);
+  for (int trial = 0; trial < 200; ++trial) {
+    const int variables = 1 + static_cast<int>(random() % 40);
+    const int states = static_cast<int>(random() % 120), held = static_cast<int>(random() % variables);
+    const int n = variables + states;
+    MatrixXd hessian = RandomMatrix(n, n, &random);
+    hessian = (hessian + hessian.transpose()).eval();
+    // States follow from variables; some equations hold these.
+    MatrixXd equations = RandomMatrix(states + held, n, &random);
+    equations.block(0, variables, states, states) += 10 * std::sqrt(n) * MatrixXd::Identity(states, states);
+    const MatrixXd factor = RandomMatrix(variables, variables, &random) + 3 * MatrixXd::Identity(variables, variables);
+    MatrixXd metric = MatrixXd::Zero(n, n);
+    metric.topLeftCorner(variables, variables) = factor * factor.transpose() + MatrixXd::Identity(variables, variables);
+
+    const MatrixXd basis = Eigen::FullPivLU<MatrixXd>(equations).kernel();
+    const Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd> dense(basis.transpose() * hessian * basis,
+                                                                   basis.transpose() * metric * basis);
+    const auto found = FindConstrainedCurvature(hessian.sparseView(), equations.sparseView(), metric.sparseView());
+    ASSERT_TRUE(found) << trial;
+    const double size = dense.eigenvalues().cwiseAbs().maxCoeff();
+    EXPECT_NEAR(found->smallest, dense.eigenvalues()[0], 1e-6 * size) << trial;
+    EXPECT_NEAR(found->largest, dense.eigenvalues().tail<1>()[0], 1e-6 * size) << trial;
+    const Eigen::VectorXd& d = found->direction;
+    EXPECT_NEAR(d.dot(hessian * d), found->smallest * d.dot(metric * d), 1e-8 * size * d.dot(metric * d));
+    EXPECT_LE((equations * d).norm(), 1e-9 * equations.norm() * d.norm());
+  }
+}
+
+TEST(ConstrainedCurvature, HasNoDirectionWhereEquationsLeaveNone) {
+  const MatrixXd square = MatrixXd::Identity(3, 3);
+  EXPECT_FALSE(FindConstrainedCurvature(square.sparseView(), square.sparseView(), square.sparseView()));
+}
+
+}  // namespace
+}  // namespace saltus

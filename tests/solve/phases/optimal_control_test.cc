@@ -1,0 +1,246 @@
+// Optimal control problems of the textbooks, posed as hybrid systems without events: solved from plain guesses to the
+// optima that IPOPT finds on the same grids (zero-order hold), or that closed forms give.
+#include <ceres/autodiff_cost_function.h>
+#include <gtest/gtest.h>
+
+#include <array>
+#include <cmath>
+#include <memory>
+#include <numbers>
+#include <string>
+#include <vector>
+
+#include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/optimality/hybrid_certificate.h"
+#include "saltus/solve/hybrid_solver.h"
+#include "solve/phases/interior_point.h"
+
+namespace saltus {
+namespace {
+
+using At = HybridTerm::At;
+using Role = HybridTerm::Role;
+
+// A system with one mode and without events.
+template <typename Derivative, int kStates, int kControls>
+struct Smooth {
+  static constexpr int kNumControls = kControls, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {kStates};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int /*mode*/, const T& /*t*/, const T* x, const T* u, const T* /*p*/, T* xdot) const {
+    Derivative()(x, u, xdot);
+  }
+  template <typename T>
+  T Guard(int /*mode*/, int /*guard*/, const T& /*t*/, const T* /*x*/, const T* /*p*/) const {
+    return T(1);
+  }
+  template <typename T>
+  int Reset(int, int, const T& /*t*/, const T* /*x*/, const T* /*p*/, T* /*x_plus*/) const {
+    return 0;
+  }
+};
+
+struct DoubleIntegrator {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = u[0];
+  }
+};
+struct Brachistochrone {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::cos, std::sin;
+    xdot[0] = x[2] * cos(u[0]);
+    xdot[1] = x[2] * sin(u[0]);
+    xdot[2] = 9.81 * sin(u[0]);
+  }
+};
+struct VanDerPol {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    xdot[0] = (1.0 - x[1] * x[1]) * x[0] - x[1] + u[0];
+    xdot[1] = x[0];
+    xdot[2] = x[0] * x[0] + x[1] * x[1] + u[0] * u[0];
+  }
+};
+struct RobotArm {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::sin;
+    const T a = 5.0 - x[0], inertia = (a * a * a + x[0] * x[0] * x[0]) / 3.0, s = sin(x[2]);
+    for (int i = 0; i < 3; ++i) xdot[i] = x[3 + i];
+    xdot[3] = u[0] / 5.0;
+    xdot[4] = u[1] / (inertia * s * s);
+    xdot[5] = u[2] / inertia;
+  }
+};
+struct Rocket {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::exp;
+    const T drag = 310.0 * x[1] * x[1] * exp(-500.0 * (x[0] - 1.0));
+    xdot[0] = x[1];
+    xdot[1] = (u[0] - drag) / x[2] - 1.0 / (x[0] * x[0]);
+    xdot[2] = -2.0 * u[0];
+  }
+};
+
+// The rows sign[i] (x[component[i]] - value[i]).
+template <int kRows, int kStates>
+HybridTerm StateRows(At at, Role role, std::array<int, kRows> component, std::array<double, kRows> sign,
+                     std::array<double, kRows> value) {
+  struct Rows {
+    std::array<int, kRows> component;
+    std::array<double, kRows> sign, value;
+    template <typename T>
+    bool operator()(const T* x, T* r) const {
+      for (int i = 0; i < kRows; ++i) r[i] = sign[i] * (x[component[i]] - value[i]);
+      return true;
+    }
+  };
+  return {.at = at,
+          .role = role,
+          .with_state = true,
+          .function =
+              std::make_shared<ceres::AutoDiffCostFunction<Rows, kRows, kStates>>(new Rows{component, sign, value})};
+}
+
+template <typename Derivative, int kStates, int kControls>
+HybridProblem Problem(std::vector<double> initial, double duration, double control, int intervals) {
+  HybridProblem problem{.system = HybridSystem(Smooth<Derivative, kStates, kControls>()),
+                        .guess = {.initial = std::move(initial), .duration = duration, .num_intervals = intervals}};
+  problem.guess.control.assign(static_cast<size_t>(intervals) * kControls, control);
+  problem.free.control = true;
+  return problem;
+}
+
+HybridProblem DoubleIntegratorProblem(int intervals) {
+  HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({1, 0}, 3, 0, intervals);
+  problem.terms = {MakeDurationCost(1), StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
+  problem.free.duration = true;
+  problem.free.duration_min = 0.5;
+  problem.free.duration_max = 10;
+  problem.free.control_min = {-1};
+  problem.free.control_max = {1};
+  return problem;
+}
+
+HybridProblem BrachistochroneProblem(int intervals) {
+  HybridProblem problem = Problem<Brachistochrone, 3, 1>({0, 0, 0}, 1, 0.8, intervals);
+  problem.terms = {MakeDurationCost(1), StateRows<2, 3>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {2, 2})};
+  problem.free.duration = true;
+  problem.free.duration_min = 0.1;
+  problem.free.duration_max = 10;
+  return problem;
+}
+
+// The loss is the third state itself, which is no square.
+HybridProblem VanDerPolProblem(int intervals, bool bounded) {
+  HybridProblem problem = Problem<VanDerPol, 3, 1>({0, 1, 0}, 5, 0, intervals);
+  problem.terms = {StateRows<1, 3>(At::kEnd, Role::kValue, {2}, {1}, {0})};
+  if (bounded) {
+    problem.free.control_min = {-0.3};
+    problem.free.control_max = {1};
+  }
+  return problem;
+}
+
+HybridProblem BrysonDenhamProblem(int intervals) {
+  HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({0, 1}, 1, 0, intervals);
+  problem.terms = {MakeEffortCost(0.5, 1),
+                   StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, -1}),
+                   StateRows<1, 2>(At::kEachInterval, Role::kInequality, {0}, {1}, {1.0 / 9})};
+  return problem;
+}
+
+HybridProblem RobotArmProblem(int intervals) {
+  constexpr double kPi = std::numbers::pi;
+  HybridProblem problem = Problem<RobotArm, 6, 3>({4.5, 0, kPi / 4, 0, 0, 0}, 8, 0, intervals);
+  problem.terms = {
+      MakeDurationCost(1),
+      StateRows<6, 6>(
+          At::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {4.5, 2 * kPi / 3, kPi / 4, 0, 0, 0}),
+      StateRows<4, 6>(At::kEachInterval, Role::kInequality, {0, 0, 2, 2}, {-1, 1, -1, 1}, {0, 5, 0, kPi})};
+  problem.free.duration = true;
+  problem.free.duration_min = 1;
+  problem.free.duration_max = 30;
+  problem.free.control_min = {-1, -1, -1};
+  problem.free.control_max = {1, 1, 1};
+  return problem;
+}
+
+// The loss is minus the height at the end.
+HybridProblem RocketProblem(int intervals) {
+  HybridProblem problem = Problem<Rocket, 3, 1>({1, 0, 1}, 0.2, 1, intervals);
+  problem.terms = {StateRows<1, 3>(At::kEnd, Role::kValue, {0}, {-1}, {0}),
+                   StateRows<1, 3>(At::kEnd, Role::kEquality, {2}, {1}, {0.6}),
+                   StateRows<1, 3>(At::kEachInterval, Role::kInequality, {1}, {-1}, {0})};
+  problem.free.duration = true;
+  problem.free.duration_min = 0.01;
+  problem.free.duration_max = 1;
+  problem.free.control_min = {0};
+  problem.free.control_max = {3.5};
+  return problem;
+}
+
+void ExpectOptimum(const HybridProblem& problem, double optimum, double digits, const std::string& name) {
+  const SolveReport report = Solve("auto", problem, {.iterations = 3000});
+  ASSERT_EQ(report.termination, Termination::kConverged) << name << ": " << report.reason;
+  EXPECT_NEAR(report.final_loss, optimum, digits) << name;
+  EXPECT_LE(report.final_violation, kFeasible) << name;
+  ASSERT_TRUE(report.certificate) << name;
+  EXPECT_TRUE(report.certificate->IsStationary()) << name << ": " << report.certificate->reason;
+  EXPECT_FALSE(report.certificate->IsSaddle()) << name;
+}
+
+// Half of the last digit of the references.
+TEST(OptimalControl, ReachesTheOptimaOfTextbooksFromPlainGuesses) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  for (const int intervals : {20, 80}) {
+    const bool coarse = intervals == 20;
+    const std::string at = " at " + std::to_string(intervals) + " intervals";
+    ExpectOptimum(DoubleIntegratorProblem(intervals), 2, 1e-8, "double integrator" + at);
+    ExpectOptimum(BrachistochroneProblem(intervals), coarse ? 0.82446 : 0.824346, coarse ? 5e-6 : 5e-7, "chute" + at);
+    ExpectOptimum(
+        VanDerPolProblem(intervals, true), coarse ? 2.8815 : 2.86806, coarse ? 5e-5 : 5e-6, "oscillator" + at);
+    ExpectOptimum(BrysonDenhamProblem(intervals), coarse ? 4.02026 : 4.00137, 5e-6, "Bryson and Denham" + at);
+    ExpectOptimum(RobotArmProblem(intervals), coarse ? 9.14363 : 9.14135, 5e-6, "robot arm" + at);
+    ExpectOptimum(RocketProblem(intervals), coarse ? -1.012829 : -1.012837, 5e-7, "rocket" + at);
+  }
+}
+
+TEST(OptimalControl, FindsAValueThatIsNoSquareWithoutBounds) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  const struct {
+    int intervals;
+    double optimum, digits;
+  } cases[] = {{5, 3.11239, 5e-6}, {20, 2.8814, 5e-5}, {80, 2.8679, 5e-5}};
+  for (const auto& [intervals, optimum, digits] : cases) {
+    ExpectOptimum(VanDerPolProblem(intervals, false), optimum, digits, std::to_string(intervals) + " intervals");
+    const SolveReport lbfgs = Solve("ceres_lbfgs", VanDerPolProblem(intervals, false), {});
+    EXPECT_NEAR(lbfgs.final_loss, optimum, digits);
+  }
+}
+
+TEST(OptimalControl, LeastSquaresRefusesACostThatIsNoSquare) {
+  const SolveReport report = Solve("ceres_lm", VanDerPolProblem(5, false), {});
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_NE(report.reason.find("no square"), std::string::npos) << report.reason;
+}
+
+// Of a linear system with quadratic costs both algorithms find the one optimum.
+TEST(OptimalControl, BothAlgorithmsAgreeOnSquares) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({1, 0}, 1, 0, 40);
+  problem.terms = {MakeTerminalCost(0, 0, 100, 2), MakeTerminalCost(1, 0, 100, 2), MakeEffortCost(0.1, 1)};
+  const SolveReport squares = Solve("ceres_phases", problem, {}), interior = Solve("ipopt", problem, {});
+  ASSERT_EQ(squares.termination, Termination::kConverged) << squares.reason;
+  ASSERT_EQ(interior.termination, Termination::kConverged) << interior.reason;
+  EXPECT_NEAR(squares.final_loss, interior.final_loss, 1e-10);
+  EXPECT_EQ(Solve("auto", problem, {}).solver, "ceres_phases");
+}
+
+}  // namespace
+}  // namespace saltus
