@@ -2,19 +2,17 @@
 #include "saltus/audit/audit.h"
 
 #include <pybind11/stl.h>
-#include <tbb/info.h>
-#include <tbb/parallel_for.h>
-#include <tbb/task_arena.h>
 
-#include <algorithm>
 #include <tuple>
 
 #include "arrays.h"
+#include "base/parallel_for.h"
 #include "callable_box.h"
 #include "computation.h"
 #include "convert.h"
 #include "output/palette.h"
 #include "programs/audit.h"
+#include "programs/remarks.h"
 #include "saltus/control/control_rows.h"
 
 namespace saltus::python {
@@ -39,21 +37,22 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
     gradient = ComputeGradient(contact, scene, arithmetic, computation.stop(), control.is_none() ? nullptr : &given);
   });
   if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
+  if (!gradient.ambiguous.empty()) {
+    computation.RunOrThrow([&] {
+      const std::vector<double> rows = control.is_none() ? InitialControl(scene, scene.steps) : given;
+      const ExactRun exact = SimulateExactly(scene, InitialState(scene), rows, {}, computation.stop());
+      gradient.ambiguous = exact.ambiguous;
+      gradient.spread = exact.spread;
+    });
+  }
   Json item = {{"contact", gradient.contact},
                {"loss", gradient.loss},
                {"gradient", GradientToJson(scene, gradient.gradient)},
                {"events", EventsToJson(gradient.events)}};
   if (!gradient.one_sided.empty()) item["one_sided"] = OneSidedToJson(scene, gradient.one_sided);
   AddTies(gradient.ambiguous, gradient.spread, &item);
+  item["remarks"] = RemarksToJson(RemarksOn(scene, gradient));
   return ToPython(item);
-}
-
-// compute(i) for i = 0 .. count - 1, on so many threads; this one takes part.
-template <typename Compute>
-void InParallel(int count, int threads, const Compute& compute) {
-  tbb::task_arena arena(std::min(threads, tbb::info::default_concurrency()));
-  arena.execute(
-      [&] { tbb::parallel_for(0, count, [&](int i) { tbb::this_task_arena::isolate([&] { compute(i); }); }); });
 }
 
 // A simulator or a contact model written in Python: its name, what answers questions (callable_box.h), what its
@@ -86,7 +85,7 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   report.models.resize(contacts.size());
   computation.RunOrThrow([&] {
     report.reference = ExactGradientOf(scene, options.stop);
-    InParallel(static_cast<int>(contacts.size()), workers, [&](int i) {
+    ParallelFor(workers, static_cast<int>(contacts.size()), [&](int /*thread*/, int i) {
       report.models[i] = AuditModel(request.contacts[i], scene, request.precision, report.reference, options);
     });
     // One after the other, in this thread, which has Python's exceptions.

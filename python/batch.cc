@@ -7,6 +7,7 @@
 
 #include "convert.h"
 #include "motion.h"
+#include "programs/remarks.h"
 #include "saltus/control/control_rows.h"
 #include "scene/units.h"
 
@@ -44,6 +45,28 @@ class PointsOfScene {
     Array losses = WritableArray(losses_out, "losses", {read.shape(0)}, &read);
     Evaluate(read, MutableView(losses), {});
     return losses;
+  }
+
+  // The remarks on the motion of each point, which is simulated again.
+  py::list Remarks(const py::object& points) {
+    const Array read = ReadPoints(points);
+    CheckFinite(read, "points");
+    std::vector<saltus::Remarks> found(read.shape(0));
+    Computation computation;
+    computation.RunOrThrow([&] {
+      const OneUser::Use use(&user_, &computation);
+      const size_t size = batch_->num_variables();
+      const std::span<const double> near = NearVariables(scene_, near_, View(read), &moved_, found.size());
+      batch_->ForEach(static_cast<int>(found.size()), [&](SingleShooting* shooting, int i) {
+        const std::span<const double> point = near.subspan(i * size, size);
+        double loss = 0;
+        if (!shooting->Evaluate(point, &loss, nullptr)) return;
+        found[i] = RemarksOn(shooting->simulator(), shooting->InitialStateAt(point), shooting->ControlAt(point));
+      });
+    });
+    py::list remarks;
+    for (const saltus::Remarks& of_point : found) remarks.append(ToPython(RemarksToJson(of_point)));
+    return remarks;
   }
 
  private:
@@ -110,6 +133,7 @@ void BindBatch(py::module_* module) {
            py::arg("threads") = 0)
       .def_property_readonly("threads", &PointsOfScene::num_threads)
       .def_property_readonly("num_variables", &PointsOfScene::num_variables)
+      .def("remarks", &PointsOfScene::Remarks, py::arg("points"))
       .def("loss", &PointsOfScene::Loss, py::arg("points"), py::arg("losses") = py::none())
       .def("loss_and_gradient",
            &PointsOfScene::LossAndGradient,

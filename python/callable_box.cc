@@ -109,9 +109,10 @@ class CallableBox final : public BlackBox {
   }
 
   // Kept, as questions about one scene come in rows.
-  const py::object& SceneOf(const Scene& scene) {
+  py::object SceneOf(const Scene& scene) {
     if (!last_scene_ || !(*last_scene_ == scene)) {
-      scene_of_ = SceneToPython(scene);
+      py::object made = SceneToPython(scene);  // another thread may run meanwhile
+      scene_of_ = std::move(made);
       last_scene_ = scene;
     }
     return scene_of_;

@@ -5,6 +5,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "motion.h"
+#include "programs/remarks.h"
 #include "saltus/control/control_rows.h"
 #include "scene/units.h"
 
@@ -41,6 +42,17 @@ class EndState {
     });
     Check(computation, failure);
     return final;
+  }
+
+  // The remarks on the motion of the last call; none before there is one.
+  py::object Remarks() {
+    Json remarks = Json::array();
+    Computation computation;
+    computation.RunOrThrow([&] {
+      const OneUser::Use use(&user_, &computation);
+      if (last_) remarks = RemarksToJson(RemarksOn(*simulator_, last_->initial, last_->control));
+    });
+    return ToPython(remarks);
   }
 
   // The gradients of cotangent . (final state) by the initial state and by the control.
@@ -124,6 +136,7 @@ void BindEndState(py::module_* module) {
            py::arg("precision") = "double")
       .def_property_readonly("initial", &EndState::Initial)
       .def_property_readonly("control", &EndState::Control)
+      .def_property_readonly("remarks", &EndState::Remarks)
       .def("__call__", &EndState::Evaluate, py::arg("initial"), py::arg("control"))
       .def("vjp", &EndState::PullBack, py::arg("initial"), py::arg("control"), py::arg("cotangent"));
 }

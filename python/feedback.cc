@@ -3,7 +3,10 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <tuple>
 
@@ -61,6 +64,7 @@ py::tuple Track(const PlannedMotion& planned, const Matrices& Q, const Eigen::Ma
   if (const std::string wrong = planned.what_is_wrong_with(cost); !wrong.empty()) throw py::value_error(wrong);
   Regulator regulator;
   Computation().RunOrThrow([&] { regulator = saltus::Track(planned.linear, cost); });
+  if (regulator.gains.empty()) throw py::value_error(kNoRegulator);
   return RegulatorToPython(regulator, planned.remark);
 }
 
@@ -104,20 +108,129 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
       runs.mean, runs.covariance, planned.plan.states.back(), runs.counted, runs.failed, runs.otherwise);
 }
 
-void Predict(SaltedKalmanFilter* filter, double time, const std::vector<double>& control,
-             const Eigen::MatrixXd& process) {
-  if (!(time >= filter->time())) throw py::value_error("time: expected one of at least the filter's time");
-  bool ok = false;
-  Computation().RunOrThrow([&] { ok = filter->Predict(time, control, process); });
-  if (!ok) throw std::runtime_error(filter->WhyFailed());
+Eigen::VectorXd ReadVector(const py::handle& value, const std::string& name, Eigen::Index size) {
+  const Array array = ReadArray(value, name, {size});
+  return Eigen::Map<const Eigen::VectorXd>(array.data(), size);
 }
 
-void CheckEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size) {
-  if (mean.size() != size) throw py::value_error("mean: expected " + std::to_string(size) + " numbers");
-  if (covariance.rows() != size || covariance.cols() != size) {
-    throw py::value_error("covariance: expected " + std::to_string(size) + " x " + std::to_string(size) + " numbers");
-  }
+Eigen::MatrixXd ReadMatrix(const py::handle& value, const std::string& name, Eigen::Index rows, Eigen::Index columns) {
+  const Array array = ReadArray(value, name, {rows, columns});
+  return Eigen::Map<const RowMajor>(array.data(), rows, columns);
 }
+
+void CheckCovariance(const Eigen::MatrixXd& matrix, const std::string& name) {
+  const std::string wrong = WhatIsWrongWithSymmetric(matrix, matrix.rows(), /*definite=*/false);
+  if (!wrong.empty()) throw py::value_error(name + ": " + wrong);
+}
+
+// A filter, and what arguments of its methods are compared with.
+class Filter {
+ public:
+  Filter(const Scene& scene, double time, const py::object& mean, const py::object& covariance)
+      : num_controls_(scene.control_width()), state_sizes_{static_cast<int>(InitialSize(scene))} {
+    CheckTakes("event", scene);
+    filter_.emplace(scene, ReadTime(time), ReadMean(mean, 0), ReadCovariance(covariance, "covariance", 0));
+  }
+  Filter(const HybridSystem& system, const py::object& parameters, double time, int mode, const py::object& mean,
+         const py::object& covariance)
+      : num_controls_(system.num_controls()) {
+    for (int i = 0; i < system.num_modes(); ++i) state_sizes_.push_back(system.state_size(i));
+    filter_.emplace(system,
+                    ToVector(ReadArray(parameters, "parameters", {system.num_parameters()})),
+                    ReadTime(time),
+                    mode,
+                    ReadMean(mean, mode),
+                    ReadCovariance(covariance, "covariance", mode));
+  }
+
+  double time() {
+    return Read<double>([this] { return filter_->time(); });
+  }
+  int mode() {
+    return Read<int>([this] { return filter_->mode(); });
+  }
+  // Copies, because the filter gives up its own when it moves on.
+  Eigen::VectorXd mean() {
+    return Read<Eigen::VectorXd>([this] { return filter_->mean(); });
+  }
+  Eigen::MatrixXd covariance() {
+    return Read<Eigen::MatrixXd>([this] { return filter_->covariance(); });
+  }
+
+  // The size of `process` is that of the state at the end: here it has to be that of some mode.
+  void Predict(double time, const py::object& control, const py::object& process) {
+    ReadTime(time);
+    std::vector<double> numbers;
+    if (!control.is_none()) numbers = ToVector(ReadArray(control, "control", {num_controls_}));
+    Eigen::MatrixXd added;
+    if (!process.is_none()) {
+      const py::array given = py::array::ensure(process);
+      const auto size = std::ranges::find(state_sizes_, given && given.ndim() == 2 ? given.shape(0) : -1);
+      const int mode = size == state_sizes_.end() ? 0 : static_cast<int>(size - state_sizes_.begin());
+      added = ReadCovariance(process, "process", mode);
+    }
+    Compute([&] {
+      if (!(time >= filter_->time())) {
+        throw std::invalid_argument("time: found " + std::to_string(time) + ", expected at least the filter's time, " +
+                                    std::to_string(filter_->time()));
+      }
+      if (!filter_->Predict(time, numbers, added)) throw std::runtime_error(filter_->WhyFailed());
+    });
+  }
+
+  double Update(const py::object& z, const py::object& h, const py::object& C, const py::object& V) {
+    const py::array measured = py::array::ensure(z);
+    if (!measured) throw py::type_error("z: expected an array of real numbers");
+    const Eigen::Index r = measured.size();
+    const Eigen::MatrixXd jacobian = ReadMatrix(C, "C", r, mean().size()), covariance = ReadMatrix(V, "V", r, r);
+    CheckCovariance(covariance, "V");
+    const Eigen::VectorXd numbers = ReadVector(z, "z", r);
+    Eigen::VectorXd expected;
+    if (!h.is_none()) expected = ReadVector(h, "h", r);
+    return Read<double>([&] {
+      const std::optional<double> likelihood = h.is_none() ? filter_->Update(numbers, jacobian, covariance)
+                                                           : filter_->Update(numbers, expected, jacobian, covariance);
+      if (!likelihood) throw std::invalid_argument(filter_->WhyFailed());
+      return *likelihood;
+    });
+  }
+
+ private:
+  // Without the GIL, as the only user.
+  template <typename Function>
+  void Compute(const Function& function) {
+    Computation computation;
+    computation.RunOrThrow([&] {
+      const OneUser::Use use(&user_, &computation);
+      function();
+    });
+  }
+  template <typename Value, typename Function>
+  Value Read(const Function& function) {
+    Value value;
+    Compute([&] { value = function(); });
+    return value;
+  }
+
+  static double ReadTime(double time) {
+    if (!std::isfinite(time)) throw py::value_error("time: found " + std::to_string(time) + ", expected a finite time");
+    return time;
+  }
+  Eigen::VectorXd ReadMean(const py::object& mean, int mode) const {
+    return ReadVector(mean, "mean", state_sizes_.at(mode));
+  }
+  Eigen::MatrixXd ReadCovariance(const py::object& value, const std::string& name, int mode) const {
+    const int n = state_sizes_.at(mode);
+    Eigen::MatrixXd covariance = ReadMatrix(value, name, n, n);
+    CheckCovariance(covariance, name);
+    return covariance;
+  }
+
+  int num_controls_;              // numbers of a control
+  std::vector<int> state_sizes_;  // of the modes
+  std::optional<SaltedKalmanFilter> filter_;
+  OneUser user_;
+};
 
 }  // namespace
 
@@ -141,47 +254,25 @@ void BindFeedback(py::module_* module) {
            py::arg("samples"),
            py::arg("seed"),
            py::arg("threads"));
-  py::class_<SaltedKalmanFilter>(*module, "SaltedKalmanFilter")
-      .def(py::init([](const Scene& scene, double time, const Eigen::VectorXd& mean, const Eigen::MatrixXd& P) {
-             CheckTakes("event", scene);
-             CheckEstimate(mean, P, InitialSize(scene));
-             return SaltedKalmanFilter(scene, time, mean, P);
-           }),
+  py::class_<Filter>(*module, "SaltedKalmanFilter")
+      .def(py::init<const Scene&, double, const py::object&, const py::object&>(),
            py::arg("scene"),
            py::arg("time"),
            py::arg("mean"),
            py::arg("covariance"))
-      .def(py::init([](const HybridSystem& system,
-                       const std::vector<double>& parameters,
-                       double time,
-                       int mode,
-                       const Eigen::VectorXd& mean,
-                       const Eigen::MatrixXd& P) {
-             CheckEstimate(mean, P, system.state_size(mode));
-             return SaltedKalmanFilter(system, parameters, time, mode, mean, P);
-           }),
+      .def(py::init<const HybridSystem&, const py::object&, double, int, const py::object&, const py::object&>(),
            py::arg("system"),
            py::arg("parameters"),
            py::arg("time"),
            py::arg("mode"),
            py::arg("mean"),
            py::arg("covariance"))
-      .def("predict", &Predict, py::arg("time"), py::arg("control"), py::arg("process"))
-      .def(
-          "update",
-          [](SaltedKalmanFilter* filter,
-             const Eigen::VectorXd& z,
-             const Eigen::VectorXd& h,
-             const Eigen::MatrixXd& C,
-             const Eigen::MatrixXd& V) { return filter->Update(z, h, C, V); },
-          py::arg("z"),
-          py::arg("h"),
-          py::arg("C"),
-          py::arg("V"))
-      .def_property_readonly("time", &SaltedKalmanFilter::time)
-      .def_property_readonly("mode", &SaltedKalmanFilter::mode)
-      .def_property_readonly("mean", &SaltedKalmanFilter::mean)
-      .def_property_readonly("covariance", &SaltedKalmanFilter::covariance);
+      .def("predict", &Filter::Predict, py::arg("time"), py::arg("control"), py::arg("process"))
+      .def("update", &Filter::Update, py::arg("z"), py::arg("h"), py::arg("C"), py::arg("V"))
+      .def_property_readonly("time", &Filter::time)
+      .def_property_readonly("mode", &Filter::mode)
+      .def_property_readonly("mean", &Filter::mean)
+      .def_property_readonly("covariance", &Filter::covariance);
 }
 
 }  // namespace saltus::python

@@ -2,8 +2,8 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <cmath>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <tuple>
 
@@ -15,6 +15,7 @@
 #include "feedback.h"
 #include "hybrid/recorded_functions.h"
 #include "programs/hybrid_document.h"
+#include "programs/remarks.h"
 
 namespace saltus::python {
 namespace {
@@ -167,22 +168,23 @@ class CallableScheme final : public HybridScheme {
   Computation* const computation_;
 };
 
-// A problem, and what evaluates it again and again.
+// Mode, initial state, parameters, duration, and control or None.
+using Guess = std::tuple<int, py::object, py::object, double, py::object>;
+
+// A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
  public:
-  Problem(const HybridSystem& system, int mode, const py::object& initial, const py::object& parameters,
-          double duration, const py::object& control, const std::vector<TermTuple>& terms, double tolerance, int steps,
-          bool wait, int most_events, int most_repeats)
+  Problem(const HybridSystem& system, const std::vector<TermTuple>& terms, double tolerance, int steps, bool wait,
+          int most_events, int most_repeats)
       : problem_{.system = system,
                  .guess = {},
                  .integration = ReadIntegration(tolerance, steps, wait, most_events, most_repeats)} {
     for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
-    Set(mode, initial, parameters, duration, control);
   }
 
-  // Another guess. The number of steps of the integration is kept as long as the mode and the intervals are the same.
-  void Set(int mode, const py::object& initial, const py::object& parameters, double duration,
-           const py::object& control) {
+  // The problem with a guess. Throws ValueError if something is wrong with it.
+  HybridProblem At(const Guess& guess) const {
+    const auto& [mode, initial, parameters, duration, control] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
     input.initial = ToVector(ReadArray(initial, "initial", {system.state_size(mode)}));
@@ -194,31 +196,32 @@ class Problem {
       input.num_intervals = static_cast<int>(given.shape(0));
       input.control = ToVector(ReadArray(control, "control", {input.num_intervals, system.num_controls()}));
     }
-    if (const std::string wrong = WhatIsWrongWith(input, system); !wrong.empty()) throw py::value_error(wrong);
-    const std::lock_guard lock(mutex_);
-    const bool same = input.mode == problem_.guess.mode && input.num_intervals == problem_.guess.num_intervals &&
-                      input.duration == problem_.guess.duration;
-    problem_.guess = std::move(input);
-    if (!same) shooting_ = nullptr;
+    HybridProblem problem = problem_;
+    problem.guess = std::move(input);
+    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    return problem;
   }
 
-  py::dict Rollout() {
+  py::dict Rollout(const Guess& guess) const {
+    const HybridProblem problem = At(guess);
     Json motion;
-    Compute([&] {
-      HybridSimulator simulator(problem_.system, problem_.integration);
-      const bool ok = simulator.Rollout(problem_.guess);
-      motion = HybridMotionToJson(simulator, problem_.guess, ok, true);
+    Computation().RunOrThrow([&] {
+      HybridSimulator simulator(problem.system, problem.integration);
+      const bool ok = simulator.Rollout(problem.guess);
+      motion = HybridMotionToJson(simulator, problem.guess, ok, true);
+      if (ok) AddIntegrationError(problem, &simulator, &motion);
     });
     return ToPython(motion);
   }
 
   // Row-major: final state and event times by [initial control parameters duration].
-  py::tuple FinalDerivatives() {
+  py::tuple FinalDerivatives(const Guess& guess) const {
+    const HybridProblem problem = At(guess);
     HybridSensitivity found;
     std::string remark;
-    Compute([&] {
-      HybridSimulator simulator(problem_.system, problem_.integration);
-      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
+    Computation().RunOrThrow([&] {
+      HybridSimulator simulator(problem.system, problem.integration);
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       found = simulator.Sensitivity();
       remark = simulator.WhyNotDifferentiable();
     });
@@ -229,30 +232,44 @@ class Problem {
     return py::make_tuple(ToArray(found.final_state, {rows, columns}), ToArray(times, {events, columns}), remark);
   }
 
-  py::tuple LossAndGradient() {
+  // The number of steps of the integration is kept as long as the mode, the intervals and the duration are the same.
+  py::tuple LossAndGradient(const Guess& guess) {
+    const HybridProblem problem = At(guess);
     std::vector<double> gradient;
     double loss = 0;
-    Compute([&] {
-      if (shooting_ == nullptr) shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem_));
-      const HybridInput& guess = problem_.guess;
-      std::vector<double> z = guess.control;
-      z.resize(static_cast<std::size_t>(guess.num_intervals) * problem_.system.num_controls());
-      z.insert(z.end(), guess.initial.begin(), guess.initial.end());
-      z.insert(z.end(), guess.parameters.begin(), guess.parameters.end());
-      z.push_back(guess.duration);
+    std::string remark;
+    Json remarks;
+    Computation computation;
+    computation.RunOrThrow([&] {
+      const OneUser::Use use(&user_, &computation);
+      const HybridInput& input = problem.guess;
+      const auto same = [&](const HybridInput& other) {
+        return other.mode == input.mode && other.num_intervals == input.num_intervals &&
+               other.duration == input.duration;
+      };
+      if (shooting_ == nullptr || !same(shooting_->problem().guess)) {
+        shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem));
+      }
+      std::vector<double> z = input.control;
+      z.resize(static_cast<std::size_t>(input.num_intervals) * problem.system.num_controls());
+      z.insert(z.end(), input.initial.begin(), input.initial.end());
+      z.insert(z.end(), input.parameters.begin(), input.parameters.end());
+      z.push_back(input.duration);
       gradient.resize(z.size());
       if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->WhyFailed());
+      remark = shooting_->simulator().WhyNotDifferentiable();
+      remarks = RemarksToJson(RemarksOn(shooting_->simulator()));
     });
-    const std::string remark = shooting_->simulator().WhyNotDifferentiable();
-    return py::make_tuple(loss, ToArray(gradient, {static_cast<py::ssize_t>(gradient.size())}), remark);
+    return py::make_tuple(
+        loss, ToArray(gradient, {static_cast<py::ssize_t>(gradient.size())}), remark, ToPython(remarks));
   }
 
   // bounds: of each of the controls, of the free initial states, of the free parameters, and of the duration; pairs.
-  py::tuple Solve(const std::string& solver, bool control, const std::vector<int>& initial,
+  py::tuple Solve(const Guess& guess, const std::string& solver, bool control, const std::vector<int>& initial,
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
-                  double learning_rate, const py::object& callback) {
-    HybridProblem problem = problem_;
+                  double learning_rate, const py::object& callback) const {
+    HybridProblem problem = At(guess);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
     const auto split =
         [](const std::vector<std::pair<double, double>>& pairs, std::vector<double>* min, std::vector<double>* max) {
@@ -268,7 +285,12 @@ class Problem {
       problem.free.duration_min = bounds[3][0].first;
       problem.free.duration_max = bounds[3][0].second;
     }
+    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
     SolverOptions options;
+    if (iterations < 0) throw py::value_error("iterations: expected a number of at least 0");
+    if (!(learning_rate > 0) || !std::isfinite(learning_rate)) {
+      throw py::value_error("learning_rate: expected a finite number > 0");
+    }
     options.iterations = iterations;
     options.learning_rate = learning_rate;
     SolveReport report;
@@ -293,35 +315,37 @@ class Problem {
   }
 
   // The motion from the guess, for feedback.
-  PlannedMotion Planned() {
+  PlannedMotion Planned(const Guess& guess) const {
+    const HybridProblem problem = At(guess);
     PlannedMotion planned;
-    Compute([&] {
-      const auto simulator = std::make_shared<HybridSimulator>(problem_.system, problem_.integration);
-      if (!simulator->Rollout(problem_.guess)) throw std::runtime_error(simulator->WhyFailed());
+    Computation().RunOrThrow([&] {
+      const auto simulator = std::make_shared<HybridSimulator>(problem.system, problem.integration);
+      if (!simulator->Rollout(problem.guess)) throw std::runtime_error(simulator->WhyFailed());
       planned = {
-          .plan = MakePlan(*simulator, problem_.guess),
-          .linear = Linearize(*simulator, problem_.guess),
+          .plan = MakePlan(*simulator, problem.guess),
+          .linear = Linearize(*simulator, problem.guess),
           .what_is_wrong_with = [simulator](const TrackingCost& cost) { return WhatIsWrongWith(cost, *simulator); },
-          .make_plant = [system = problem_.system,
-                         guess = problem_.guess,
-                         steps = simulator->steps_per_interval()] { return MakePlant(system, guess, steps); },
+          .make_plant = [system = problem.system,
+                         input = problem.guess,
+                         steps = simulator->steps_per_interval()] { return MakePlant(system, input, steps); },
           .remark = simulator->WhyNotDifferentiable()};
     });
     return planned;
   }
 
-  py::tuple TrackContinuously(const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
-                              const Eigen::MatrixXd& QT) {
+  py::tuple TrackContinuously(const Guess& guess, const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
+                              const Eigen::MatrixXd& QT) const {
+    const HybridProblem problem = At(guess);
     Regulator regulator;
     std::string remark;
-    Compute([&] {
-      HybridSimulator simulator(problem_.system, problem_.integration);
-      if (!simulator.Rollout(problem_.guess)) throw std::runtime_error(simulator.WhyFailed());
+    Computation().RunOrThrow([&] {
+      HybridSimulator simulator(problem.system, problem.integration);
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       const TrackingCost cost{.Q = Q, .R = R, .QT = QT};
       if (const std::string wrong = WhatIsWrongWith(cost, simulator); !wrong.empty()) {
         throw std::invalid_argument(wrong);
       }
-      regulator = saltus::TrackContinuously(simulator, problem_.guess, cost);
+      regulator = saltus::TrackContinuously(simulator, problem.guess, cost);
       if (regulator.gains.empty()) {
         throw std::runtime_error("two transitions without time between them: no regulator in continuous time");
       }
@@ -331,13 +355,13 @@ class Problem {
   }
 
   // Of a scheme in Python, or if `command` is not empty of that command.
-  py::dict Audit(const std::string& name, const py::object& step, const py::object& jacobian,
-                 const std::string& command, int steps, bool width_sweep, double budget) {
+  py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
+                 const std::string& command, int steps, bool width_sweep, double budget) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
+    const HybridProblem problem = At(guess);
     Computation computation;
     HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
-    const HybridProblem problem = problem_;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
     if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);
@@ -350,18 +374,9 @@ class Problem {
   }
 
  private:
-  // Without the GIL, one after the other.
-  template <typename Function>
-  void Compute(const Function& function) {
-    Computation().RunOrThrow([&] {
-      const std::lock_guard lock(mutex_);
-      function();
-    });
-  }
-
   HybridProblem problem_;
-  std::mutex mutex_;
-  std::unique_ptr<HybridShooting> shooting_;
+  std::unique_ptr<HybridShooting> shooting_;  // of the last gradient
+  OneUser user_;                              // of shooting_
 };
 
 }  // namespace
@@ -371,42 +386,22 @@ void BindHybrid(py::module_* module) {
       .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"));
   py::class_<Problem> problem(*module, "HybridProblem");
   problem
-      .def(py::init<const HybridSystem&,
-                    int,
-                    const py::object&,
-                    const py::object&,
-                    double,
-                    const py::object&,
-                    const std::vector<TermTuple>&,
-                    double,
-                    int,
-                    bool,
-                    int,
-                    int>(),
+      .def(py::init<const HybridSystem&, const std::vector<TermTuple>&, double, int, bool, int, int>(),
            py::arg("system"),
-           py::arg("mode"),
-           py::arg("initial"),
-           py::arg("parameters"),
-           py::arg("duration"),
-           py::arg("control"),
            py::arg("terms"),
            py::arg("tolerance"),
            py::arg("steps_per_interval"),
            py::arg("wait_behind_guards"),
            py::arg("most_events"),
            py::arg("most_repeats"))
-      .def("set",
-           &Problem::Set,
-           py::arg("mode"),
-           py::arg("initial"),
-           py::arg("parameters"),
-           py::arg("duration"),
-           py::arg("control"))
-      .def("rollout", &Problem::Rollout)
-      .def("final_derivatives", &Problem::FinalDerivatives)
-      .def("loss_and_gradient", &Problem::LossAndGradient)
+      .def(
+          "check", [](const Problem& problem, const Guess& guess) { problem.At(guess); }, py::arg("guess"))
+      .def("rollout", &Problem::Rollout, py::arg("guess"))
+      .def("final_derivatives", &Problem::FinalDerivatives, py::arg("guess"))
+      .def("loss_and_gradient", &Problem::LossAndGradient, py::arg("guess"))
       .def("solve",
            &Problem::Solve,
+           py::arg("guess"),
            py::arg("solver"),
            py::arg("control"),
            py::arg("initial"),
@@ -416,10 +411,16 @@ void BindHybrid(py::module_* module) {
            py::arg("iterations"),
            py::arg("learning_rate"),
            py::arg("callback"));
-  problem.def("planned", &Problem::Planned)
-      .def("track_continuously", &Problem::TrackContinuously, py::arg("Q"), py::arg("R"), py::arg("QT"));
+  problem.def("planned", &Problem::Planned, py::arg("guess"))
+      .def("track_continuously",
+           &Problem::TrackContinuously,
+           py::arg("guess"),
+           py::arg("Q"),
+           py::arg("R"),
+           py::arg("QT"));
   problem.def("audit",
               &Problem::Audit,
+              py::arg("guess"),
               py::arg("name"),
               py::arg("step"),
               py::arg("jacobian"),

@@ -44,12 +44,17 @@ class Simulation {
   py::tuple Residuals(const py::object& z);
   // The states (K + 1, B, body size) of the motion, and what happened in it.
   py::dict Rollout(const py::object& z, const py::object& out);
+  // The remarks on the motion of the last call; none before there is one.
+  py::object Remarks();
 
-  Array Step(const py::object& state, const py::object& force) const;
-  py::tuple Linearize(const py::object& state, const py::object& force) const;
+  Array Step(const py::object& state, const py::object& force);
+  py::tuple Linearize(const py::object& state, const py::object& force);
 
  private:
   Array Variables(const py::object& z) const;
+  // As Compute, of evaluate(z in the computation); keeps z if there may be remarks on its motion.
+  template <typename Evaluate>
+  void ComputeAt(const Array& variables, const Evaluate& evaluate);
   // Calls evaluate() without the GIL, as the only user. Throws if it returns false, or was stopped.
   template <typename Evaluate>
   void Compute(const Evaluate& evaluate);
@@ -61,7 +66,8 @@ class Simulation {
   Scene scene_, near_;
   std::string contact_;
   SingleShooting shooting_;
-  std::vector<double> moved_, gradient_;
+  std::vector<double> moved_;
+  std::vector<double> unclear_;  // the decision variables of the last call, if there may be remarks on it
   OneUser user_;
 };
 

@@ -3,6 +3,7 @@
 
 #include "convert.h"
 #include "motion.h"
+#include "programs/remarks.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/simulate/events.h"
 #include "scene/units.h"
@@ -46,6 +47,7 @@ void ConvertPositions(std::span<double> numbers, size_t stride, const Units& fro
 
 std::span<const double> NearVariables(const Scene& scene, const Scene& near, std::span<const double> z,
                                       std::vector<double>* moved, size_t points) {
+  if (points == 0) return z;
   if (HasTorques(scene)) {
     moved->clear();
     const size_t size = z.size() / points, forces = size - scene.objective.duration.has_value();
@@ -119,10 +121,34 @@ void Simulation::Compute(const Evaluate& evaluate) {
   if (!failure.empty()) throw std::runtime_error(failure);
 }
 
+template <typename Evaluate>
+void Simulation::ComputeAt(const Array& variables, const Evaluate& evaluate) {
+  Compute([&] {
+    const std::span<const double> near = NearVariables(scene_, near_, View(variables), &moved_);
+    unclear_.clear();
+    if (!evaluate(near)) return false;
+    if (MayHaveRemarks(shooting_.simulator())) unclear_.assign(near.begin(), near.end());
+    return true;
+  });
+}
+
+py::object Simulation::Remarks() {
+  Json remarks = Json::array();
+  Compute([&] {
+    if (unclear_.empty()) return true;
+    double loss = 0;  // steps may have been asked for since
+    if (!shooting_.Evaluate(unclear_, &loss, nullptr)) return false;
+    remarks = RemarksToJson(
+        RemarksOn(shooting_.simulator(), shooting_.InitialStateAt(unclear_), shooting_.ControlAt(unclear_)));
+    return true;
+  });
+  return ToPython(remarks);
+}
+
 double Simulation::Loss(const py::object& z) {
   const Array variables = Variables(z);
   double loss = 0;
-  Compute([&] { return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_), &loss, nullptr); });
+  ComputeAt(variables, [&](std::span<const double> near) { return shooting_.Evaluate(near, &loss, nullptr); });
   return ConvertLoss(loss, near_.units, scene_.units);
 }
 
@@ -132,14 +158,11 @@ py::tuple Simulation::LossAndGradient(const py::object& z, const py::object& out
   Array gradient = out.is_none() ? Array(Shape(variables.shape(), variables.shape() + variables.ndim()))
                                  : WritableArray(out, "out", shape(), &variables);
   double loss = 0;
-  const bool torques = HasTorques(scene_);
-  gradient_.resize(torques ? shooting_.num_variables() : 0);
-  Compute([&] {
-    return shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_),
-                              &loss,
-                              torques ? gradient_.data() : MutableView(gradient).data());
+  std::vector<double> own(HasTorques(scene_) ? shooting_.num_variables() : 0);
+  ComputeAt(variables, [&](std::span<const double> near) {
+    return shooting_.Evaluate(near, &loss, own.empty() ? MutableView(gradient).data() : own.data());
   });
-  if (torques) PutGradient(scene_, gradient_, MutableView(gradient));
+  if (!own.empty()) PutGradient(scene_, own, MutableView(gradient));
   return py::make_tuple(ConvertLoss(loss, near_.units, scene_.units), gradient);
 }
 
@@ -149,8 +172,7 @@ py::tuple Simulation::Residuals(const py::object& z) {
   }
   const Array variables = Variables(z);
   Array residuals(Shape{shooting_.num_residuals()}), jacobian(Shape{shooting_.num_residuals(), num_variables()});
-  Compute([&] {
-    const std::span<const double> near = NearVariables(scene_, near_, View(variables), &moved_);
+  ComputeAt(variables, [&](std::span<const double> near) {
     if (!HasTorques(scene_)) {
       return shooting_.EvaluateResiduals(near, residuals.mutable_data(), jacobian.mutable_data());
     }
@@ -175,27 +197,29 @@ py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
   Array states = WritableArray(out, "out", {num_steps() + 1, scene_.num_bodies(), body_size()}, &variables);
   Array times(Shape{num_steps() + 1});
   double loss = 0;
-  Json events, ties = Json::object();
+  Json events, remarks;
   std::vector<int> touched;
-  Compute([&] {
-    if (!shooting_.Evaluate(NearVariables(scene_, near_, View(variables), &moved_), &loss, nullptr)) return false;
+  ComputeAt(variables, [&](std::span<const double> near) {
+    if (!shooting_.Evaluate(near, &loss, nullptr)) return false;
     const Simulator& simulator = shooting_.simulator();  // of the final time in z, if that is free
     for (int k = 0; k <= simulator.num_steps(); ++k) times.mutable_data()[k] = k * simulator.step();
     const size_t size = simulator.state_size();
     for (int k = 0; k <= simulator.num_steps(); ++k) simulator.GetState(k, MutableView(states).subspan(k * size, size));
     MoveFromNear(MutableView(states));
     events = EventsToJson(EventsOf(simulator));
-    AddTies(TiesOf(simulator), std::nullopt, &ties);
+    const saltus::Remarks found = RemarksOn(simulator, shooting_.InitialStateAt(near), shooting_.ControlAt(near));
+    remarks = RemarksToJson(found);
     for (const StepTouch& touch : simulator.touches()) {
       if (touched.empty() || touched.back() != touch.step) touched.push_back(touch.step);
     }
     return true;
   });
-  py::dict result = ToPython(ties);
+  py::dict result;
   result["loss"] = ConvertLoss(loss, near_.units, scene_.units);
   result["times"] = times;
   result["states"] = states;
   result["events"] = ToPython(events);
+  result["remarks"] = ToPython(remarks);
   result["steps_with_contact"] = py::array_t<int>(static_cast<py::ssize_t>(touched.size()), touched.data());
   return result;
 }
@@ -220,22 +244,26 @@ Array Simulation::Force(const py::object& force) const {
   return on_all;
 }
 
-Array Simulation::Step(const py::object& state, const py::object& force) const {
+Array Simulation::Step(const py::object& state, const py::object& force) {
   const Array x = NearState(state), u = Force(force);
   Array next(Shape{scene_.num_bodies(), body_size()});
-  Computation().RunOrThrow([&] { shooting_.simulator().Step(View(x), View(u), MutableView(next)); });
+  Compute([&] {
+    shooting_.simulator().Step(View(x), View(u), MutableView(next));
+    return true;
+  });
   if (std::isnan(next.data()[0])) throw std::runtime_error(contact_ + ": the step fails from this state");
   MoveFromNear(MutableView(next));
   return next;
 }
 
-py::tuple Simulation::Linearize(const py::object& state, const py::object& force) const {
+py::tuple Simulation::Linearize(const py::object& state, const py::object& force) {
   const Array x = NearState(state), u = Force(force);
   Eigen::MatrixXd A, B;
-  Computation().RunOrThrow([&] {
+  Compute([&] {
     StepLinearization linearization;
     shooting_.simulator().Linearize(View(x), View(u), /*with_parameters=*/false, &linearization);
     linearization.ToDense(&A, &B);
+    return true;
   });
   const py::ssize_t size = A.rows(), columns = scene_.num_controlled() * ControlColumns(scene_);
   Array by_state(Shape{size, size}), by_force(Shape{size, scene_.num_controlled(), ControlColumns(scene_)});
@@ -267,6 +295,7 @@ void BindSimulation(py::module_* module) {
       .def_property_readonly("num_variables", &Simulation::num_variables)
       .def_property_readonly("num_steps", &Simulation::num_steps)
       .def_property_readonly("initial_guess", &Simulation::InitialGuess)
+      .def_property_readonly("remarks", &Simulation::Remarks)
       .def("loss", &Simulation::Loss, py::arg("z") = py::none())
       .def("loss_and_gradient", &Simulation::LossAndGradient, py::arg("z") = py::none(), py::arg("out") = py::none())
       .def("residuals", &Simulation::Residuals, py::arg("z") = py::none())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import Any, Mapping, Sequence
 
 import numpy as np
@@ -49,34 +48,6 @@ def _matrix(value: ArrayLike | None) -> Any:
     return matrix
 
 
-def _finite_time(time: float) -> None:
-    if not np.isfinite(time):
-        raise ValueError(f"time: found {time}, expected a finite time")
-
-
-def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
-    """Finite real numbers of a shape, with the messages of the extension module."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name}: found dtype {array.dtype}, expected real numbers of shape {shape}")
-    if array.shape != shape:
-        raise ValueError(f"{name}: found shape {array.shape}, expected {shape}")
-    for place in np.argwhere(~np.isfinite(array)):
-        raise ValueError(f"{name}{place.tolist()}: found {array[tuple(place)]}, expected a finite number")
-    return array.astype(float)
-
-
-def _covariance(name: str, value: Any, size: int) -> Floats:
-    matrix = _numbers(name, value, (size, size))
-    largest = np.max(np.abs(matrix), initial=0.0)
-    if np.any(np.abs(matrix - matrix.T) > 1e-10 * largest):
-        raise ValueError(f"{name}: found a matrix that is not symmetric")
-    least = np.min(np.linalg.eigvalsh(matrix), initial=0.0)
-    if least < -1e-10 * largest:
-        raise ValueError(f"{name}: found the eigenvalue {least:g}, expected a positive semidefinite matrix")
-    return matrix
-
-
 def _planned(problem: HybridProblem | SceneLike, plan: ArrayLike | None, contact: Any = "event") -> Any:
     if not isinstance(problem, HybridProblem):
         return _saltus.PlannedMotion(as_scene(problem), plan, as_contact(contact))
@@ -88,11 +59,7 @@ def _planned(problem: HybridProblem | SceneLike, plan: ArrayLike | None, contact
 def _gains(regulator: Regulator | None) -> Any:
     if regulator is not None and regulator.events:
         raise ValueError("regulator: found one in continuous time, expected one with du constant in each interval")
-    gains = [] if regulator is None else list(regulator.gains)
-    for k, gain in enumerate(gains):
-        if not np.all(np.isfinite(gain)):
-            raise ValueError(f"gains: that of interval {k} has a number that is not finite")
-    return gains
+    return [] if regulator is None else regulator.gains
 
 
 def track(
@@ -219,38 +186,22 @@ class SaltedKalmanFilter(Remade):
         parameters: Sequence[float] = (),
     ):
         expect("a number", time=time)
-        _finite_time(time)
-        self._lock = threading.RLock()
+        estimate = (np.ravel(mean), np.asarray(covariance))
         self._system = system if isinstance(system, HybridSystem) else as_scene(system)
+        self._parameters = np.array(parameters)
         self._modes = system.modes if isinstance(system, HybridSystem) else []
-        if isinstance(self._system, HybridSystem):
+        if isinstance(system, HybridSystem):
             if mode is not None and mode not in self._modes:
                 raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self._modes)}")
             number = 0 if mode is None else self._modes.index(mode)
-            self._parameters = _numbers("parameters", parameters, (len(self._system.parameters),))
-            self._sizes = [len(states) for states in self._system.states.values()]
-            self._num_controls = len(self._system.controls)
+            self._filter = _saltus.SaltedKalmanFilter(system._system, parameters, time, number, *estimate)
         else:
-            number, self._parameters = 0, np.zeros(0)
-            self._sizes = [(6 if self._system.spins else 4) * len(self._system.bodies)]
-            self._num_controls = 2 * len(self._system.controlled) + len(self._system.turned)
-        size = self._sizes[number]
-        self._filter = self._made(
-            time, number, _numbers("mean", np.ravel(mean), (size,)), _covariance("covariance", covariance, size)
-        )
-
-    def _made(self, time: float, mode: int, mean: Floats, covariance: Floats) -> _saltus.SaltedKalmanFilter:
-        if not isinstance(self._system, HybridSystem):
-            return _saltus.SaltedKalmanFilter(self._system, time, mean, covariance)
-        return _saltus.SaltedKalmanFilter(
-            self._system._system, self._parameters.tolist(), time, mode, mean, covariance
-        )
+            self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
 
     @property
     def _arguments(self) -> dict[str, Any]:  # type: ignore[override]
         """Those of a filter with the estimate of now."""
-        with self._lock:
-            estimate = {"mean": self.mean, "covariance": self.covariance, "time": self.time, "mode": self.mode or None}
+        estimate = {"mean": self.mean, "covariance": self.covariance, "time": self.time, "mode": self.mode or None}
         return {"system": self._system, **estimate, "parameters": self._parameters}
 
     def predict(self, time: float, control: ArrayLike | None = None, process: ArrayLike | None = None) -> None:
@@ -258,60 +209,13 @@ class SaltedKalmanFilter(Remade):
         each torque divided by the radius. ``process``: covariance that is added. Raises RuntimeError if the mean has no
         motion."""
         expect("a number", time=time)
-        _finite_time(time)
-        numbers = [] if control is None else _numbers("control", np.ravel(control), (self._num_controls,)).tolist()
-        added = np.zeros((0, 0))
-        if process is not None:
-            rows = np.shape(process)[:1]
-            added = _covariance("process", process, rows[0] if rows and rows[0] in self._sizes else self._sizes[0])
-        with self._lock:
-            if time < self._filter.time:
-                raise ValueError(f"time: found {time}, expected at least the filter's time, {self._filter.time}")
-            before = (self._filter.time, self._filter.mode, self.mean, self.covariance)
-            if not isinstance(self._system, HybridSystem) and not 1e-6 < time - before[0] < 1e6 and time > before[0]:
-                self._system.replace(duration=time - before[0], steps=1)  # raises SceneError for one that no scene has
-            one_size = len(set(self._sizes)) == 1
-            self._filter.predict(time, numbers, added if one_size else np.zeros((0, 0)))
-            covariance, wrong = self.covariance, ""
-            if process is not None and not one_size and time > before[0]:
-                if covariance.shape == added.shape:
-                    covariance = covariance + added
-                    self._filter = self._made(time, self._filter.mode, self.mean, covariance)
-                else:
-                    wrong = f"process: found a matrix of {len(added)} x {len(added)}, expected {len(covariance)} x {len(covariance)}"
-            if not (np.all(np.isfinite(self.mean)) and np.all(np.isfinite(covariance))):
-                wrong = f"the covariance at t = {time:g} is too large for a number of double precision"
-            if wrong:
-                self._filter = self._made(*before)
-                raise RuntimeError(wrong)
+        self._filter.predict(time, None if control is None else np.ravel(control), process)
 
     def update(self, z: ArrayLike, C: ArrayLike, V: ArrayLike, h: ArrayLike | None = None) -> float:
         """A measurement z = h(x) + error, given the Jacobian C of h at the mean, the covariance V of the error, and h at the
         mean; None: C times the mean. Returns the log likelihood of the innovation. Raises ValueError, and keeps the
         estimate, if C P C' + V is not positive definite for the covariance P."""
-        measured = np.ravel(z)
-        r = len(measured)
-        with self._lock:
-            mean, covariance = self.mean, self.covariance
-            jacobian, of_error = _numbers("C", C, (r, len(mean))), _covariance("V", V, r)
-            measured = _numbers("z", measured, (r,))
-            value = jacobian @ mean if h is None else _numbers("h", np.ravel(h), (r,))
-            with np.errstate(all="ignore"):
-                seen = jacobian @ covariance @ jacobian.T + of_error
-            try:
-                np.linalg.cholesky(seen)
-            except np.linalg.LinAlgError:
-                seen = np.full((1, 1), np.nan)
-            if not np.all(np.isfinite(seen)):
-                raise ValueError("the covariance of the innovation, C P C' + V, is not positive definite: raise V")
-            before = (self._filter.time, self._filter.mode, mean, covariance)
-            likelihood = self._filter.update(measured, value, jacobian, of_error)
-            if not (np.isfinite(likelihood) and np.all(np.isfinite(self.mean)) and np.all(np.isfinite(self.covariance))):
-                self._filter = self._made(*before)
-                raise ValueError(
-                    "the measurement, its Jacobian or the covariances are too large for numbers of double precision"
-                )
-            return likelihood
+        return self._filter.update(np.ravel(z), None if h is None else np.ravel(h), C, V)
 
     @property
     def time(self) -> float:
@@ -325,11 +229,9 @@ class SaltedKalmanFilter(Remade):
     @property
     def mean(self) -> Floats:
         """A copy of the mean, (n,)."""
-        with self._lock:
-            return self._filter.mean.copy()
+        return self._filter.mean
 
     @property
     def covariance(self) -> Floats:
         """A copy of the covariance, (n, n)."""
-        with self._lock:
-            return self._filter.covariance.copy()
+        return self._filter.covariance

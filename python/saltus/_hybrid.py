@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import threading
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -428,56 +427,39 @@ class HybridProblem:
         self.wait_behind_guards = wait_behind_guards
         self.most_events, self.most_repeats = most_events, most_repeats
         self._made: tuple[Any, Any] | None = None
-        self._lock = threading.RLock()
-        self._call("set", *self._guess())
+        self._call("check")
 
-    def _guess(self) -> tuple[Any, ...]:
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Calls a method of what evaluates it, which is kept as long as only the guess changes."""
         if self.mode not in self.system.states:
             raise ValueError(f"mode: found {self.mode!r}, expected some of {', '.join(self.system.modes)}")
         expect("a number", duration=self.duration)
-        return (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
-
-    def _call(self, method: str, *arguments: Any) -> Any:
-        """Calls a method of what evaluates it, which is kept as long as only the guess changes. Threads wait for each
-        other, as it has one guess."""
-        with self._lock:
-            limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events,
-                      self.most_repeats)
-            rest = (self.system, tuple(self.costs), *limits)
-            made = self._made
-            if made is None or len(made[0]) != len(rest) or any(
-                a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(made[0], rest)
-            ):
-                terms = [cost._recorded(self) for cost in self._costs()]
-                self._made = made = (rest, _saltus.HybridProblem(
-                    self.system._system, *self._guess(), terms, *limits
-                ))
-            else:
-                made[1].set(*self._guess())
-            return getattr(made[1], method)(*arguments)
+        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
+        limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events, self.most_repeats)
+        rest = (self.system, tuple(self.costs), *limits)
+        made = self._made
+        if made is None or len(made[0]) != len(rest) or any(
+            a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(made[0], rest)
+        ):
+            terms = [cost._recorded(self) for cost in self._costs()]
+            self._made = made = (rest, _saltus.HybridProblem(self.system._system, terms, *limits))
+        return getattr(made[1], method)(guess, *arguments)
 
     def _costs(self) -> list[Cost]:
         return [cost if isinstance(cost, Cost) else residuals(cost) for cost in self.costs]
 
     def __copy__(self) -> HybridProblem:
         copied = type(self).__new__(type(self))
-        copied.__dict__ = {**self._plain(), "costs": list(self.costs), "_lock": threading.RLock()}
+        copied.__dict__ = {**self.__dict__, "costs": list(self.costs), "_made": None}
         return copied
 
     def __deepcopy__(self, memo: dict[int, Any]) -> HybridProblem:
         copied = type(self).__new__(type(self))
-        copied.__dict__ = {**copy.deepcopy(self._plain(), memo), "_lock": threading.RLock()}
+        copied.__dict__ = copy.deepcopy({**self.__dict__, "_made": None}, memo)
         return copied
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self._plain(), "costs": [cost._as_recorded(self) for cost in self._costs()]}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _lock=threading.RLock())
-
-    def _plain(self) -> dict[str, Any]:
-        """What is not made anew for every copy."""
-        return {**{name: value for name, value in self.__dict__.items() if name != "_lock"}, "_made": None}
+        return {**self.__dict__, "costs": [cost._as_recorded(self) for cost in self._costs()], "_made": None}
 
     @property
     def intervals(self) -> int:
@@ -531,13 +513,15 @@ class HybridRollout(Result):
     """A motion of a hybrid system: ``mode`` and ``final``, the state at the end, after events there; ``events``, a list
     of (time, mode, guard, next_mode); ``times``, ``modes``, ``states`` and ``guards`` at every step of the integration,
     and before and after every event. ``remark``: why there is no derivative, or only a one-sided one; empty if there is.
+    ``integration_error``: of final state and event times, relative. ``remarks``: the list of all remarks.
     """
 
     _kind = "hybrid rollout"
 
 
 class HybridGradient(Result):
-    """``loss``, and ``gradient`` with ``initial`` (n,), ``control`` (K, m), ``parameters`` (P,) and ``duration``."""
+    """``loss``, and ``gradient`` with ``initial`` (n,), ``control`` (K, m), ``parameters`` (P,) and ``duration``;
+    ``remark`` and ``remarks`` as of a rollout."""
 
     _kind = "hybrid gradient"
 
@@ -545,7 +529,7 @@ class HybridGradient(Result):
 class HybridRun(Result):
     """What a solver found: ``loss``, ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
     ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
-    ``iterations``, ``integration_error``; ``certificate`` of solvers that certify, otherwise None."""
+    ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of solvers that certify, otherwise None."""
 
     _kind = "hybrid run"
 
@@ -569,6 +553,8 @@ def _motion(motion: dict[str, Any]) -> dict[str, Any]:
         "guards": [np.array(values) for values in motion["guards"]],
         "steps_per_interval": motion["steps_per_interval"],
         "remark": motion.get("remark", ""),
+        "remarks": motion["remarks"],
+        "integration_error": motion["integration_error"],
     }
 
 
@@ -600,7 +586,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
 
 
 def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
-    loss, gradient, remark = problem._call("loss_and_gradient")
+    loss, gradient, remark, remarks = problem._call("loss_and_gradient")
     system = problem.system
     n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
     parts = {
@@ -609,7 +595,7 @@ def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
         "parameters": gradient[K * m + n0 : K * m + n0 + P],
         "duration": float(gradient[-1]),
     }
-    return HybridGradient({"loss": loss, "gradient": parts, "remark": remark})
+    return HybridGradient({"loss": loss, "gradient": parts, "remark": remark, "remarks": remarks})
 
 
 def hybrid_solvers() -> dict[str, str]:
@@ -630,7 +616,8 @@ def solve(
     found, stopped_by = problem._call(
         "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, callback
     )
-    data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", "")}
+    data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
+            "remarks": found.get("remarks", [])}
     if "solution" in found:
         solution, motion = found["solution"], found["motion"]
         control = np.array(solution["control"], dtype=float)

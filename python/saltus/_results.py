@@ -120,13 +120,15 @@ def _brief(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(value) + "}"
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        if set(value[0]) == {"kind", "text"}:
+            return "; ".join(remark["text"] for remark in value)
         return f"{len(value)} of {{{', '.join(value[0])}}}"
     return str(value)
 
 
 class Rollout(Result):
     """A motion: ``states`` (K + 1, B, 4) with [p_x p_y v_x v_y] of each disc, ``times`` (K + 1) in s, ``loss``,
-    ``events``, ``steps_with_contact``. In scenes with rotational inertia states are (K + 1, B, 6), with the angle in rad
+    ``events``, ``steps_with_contact``, ``remarks``. In scenes with rotational inertia states are (K + 1, B, 6), with the angle in rad
     and the angular velocity in rad/s at the end; models that rotate discs in other scenes add their own numbers."""
 
     _kind = "rollout"
@@ -153,14 +155,14 @@ class Rollout(Result):
 
 class Gradient(Result):
     """A loss and its gradient: ``gradient.position``, ``.velocity`` (B, 2), ``.control`` (K, C, 2), ``.parameters``, and in
-    scenes with rotational inertia ``.angle`` and ``.angular_velocity`` (B,)."""
+    scenes with rotational inertia ``.angle`` and ``.angular_velocity`` (B,); and ``remarks``."""
 
     _kind = "gradient"
 
 
 class Run(Result):
     """A run of a solver: ``termination``, ``final_loss`` under its contact model, ``exact_loss`` under exact dynamics,
-    ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ..."""
+    ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ``remarks``, ..."""
 
     _kind = "run"
 

@@ -39,6 +39,8 @@ class Simulation(Remade, _saltus.Simulation):
         num_variables: number of decision variables.
         num_steps: number of steps, K.
         initial_guess: the initial guess, of shape ``shape``.
+        remarks: the remarks on the motion of the last call, a list of ``kind`` and ``text``: steps by the time-stepping
+            fallback, and simultaneous impacts whose order changes the motion.
 
     Raises:
         ValueError: an argument is wrong, or the model does not support the scene.
@@ -51,7 +53,7 @@ class Simulation(Remade, _saltus.Simulation):
         residuals(z=None): the residuals (R,) whose squares are the loss without the effort, and their Jacobian (R,
             num_variables).
         rollout(z=None, out=None): a dict with ``states`` (K + 1, B, 4 or 6; in ``out`` if it is given), ``times``
-            (K + 1), ``loss`` and ``events``.
+            (K + 1), ``loss``, ``events`` and ``remarks``.
         step(state, force=None): the state (B, 4 or 6) after one step under forces (C, 2); None stands for those of the
             scene.
         linearize(state, force=None): the derivatives of that step with respect to the state, (S, S) with S the size of
@@ -83,6 +85,7 @@ class Batch(Remade, _saltus.Batch):
     Methods:
         loss(points, losses=None): the losses (P,) at points (P, num_variables), or (P, ...) in the shape of z.
         loss_and_gradient(points, losses=None, gradients=None): the losses and the gradients (P, num_variables).
+        remarks(points): a list of the remarks on the motion of each point, which is simulated again.
     """
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
@@ -110,6 +113,7 @@ class EndState(Remade, _saltus.EndState):
     Attributes:
         initial: initial state of the scene, (B, 4), or (B, 6) with discs that have rotational inertia.
         control: initial control of the scene, (K, C, 2).
+        remarks: the remarks on the motion of the last call, as those of Simulation.
 
     Methods:
         vjp(initial, control, cotangent): the gradients of sum(cotangent * end(initial, control)) with respect to initial

@@ -140,3 +140,47 @@ class TestFeedback:
             for call in (saltus.propagate, saltus.noisy_runs):
                 with pytest.raises(ValueError, match="gains: that of interval 2 has a number that is not finite"):
                     call(problem, 0.01 * np.eye(n), regulator=wrong)
+
+    def test_gains_that_leave_the_range_of_numbers(self):
+        problem = self.problem()
+        regulator = saltus.track(problem, np.eye(2), np.eye(1), np.eye(2))
+        huge = saltus.Regulator({**regulator, "gains": [1e200 * gain for gain in regulator.gains]})
+        runs = saltus.noisy_runs(problem, 0.01 * np.eye(2), regulator=huge, samples=8)
+        assert runs.failed == 8 and runs.counted == 0
+
+    @pytest.mark.parametrize("q, r, qt", [(1, 1e-30, 1e30), (1e300, 1e-300, 1), (1e25, 1e-25, 1e25), (1e-300, 1e300, 1e-300), (0, 1, 0)])
+    def test_weights_of_any_ratio(self, two_balls, q, r, qt):
+        """A regulator whose gains are those of the weights, or a refusal; never an end of the interpreter."""
+        for problem, n, m in ((self.problem(), 2, 1), (two_balls.replace(steps=8), 8, 2)):
+            try:
+                regulator = saltus.track(problem, q * np.eye(n), r * np.eye(m), qt * np.eye(n))
+            except ValueError as error:
+                assert "the weights of the regulator differ too much" in str(error)
+                continue
+            assert all(np.all(np.isfinite(gain)) for gain in regulator.gains)
+            if q == 0:
+                assert all(np.all(gain == 0) for gain in regulator.gains)
+
+
+# What a script of a campaign does, in a process of its own.
+def run_script(folder, name, *flags, minutes=10):
+    return subprocess.run(
+        [sys.executable, SOURCE / "tests" / folder / f"{name}.py", *flags], capture_output=True, text=True, check=False,
+        timeout=60 * minutes)
+
+
+def test_calls_with_anything():
+    done = run_script("fuzz", "python_calls", "--count=600", "--seed=3")
+    assert done.returncode == 0 and "unexpected" not in done.stdout, done.stdout + done.stderr
+    assert "0 did not end, 0 ended the interpreter" in done.stdout
+
+
+@pytest.mark.skipif("lib" in os.environ.get("LD_PRELOAD", ""), reason="sanitizers keep what is freed")
+def test_memory_does_not_grow_with_calls_of_any_kind():
+    leaks = script("campaign", "python_leaks")
+    calls = leaks.entries()
+    counts = {"audit": 3, "identify": 30, "noisy_runs": 200}
+    for name, call in calls.items():
+        count = counts.get(name, 300)
+        grown = leaks.growth(call, count)
+        assert grown < 300 + count * 0.5, f"{name}: {grown} KiB over {count} calls"

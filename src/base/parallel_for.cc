@@ -6,7 +6,11 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #ifdef __SANITIZE_THREAD__
@@ -29,6 +33,42 @@ void OrderAfter([[maybe_unused]] void* at) {
 #endif
 }
 
+// A task arena with room for `threads` threads, in use by one call. oneTBB keeps a few KiB of every arena that is ever
+// made, so arenas are not destroyed: their number is that of the calls that run at the same time.
+class ArenaOfCall {
+ public:
+  explicit ArenaOfCall(int threads) : threads_(threads) {
+    const std::lock_guard lock(Idle().mutex);
+    if (auto found = Idle().arenas.extract(threads)) {
+      arena_ = std::move(found.mapped());
+    } else {
+      arena_ = std::make_unique<tbb::task_arena>(threads);
+    }
+  }
+  ~ArenaOfCall() {
+    const std::lock_guard lock(Idle().mutex);
+    Idle().arenas.emplace(threads_, std::move(arena_));
+  }
+  ArenaOfCall(const ArenaOfCall&) = delete;
+  ArenaOfCall& operator=(const ArenaOfCall&) = delete;
+
+  tbb::task_arena& operator*() { return *arena_; }
+
+ private:
+  struct IdleArenas {
+    std::mutex mutex;
+    std::multimap<int, std::unique_ptr<tbb::task_arena>> arenas;  // by their number of threads
+  };
+  // Never destroyed, because threads of oneTBB may outlive static objects.
+  static IdleArenas& Idle() {
+    static IdleArenas& idle = *new IdleArenas;
+    return idle;
+  }
+
+  const int threads_;
+  std::unique_ptr<tbb::task_arena> arena_;
+};
+
 }  // namespace
 
 int NumThreads(int threads) {
@@ -42,11 +82,11 @@ void ParallelFor(int threads, int count, const std::function<void(int thread, in
     return;
   }
   // Of more threads than the machine has, TBB gives none, and warns.
-  tbb::task_arena arena(std::min(threads, tbb::info::default_concurrency()));
+  ArenaOfCall arena(std::min(threads, tbb::info::default_concurrency()));
   char begin, end;
   std::vector<char> of_thread(threads);
   OrderBefore(&begin);
-  arena.execute([&] {
+  (*arena).execute([&] {
     tbb::parallel_for(tbb::blocked_range<int>(0, count), [&](const tbb::blocked_range<int>& range) {
       OrderAfter(&begin);
       const int thread = tbb::this_task_arena::current_thread_index();

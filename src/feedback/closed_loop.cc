@@ -162,7 +162,8 @@ ClosedLoopRun RunWith(const Plan& plan, const std::vector<Eigen::MatrixXd>& gain
     Disturb(noise.measurement, &stream, measured);
     FeedbackControl(plan, gains, k, measured, plant->events(), u);
     Disturb(noise.control, &stream, Eigen::Map<Eigen::VectorXd>(u.data(), u.size()));
-    run.ok = plant->Advance(k, u);
+    const Eigen::Map<const Eigen::VectorXd> acts(u.data(), static_cast<Eigen::Index>(m));
+    run.ok = acts.allFinite() && plant->state().allFinite() && plant->Advance(k, u);
     Disturb(noise.process, &stream, plant->state());
   }
   run.as_planned = run.ok && plant->events() == plan.events;

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "base/linear_algebra.h"
+#include "base/number_text.h"
 #include "feedback/noisy_states.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_rules.h"
@@ -110,6 +111,8 @@ class SceneMotion final : public internal::FilterMotion {
     }
     if (duration + before != scene_.duration || !simulator_) {
       scene_.duration = duration + before;
+      simulator_.reset();
+      if (std::string why_not = WhyNotApplicable({"event"}, scene_); !why_not.empty()) return why_not;
       simulator_ = MakeSimulator({"event"}, scene_, Precision::kDouble);
     }
     std::vector<double> force(simulator_->force_size());
@@ -181,19 +184,26 @@ class SceneMotion final : public internal::FilterMotion {
 
 }  // namespace
 
+std::string WhatIsWrongWithEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size) {
+  if (mean.size() != size) {
+    return "mean: found " + std::to_string(mean.size()) + " numbers, expected " + std::to_string(size);
+  }
+  if (!mean.allFinite()) return "mean: found a number that is not finite";
+  const std::string wrong = WhatIsWrongWithSymmetric(covariance, size, /*definite=*/false);
+  return wrong.empty() ? "" : "covariance: " + wrong;
+}
+
 SaltedKalmanFilter::SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode,
                                        Eigen::VectorXd mean, Eigen::MatrixXd covariance, HybridOptions integration)
     : time_(time), mode_(mode), mean_(std::move(mean)), covariance_(std::move(covariance)) {
   CHECK(mode_ >= 0 && mode_ < system.num_modes());
-  CHECK_EQ(mean_.size(), system.state_size(mode_));
-  CHECK(covariance_.rows() == mean_.size() && covariance_.cols() == mean_.size());
+  CHECK_EQ(WhatIsWrongWithEstimate(mean_, covariance_, system.state_size(mode_)), "");
   motion_ = std::make_unique<HybridMotion>(std::move(system), std::move(parameters), integration);
 }
 
 SaltedKalmanFilter::SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance)
     : time_(time), mean_(std::move(mean)), covariance_(std::move(covariance)) {
-  CHECK_EQ(mean_.size(), InitialSize(scene));
-  CHECK(covariance_.rows() == mean_.size() && covariance_.cols() == mean_.size());
+  CHECK_EQ(WhatIsWrongWithEstimate(mean_, covariance_, InitialSize(scene)), "");
   motion_ = std::make_unique<SceneMotion>(std::move(scene));
 }
 
@@ -205,37 +215,58 @@ const std::vector<HybridEvent>& SaltedKalmanFilter::events() const { return moti
 
 bool SaltedKalmanFilter::Predict(double time, std::span<const double> control, const Eigen::MatrixXd& process) {
   CHECK_GE(time, time_) << "a filter predicts forwards";
+  why_.clear();
   if (time == time_) return true;
   int mode = mode_;
   Eigen::VectorXd x = mean_;
   Eigen::MatrixXd F;
   why_ = motion_->Advance(time_, time - time_, control, &mode, &x, &F);
   if (!why_.empty()) return false;
-  covariance_ = Transported(F, covariance_);
+  Eigen::MatrixXd covariance = Transported(F, covariance_);
   if (process.size() > 0) {
-    CHECK(process.rows() == covariance_.rows() && process.cols() == covariance_.cols()) << "W has another size";
-    covariance_ += process;
+    if (why_ = WhatIsWrongWithSymmetric(process, x.size(), /*definite=*/false); !why_.empty()) {
+      why_ = "process: " + why_;
+      return false;
+    }
+    covariance += process;
   }
+  if (!covariance.allFinite()) {
+    why_ = "the covariance at t = " + ToText(time) + " is too large for a number of double precision";
+    return false;
+  }
+  covariance_ = std::move(covariance);
   mean_ = std::move(x);
   mode_ = mode;
   time_ = time;
   return true;
 }
 
-double SaltedKalmanFilter::Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C,
-                                  const Eigen::MatrixXd& V) {
+std::optional<double> SaltedKalmanFilter::Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h,
+                                                 const Eigen::MatrixXd& C, const Eigen::MatrixXd& V) {
   CHECK(C.rows() == z.size() && C.cols() == mean_.size() && h.size() == z.size());
   CHECK(V.rows() == z.size() && V.cols() == z.size());
   const Eigen::VectorXd innovation = z - h;
   const Eigen::MatrixXd seen = Multiply(C, covariance_);
   const CholeskySolver factors(MultiplyByTransposed(seen, C) + V);
-  CHECK(factors.ok()) << "the covariance of the measurement is not positive definite";
+  why_.clear();
+  if (!factors.ok()) {
+    why_ = "the covariance of the innovation, C P C' + V, is not positive definite: raise V";
+    return std::nullopt;
+  }
   const Eigen::MatrixXd gain = factors.Solve(seen).transpose();
   const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(mean_.size(), mean_.size()) - Multiply(gain, C);
-  mean_ += Multiply(gain, innovation);
-  covariance_ = Transported(rest, covariance_) + Transported(gain, V);
+  const Eigen::VectorXd mean = mean_ + Multiply(gain, innovation);
+  const Eigen::MatrixXd covariance = Transported(rest, covariance_) + Transported(gain, V);
   const Eigen::VectorXd white = factors.SolveLower(innovation);
-  return -0.5 * (white.squaredNorm() + factors.LogDeterminant() + z.size() * std::log(2 * std::numbers::pi));
+  const double likelihood =
+      -0.5 * (white.squaredNorm() + factors.LogDeterminant() + z.size() * std::log(2 * std::numbers::pi));
+  if (!mean.allFinite() || !covariance.allFinite() || !std::isfinite(likelihood)) {
+    why_ = "the measurement, its Jacobian or the covariances are too large for numbers of double precision";
+    return std::nullopt;
+  }
+  mean_ = mean;
+  covariance_ = covariance;
+  return likelihood;
 }
 
 }  // namespace saltus

@@ -12,6 +12,11 @@ constexpr double kAsymmetry = 1e-10;  // of the largest entry: rounding
 
 }  // namespace
 
+bool IsFinite(const LinearMotion& motion) {
+  return std::ranges::all_of(motion.intervals,
+                             [](const LinearInterval& at) { return at.A.allFinite() && at.B.allFinite(); });
+}
+
 bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<const double> control,
                             std::span<const double> parameters, int* mode, Eigen::VectorXd* x,
                             std::vector<HybridEvent>* events, Eigen::MatrixXd* saltation) {
@@ -30,13 +35,13 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
       if (value < 0 && rate < 0) break;
     }
     if (guard == num_guards) return true;
+    const int next = f.Reset(here(), guard, after.data());
+    if (next < 0 || next >= system.num_modes()) return false;
     if (saltation) {
       const std::vector<double> xi = SaltationMatrix(
           system, *mode, guard, t, {x->data(), static_cast<std::size_t>(x->size())}, control, parameters);
       *saltation = Eigen::Map<const RowMajor>(xi.data(), xi.size() / x->size(), x->size()) * *saltation;
     }
-    const int next = f.Reset(here(), guard, after.data());
-    if (next < 0 || next >= system.num_modes()) return false;
     if (events) events->push_back({t, *mode, guard, next, rate, {}, {}, /*at_once=*/true});
     *x = Eigen::Map<const Eigen::VectorXd>(after.data(), system.state_size(next));
     *mode = next;

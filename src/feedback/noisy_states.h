@@ -7,9 +7,19 @@
 #include <string>
 #include <vector>
 
+#include "saltus/feedback/regulator.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {
+
+// The reason why Track() returns empty gains.
+inline constexpr char kNoRegulator[] =
+    "the weights of the regulator differ too much for double precision: R + B' S B, or a gain, cannot be computed; "
+    "choose "
+    "Q, R and QT of more similar sizes";
+
+// Whether A and B are finite in all intervals: otherwise there is no regulator, and no covariance.
+bool IsFinite(const LinearMotion& motion);
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 

@@ -268,7 +268,10 @@ std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& moti
   }
   for (std::size_t k = 0; k < regulator.gains.size(); ++k) {
     const LinearInterval& at = motion.intervals[k];
-    if (regulator.gains[k].rows() == at.B.cols() && regulator.gains[k].cols() == at.A.cols()) continue;
+    if (regulator.gains[k].rows() == at.B.cols() && regulator.gains[k].cols() == at.A.cols()) {
+      if (regulator.gains[k].allFinite()) continue;
+      return "gains: that of interval " + std::to_string(k) + " has a number that is not finite";
+    }
     return "gains: that of interval " + std::to_string(k) + " has another shape than " + std::to_string(at.B.cols()) +
            " x " + std::to_string(at.A.cols());
   }
@@ -288,8 +291,9 @@ Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {
     CHECK(S.rows() == at.A.rows()) << "QT has another size than the final state";
     const Eigen::MatrixXd SB = Multiply(S, at.B);
     const CholeskySolver factors(cost.R + MultiplyTransposed(at.B, SB));
-    CHECK(factors.ok()) << "R is not positive definite";
+    if (!factors.ok()) return {};
     regulator.gains[k] = factors.Solve(MultiplyTransposed(SB, at.A));
+    if (!regulator.gains[k].allFinite()) return {};
     regulator.closed_loop[k] = at.A - Multiply(at.B, regulator.gains[k]);
     regulator.cost_to_go[k] = Symmetric(WeightOf(cost, at.mode, at.A.cols()) +
                                         Multiply(MultiplyTransposed(at.A, S), regulator.closed_loop[k]));

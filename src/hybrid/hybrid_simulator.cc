@@ -164,11 +164,11 @@ const HybridSystem& HybridSimulator::system() const { return impl_->system; }
 
 bool HybridSimulator::Rollout(const HybridInput& input) {
   Impl& at = *impl_;
-  CHECK_EQ(WhatIsWrongWith(input, at.system), "");
+  at.done = false;
+  if (at.why = WhatIsWrongWith(input, at.system); !at.why.empty()) return false;
   at.input = input;
   if (input.control.empty())
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
-  at.why.clear();
   at.one_sided.clear();
   at.ties.clear();
   if (at.steps == 0) {

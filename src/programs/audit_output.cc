@@ -8,6 +8,7 @@
 #include "base/interrupt.h"
 #include "programs/audit.h"
 #include "programs/program.h"
+#include "programs/remarks.h"
 #include "programs/scene_drawing.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
@@ -389,6 +390,7 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
     reference["gradient"] = DerivativesToJson(request.scene, report.reference->gradient);
     reference["events"] = EventsToJson(report.reference->events);
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
+    reference["remarks"] = RemarksToJson(RemarksOn(request.scene, *report.reference));
   }
   if (report.reference && !report.reference->one_sided.empty()) {
     document["reference"]["one_sided"] = OneSidedToJson(request.scene, report.reference->one_sided);

@@ -68,13 +68,12 @@ struct Study {
 FeedbackStudy Run(const Study& of) {
   const FeedbackOptions& options = of.options;
   FeedbackStudy study;
-  for (const LinearInterval& interval : of.linear.intervals) {
-    study.times.push_back(interval.begin);
-    if (interval.A.allFinite() && interval.B.allFinite()) continue;
+  for (const LinearInterval& interval : of.linear.intervals) study.times.push_back(interval.begin);
+  study.times.push_back(of.linear.end);
+  if (!IsFinite(of.linear)) {
     study.reason = "the motion has no derivative";
     return study;
   }
-  study.times.push_back(of.linear.end);
   if (study.reason = WhatIsWrongWith(of.noise, of.linear); !study.reason.empty()) return study;
   study.planned = of.plan.states.back();
   study.samples = options.samples;
@@ -102,6 +101,10 @@ FeedbackStudy Run(const Study& of) {
   for (const Eigen::MatrixXd& Q : of.Q) cost.Q.push_back(options.state * step * Q);
   cost.QT = options.final * Eigen::MatrixXd::Identity(study.planned.size(), study.planned.size());
   const Regulator regulator = Track(of.linear, cost);
+  if (regulator.gains.empty()) {
+    study.reason = kNoRegulator;
+    return study;
+  }
   study.closed = loop(&regulator);
   study.gains = regulator.gains;
   study.cost_to_go = regulator.cost_to_go;
@@ -165,6 +168,10 @@ std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>&
   }
   options.scale = FLAGS_feedback_scale;
   if (!(options.scale >= 0) || std::isinf(options.scale)) throw InputError("--feedback_scale must be a number >= 0");
+  for (const auto& [name, deviation] : options.deviations) {
+    if (std::isfinite(std::pow(options.scale * deviation, 2))) continue;
+    throw InputError("--feedback_noise: the variance of " + name + " is too large for a number of double precision");
+  }
   options.samples = FLAGS_feedback_samples;
   if (options.samples < 0) throw InputError("--feedback_samples must not be negative");
   options.seed = FLAGS_feedback_seed;

@@ -6,6 +6,7 @@
 #include "blackbox/command_scheme.h"
 #include "blackbox/protocol.h"
 #include "control/hybrid_shooting.h"
+#include "programs/remarks.h"
 
 namespace saltus {
 namespace {
@@ -73,6 +74,12 @@ Json HybridGradientToJson(const HybridInput& input, const HybridSystem& system, 
 
 }  // namespace
 
+void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulator, Json* motion) {
+  const double error = simulator->IntegrationError();
+  (*motion)["integration_error"] = error;
+  (*motion)["remarks"] = RemarksToJson(RemarksOn(*simulator, error, problem.integration.tolerance));
+}
+
 Json HybridSystemToJson(const HybridSystem& system) {
   Json json = NamesToJson(system);
   for (int mode = 0; mode < system.num_modes(); ++mode) {
@@ -114,6 +121,7 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   motion["steps_per_interval"] = simulator.steps_per_interval();
   if (ok) {
     if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) motion["remark"] = remark;
+    motion["remarks"] = RemarksToJson(RemarksOn(simulator));
   }
   if (states) AddSamples(simulator, input, ok, &motion);
   return motion;
@@ -130,7 +138,7 @@ Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {
     HybridSimulator& simulator = shooting.simulator();
     const bool moved = simulator.WhyFailed().empty();
     *motion = HybridMotionToJson(simulator, input, moved, states);
-    if (moved) (*motion)["integration_error"] = simulator.IntegrationError();
+    if (moved) AddIntegrationError(problem, &simulator, motion);
   }
   if (!ok) return {{"failed", shooting.WhyFailed()}};
   const HybridInput by = shooting.InputAt(derivative);
@@ -170,6 +178,8 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   HybridSimulator simulator(problem.system, problem.integration);
   const bool ok = simulator.Rollout(solution);
   item["motion"] = HybridMotionToJson(simulator, solution, ok, states);
+  item["remarks"] =
+      RemarksToJson(ok ? RemarksOn(simulator, report.integration_error, problem.integration.tolerance) : Remarks());
   if (!report.certificate) return item;
   const Certificate& found = *report.certificate;
   Json certificate = {{"verdict", VerdictToString(found.verdict)}};

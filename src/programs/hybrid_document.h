@@ -17,10 +17,14 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 
 // The simulator's last rollout: {"mode", "final", "events": [{"time", "mode", "guard", "next_mode", "rate"}],
 // "steps_per_interval"}, and if it failed "failed" with the reason and "accumulation" with the time at which events
-// accumulate. "remark" says why there is no derivative or only a one-sided one. With `states` also "times", "modes",
+// accumulate. "remark" says why there is no derivative or only a one-sided one; "remarks" is the list of all remarks
+// (remarks.h). With `states` also "times", "modes",
 // "states" and "guards" (the values of the mode's guards): at every step of the integration, and before and after every
 // event.
 Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states);
+
+// Adds "integration_error" of the simulator's last rollout, which succeeded, and the remarks on it. Costs a rollout.
+void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulator, Json* motion);
 
 // The loss at the guess and its gradient by all that the motion depends on: {"loss", "gradient"}, or {"failed"} with
 // the reason. `motion`, if given, becomes that of the guess.

@@ -180,6 +180,12 @@ struct HybridResults {
   std::vector<SolveReport> reports;
   std::vector<HybridAudit> audits;
   std::vector<std::pair<std::string, FeedbackStudy>> studies;  // of each solution; of the guess without solvers
+
+  NamedStudies Studies() const {
+    NamedStudies named;
+    for (const auto& [label, study] : studies) named.emplace_back(label, &study);
+    return named;
+  }
 };
 
 HybridResults Compute(const HybridRequest& request) {
@@ -344,9 +350,7 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
   PrintTableIfAny(request.name + ": solvers", RunsTable(results.reports));
   PrintTableIfAny(request.name + ": solutions", SolutionTable(request.problem, results.reports));
   if (!results.studies.empty()) {
-    NamedStudies studies;
-    for (const auto& [label, study] : results.studies) studies.emplace_back(label, &study);
-    PrintFeedback(request.name + ": ", *request.feedback, studies);
+    PrintFeedback(request.name + ": ", *request.feedback, results.Studies());
   }
   PrintTableIfAny(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
 }
@@ -371,7 +375,7 @@ int ExitCode(const HybridResults& results) {
     SolvedRun& run = solved.runs.emplace_back();
     run.report = report;
   }
-  int code = SolveExitCode(solved);
+  int code = std::max(SolveExitCode(solved), FeedbackExitCode(results.Studies()));
   for (const HybridAudit& audit : results.audits) {
     const bool none = !audit.ok() && audit.verdict == Verdict::kUnknown;
     if (none) std::cerr << "audit of " << audit.scheme << ": " << audit.reason << std::endl;

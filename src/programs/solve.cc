@@ -1,15 +1,15 @@
 #include "programs/solve.h"
 
 #include <algorithm>
-#include <cmath>
 #include <iostream>
 #include <new>
-#include <sstream>
 
 #include "base/interrupt.h"
+#include "feedback/noisy_states.h"
 #include "output/table.h"
 #include "programs/parallel.h"
 #include "programs/program.h"
+#include "programs/remarks.h"
 #include "programs/solve_output.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
@@ -17,30 +17,15 @@
 namespace saltus {
 namespace {
 
-constexpr double kWorse = 1e-9;       // relative: losses differ by more than rounding
 constexpr double kOpenDefect = 1e-9;  // m, m/s
 
-// Whether a loss is less than another by more than rounding.
-bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
-
-// What the table has to say of a run.
-std::string Remark(const SolvedRun& run) {
-  const SolveReport& report = run.report;
-  std::ostringstream text;
-  const auto add = [&](const auto&... parts) {
-    if (text.tellp() > 0) text << "; ";
-    (text << ... << parts);
-  };
-  if (const std::string remark = RemarkOn(run); !remark.empty()) add(remark);
-  if (report.losses.empty()) return text.str();
-  if (EndsWorse(report)) add("ends worse than it began");
-  if (report.initial_violation > kFeasible && report.final_violation <= kFeasible) {
-    add("the initial guess does not meet the constraints");
+// The reason of a run and the remarks on it, each text once.
+std::string ReasonAndRemarks(const SolvedRun& run, const Remarks& remarks) {
+  std::string text = run.report.reason;
+  for (const Remark& remark : remarks) {
+    if (text.find(remark.text) == std::string::npos) text += (text.empty() ? "" : "; ") + remark.text;
   }
-  if (report.best && IsLess(report.best->loss, report.final_loss)) {
-    add("best ", Cell(report.best->loss).Display(10), " after ", report.best->iteration, " iterations");
-  }
-  return text.str();
+  return text;
 }
 
 SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
@@ -194,7 +179,7 @@ Table RunTable(const SolvedRuns& solved) {
                   of_solver(report.evaluations),
                   of_run(report.seconds),
                   TerminationInWords(report),
-                  ran ? Remark(run) : report.reason});
+                  ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
   }
   for (const Refusal& refusal : RefusalsOf(solved)) {
     std::vector<Cell> row(table.columns().size());
@@ -221,9 +206,16 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
 }
 
 std::string RemarkOn(const SolvedRun& run) {
-  const std::string& reason = run.report.reason;
-  if (run.exact.ambiguous.empty()) return reason;
-  return reason + (reason.empty() ? "" : "; ") + "ambiguous: " + DescribeTies(run.exact.ambiguous, run.exact.spread);
+  return ReasonAndRemarks(run, run.HasSolution() ? RemarksOn(run.exact) : Remarks());
+}
+
+int FeedbackExitCode(const NamedStudies& studies) {
+  for (const auto& [name, study] : studies) {
+    if (study->reason != kNoRegulator) continue;
+    std::cerr << "error: --feedback_weights: " << name << ": " << study->reason << std::endl;
+    return kWrongInput;
+  }
+  return kDone;
 }
 
 int SolveExitCode(const SolvedRuns& solved) {
@@ -235,6 +227,7 @@ int SolveExitCode(const SolvedRuns& solved) {
               << runs[0].report.reason << std::endl;
     return kWrongInput;
   }
+  if (const int code = FeedbackExitCode(StudiesOf(solved)); code != kDone) return code;
   std::vector<std::string> failed;
   for (const SolvedRun& run : runs) {
     const std::string why = WhyNoAnswer(run.report);

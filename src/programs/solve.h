@@ -9,7 +9,7 @@
 
 namespace saltus {
 
-// The report's reason, and what is ambiguous in its exact run.
+// The report's reason, and the remarks on its exact run.
 std::string RemarkOn(const SolvedRun& run);
 
 // Every contact model with every solver, contact models outermost, or without a solver the start under each; on all
@@ -24,6 +24,9 @@ std::string WhyNoAnswer(const SolveReport& report);
 
 Table RunTable(const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
+// The exit code of feedback studies: wrong input, with a message on stderr, if weights of the regulator differ so much
+// that there is none.
+int FeedbackExitCode(const NamedStudies& studies);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
 

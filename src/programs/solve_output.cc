@@ -12,6 +12,7 @@
 #include "base/interrupt.h"
 #include "output/npz.h"
 #include "programs/program.h"
+#include "programs/remarks.h"
 #include "programs/scene_drawing.h"
 #include "programs/solve.h"
 #include "saltus/control/control_rows.h"
@@ -633,6 +634,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     item["termination"] = TerminationToString(report.termination);
     if (IsConvergence(report)) item["converged_under"] = report.contact;
     if (!report.reason.empty()) item["reason"] = report.reason;
+    item["remarks"] = RemarksToJson(RemarksOn(run));
     if (run.HasSolution()) {
       item["events"] = EventsToJson(run.exact.events);
       AddTies(run.exact.ambiguous, run.exact.spread, &item);

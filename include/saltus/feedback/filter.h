@@ -17,6 +17,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -30,28 +31,40 @@ namespace internal {
 class FilterMotion;
 }
 
+// Checks the mean and the covariance of a state of `size` numbers: their sizes, whether they are finite, and whether
+// the covariance is symmetric and positive semidefinite. Returns "found x, expected y", or an empty text if they are
+// valid.
+std::string WhatIsWrongWithEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size);
+
 class SaltedKalmanFilter {
  public:
-  // The estimate at a time: mode, mean, and covariance (symmetric, positive semidefinite).
+  // The estimate at a time. Precondition: the mode exists, WhatIsWrongWithEstimate(mean, covariance, size of its state)
+  // is empty, and `parameters` has as many finite numbers as the system has parameters.
   SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode, Eigen::VectorXd mean,
                      Eigen::MatrixXd covariance, HybridOptions integration = {});
   // Of a scene, whose states are those of simulator.h and whose controls are rows of the scene's control; its initial
-  // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene.
+  // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene, and
+  // WhatIsWrongWithEstimate(mean, covariance, InitialSize(scene)) is empty.
   SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance);
   ~SaltedKalmanFilter();
   SaltedKalmanFilter(SaltedKalmanFilter&&) noexcept;
   SaltedKalmanFilter& operator=(SaltedKalmanFilter&&) noexcept;
 
   // To a later time under a constant control (none: zeros): P <- F P F' + W, with F the derivative of the flow,
-  // saltation matrices included. False if the mean has no motion; WhyFailed() then says why, and the estimate is as
-  // before. Precondition: time >= this->time(); `process`, W, has the size of the state at the end, or none.
+  // saltation matrices included. Returns false if the mean has no motion, if `process`, W, has another size than the
+  // state at the end, or if a number is not finite; WhyFailed() then gives the reason, and the estimate is as before.
+  // Precondition: time >= this->time().
   bool Predict(double time, std::span<const double> control = {}, const Eigen::MatrixXd& process = {});
 
   // A measurement z = h(x) + error, given h at the mean, its Jacobian C there, and the covariance V of the error, which
-  // is positive definite. Returns the log likelihood of the innovation. The covariance is updated in Joseph's form.
-  double Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V);
+  // is positive semidefinite. Returns the log likelihood of the innovation, or nothing if the covariance of the
+  // innovation, C P C' + V, is not positive definite or if the result is not finite; WhyFailed() then gives the reason,
+  // and the estimate is as before. The covariance is updated in Joseph's form. Precondition: for r measurements and a
+  // state of n numbers, z and h have r numbers, C is r x n, and V is r x r.
+  std::optional<double> Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C,
+                               const Eigen::MatrixXd& V);
   // Of h(x) = C x.
-  double Update(const Eigen::VectorXd& z, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V) {
+  std::optional<double> Update(const Eigen::VectorXd& z, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V) {
     return Update(z, C * mean_, C, V);
   }
 
@@ -61,6 +74,7 @@ class SaltedKalmanFilter {
   const Eigen::MatrixXd& covariance() const { return covariance_; }
   // Events of the mean of a hybrid system in the last Predict; none of a scene.
   const std::vector<HybridEvent>& events() const;
+  // The reason why the last Predict or Update failed; empty if it succeeded.
   const std::string& WhyFailed() const { return why_; }
 
  private:

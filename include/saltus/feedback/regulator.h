@@ -78,11 +78,12 @@ struct Regulator {
 
 // As "found x, expected y"; empty if nothing is: sizes, and whether matrices are symmetric and R positive definite.
 std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
-// Likewise, of gains.
+// Likewise, of gains: their number, their shapes, and whether they are finite.
 std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
 
 // The regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices of the
-// size of the state. Precondition: sizes match, R is positive definite.
+// size of the state. The gains are empty if they are not finite, or if R + B' S B is not positive definite within
+// rounding, because the weights differ too much. Precondition: sizes match, R is positive definite.
 Regulator Track(const LinearMotion& motion, const TrackingCost& cost);
 
 // The regulator with du continuous in time: -S' = Q + S A + A' S - S B R^-1 B' S between events, S- = Xi' S+ Xi at an

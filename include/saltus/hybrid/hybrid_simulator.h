@@ -121,8 +121,8 @@ class HybridSimulator {
 
   const HybridSystem& system() const;
 
-  // Simulates. False if there is no motion; WhyFailed() then says why, with mode, guard and time.
-  // Precondition: WhatIsWrongWith(input, system) is empty.
+  // Simulates. Returns false if there is no motion, and for an input that WhatIsWrongWith(input, system) refuses, which
+  // is not simulated; WhyFailed() then gives the reason, with mode, guard and time.
   bool Rollout(const HybridInput& input);
   const std::string& WhyFailed() const;
   // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then, unless

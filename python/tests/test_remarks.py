@@ -1,0 +1,175 @@
+"""The remarks on a result are the same in programs and in Python."""
+
+import numpy as np
+import pytest
+from conftest import SOURCE, make_generated_scenes, run_program
+
+import saltus
+
+RNG_SEEDS = range(12)
+
+
+def box_of(bodies, **changes):
+    width = 4.0
+    return {
+        "name": "box", "duration": 0.6, "steps": 24, "bodies": bodies, "contact": {"restitution": 0.8},
+        "planes": [{"name": "left", "point": [0, 0], "normal": [1, 0]}, {"name": "right", "point": [width, 0], "normal": [-1, 0]},
+                   {"name": "bottom", "point": [0, 0], "normal": [0, 1]}, {"name": "top", "point": [0, width], "normal": [0, -1]}],
+        "objective": {"terminal": [{"body": bodies[0]["name"], "quantity": "position", "target": [1, 1], "weight": 1}]},
+        "optimize": "velocity", "free": [bodies[0]["name"]], **changes}
+
+
+def disc(name, position, velocity=(0, 0), radius=0.2):
+    return {"name": name, "radius": radius, "mass": 1, "position": list(position), "velocity": list(velocity)}
+
+
+def dense_pile(seed, side=5):
+    """Discs 0.1 mm apart, whose impacts accumulate."""
+    rng, r, gap = np.random.default_rng(seed), 0.05, 1e-4
+    pitch = 2 * r + gap
+    bodies = [{"name": f"d{side * i + j}", "radius": r, "mass": float(rng.uniform(0.5, 2)), "velocity": rng.normal(size=2).tolist(),
+               "position": [r + pitch * (j + 0.5 * (i % 2)) + gap, r + gap + pitch * i * 3**0.5 / 2 + 1e-6]}
+              for i in range(side) for j in range(side)]
+    width, height = pitch * (side + 0.5) + 2 * gap, 2 * r + 2 * gap + pitch * (side - 1) * 3**0.5 / 2 + 2e-6
+    planes = [{"name": "l", "point": [0, 0], "normal": [1, 0]}, {"name": "r", "point": [width, 0], "normal": [-1, 0]},
+              {"name": "b", "point": [0, 0], "normal": [0, 1]}, {"name": "t", "point": [0, height], "normal": [0, -1]}]
+    return {"name": "dense", "duration": 0.05, "steps": 20, "bodies": bodies, "contact": {"restitution": 0.5}, "planes": planes,
+            "objective": {"terminal": [{"body": "d0", "quantity": "position", "component": "x"}]}, "optimize": "velocity"}
+
+
+def struck_pair(seed):
+    """A disc that strikes two others at the same time: the order of the impacts changes the motion."""
+    angle, speed = 0.3 + 0.1 * seed, 2.0 + 0.1 * seed
+    bodies = [disc("striker", (1, 2), (speed, 0))]
+    for name, side in (("upper", 1), ("lower", -1)):
+        bodies.append(disc(name, (1.7 + 0.4 * np.cos(angle), 2 + side * 0.4 * np.sin(angle))))
+    return box_of(bodies)
+
+
+def crossed_pairs(seed):
+    """Two pairs that collide at the same time and do not meet each other: the order changes nothing."""
+    speed = 1.0 + 0.1 * seed
+    return box_of([disc("a", (1, 1), (speed, 0)), disc("b", (1.8, 1)), disc("c", (1, 3), (speed, 0)), disc("d", (1.8, 3))])
+
+
+def flat_corner(seed):
+    """A disc that meets two perpendicular walls at the same time: either order leads to the same motion."""
+    return box_of([disc("a", (0.7, 0.7), (-2.0 - seed, -2.0 - seed)), disc("far", (3, 3))])
+
+
+def kinds(remarks):
+    return [remark["kind"] for remark in remarks]
+
+
+KINDS = [(dense_pile, "fallback"), (struck_pair, "ambiguous"), (crossed_pairs, None), (flat_corner, None)]
+
+
+def compare(scene, path):
+    """The remarks of all calls on one motion. Returns them."""
+    path.write_text(scene.to_yaml(), encoding="utf-8")
+    run = run_program("saltus_solve", f"--scene={path}", "--contact=event", "--solver=none")["runs"][0]
+    motion = saltus.rollout(scene)
+    assert motion["remarks"] == [{**remark, "text": remark["text"].removeprefix("there is no exact motion: ")}
+                                 for remark in run["remarks"]]
+    simulation, batch, end = saltus.Simulation(scene), saltus.Batch(scene), saltus.EndState(scene)
+    assert simulation.remarks == []
+    simulation.loss_and_gradient()
+    assert simulation.remarks == motion["remarks"]
+    assert batch.remarks(simulation.initial_guess[None]) == [motion["remarks"]]
+    end(end.initial, end.control)
+    assert end.remarks == motion["remarks"]
+    gradient = saltus.loss_and_gradient(scene)
+    assert [remark for remark in gradient["remarks"] if remark["kind"] not in ("derivative", "lost digits")] == motion["remarks"]
+    assert ("ambiguous" in gradient) == ("ambiguous" in kinds(motion["remarks"]))
+    return motion["remarks"]
+
+
+@pytest.mark.parametrize("make, kind", KINDS)
+def test_scenes(tmp_path, make, kind):
+    for seed in RNG_SEEDS:
+        remarks = compare(saltus.Scene(make(seed)), tmp_path / "scene.yaml")
+        if kind is None:
+            assert remarks == []
+        else:
+            assert kinds(remarks) == [kind], make
+            assert remarks[0]["text"]
+
+
+def test_generated_scenes(tmp_path):
+    for path in make_generated_scenes(12, tmp_path):
+        compare(saltus.load_scene(path), path)
+
+
+def test_gradients_and_audits(tmp_path):
+    path = tmp_path / "scene.yaml"
+    for make, kind in [(struck_pair, "ambiguous"), (crossed_pairs, None)]:
+        scene = saltus.Scene(make(1))
+        path.write_text(scene.to_yaml(), encoding="utf-8")
+        reference = run_program("saltus_audit", f"--scene={path}", "--contact=event")["reference"]
+        assert reference["remarks"] == saltus.loss_and_gradient(scene)["remarks"]
+        assert reference["remarks"] == saltus.audit(scene, "event")["reference"]["remarks"]
+        assert kinds(reference["remarks"]) == ([kind] if kind else [])
+
+
+@pytest.mark.parametrize("contact, solver", [("event", "gd"), ("direct_toi", "gd"), ("event", "ceres_lbfgs")])
+def test_solvers(tmp_path, contact, solver):
+    path = tmp_path / "scene.yaml"
+    for make, kind in KINDS[:3]:
+        scene = saltus.Scene(make(2))
+        path.write_text(scene.to_yaml(), encoding="utf-8")
+        flags = (f"--scene={path}", f"--contact={contact}", f"--solver={solver}", "--iterations=1", "--learning_rate=1e-9")
+        expected = run_program("saltus_solve", *flags)["runs"][0]["remarks"]
+        run = saltus.solve(scene, contact, solver, iterations=1, learning_rate=1e-9)
+        assert run["remarks"] == expected
+        if kind and solver == "gd":
+            assert kind in kinds(expected)
+
+
+class TestHybridSystems:
+    """A ball under the controls of the program bouncing_ball."""
+
+    @staticmethod
+    def problem(**changes):
+        system = saltus.HybridSystem(
+            states={"flight": ["height", "velocity"]}, parameters=["gravity", "restitution"],
+            flow={"flight": lambda t, x, u, p: [x[1], -p[0]]}, guards={"flight": {"ground": lambda t, x, p: x[0]}},
+            resets={"flight": {"ground": lambda t, x, p: ("flight", [x[0], -p[1] * x[1]])}})
+        return saltus.HybridProblem(
+            system, **{"mode": "flight", "initial": [4, 0], "parameters": [9.8, 0.7], "duration": 1.0,
+                       "costs": [saltus.terminal([1, 0])], **changes})
+
+    def test_a_motion_without_remarks(self):
+        for result in (saltus.rollout(self.problem()), saltus.loss_and_gradient(self.problem())):
+            assert result["remarks"] == []
+        assert saltus.rollout(self.problem()).integration_error < 1e-11
+
+    def test_an_event_at_the_end(self):
+        problem = self.problem(initial=[4.9, 0], parameters=[9.8, 0.5])
+        for result in (saltus.rollout(problem), saltus.loss_and_gradient(problem)):
+            assert kinds(result["remarks"]) == ["derivative"]
+            assert result["remarks"][0]["text"] == result["remark"]
+
+    def test_too_few_steps(self):
+        swings = saltus.HybridSystem(states={"m": ["a", "b"]}, flow={"m": lambda t, x, u, p: [40 * x[1], -40 * x[0]]})
+        problem = saltus.HybridProblem(swings, mode="m", initial=[1, 0], duration=2.0, steps_per_interval=20)
+        motion = saltus.rollout(problem)
+        assert kinds(motion["remarks"]) == ["integration error"]
+        # The exact motion is a rotation.
+        error = np.abs(motion.final - [np.cos(80), -np.sin(80)]).max()
+        assert 0.2 * error < motion.integration_error < 5 * error
+        assert saltus.rollout(saltus.HybridProblem(swings, mode="m", initial=[1, 0], duration=2.0))["remarks"] == []
+
+    def test_programs(self):
+        for height in np.linspace(1, 6, 6):
+            document = run_program("bouncing_ball", f"--set=height={height}", "--solver=none")
+            guess = document["guess"]
+            motion = saltus.rollout(self.problem(
+                initial=guess["initial"], parameters=guess["parameters"], duration=guess["duration"]))
+            assert motion["remarks"] == document["motion"]["remarks"]
+
+
+def test_remarks_are_shown():
+    scene = saltus.Scene(dense_pile(0))
+    motion = saltus.rollout(scene)
+    assert "steps use the time-stepping fallback" in repr(motion) and motion.remarks[0]["kind"] == "fallback"
+    assert SOURCE.exists()

@@ -1,0 +1,121 @@
+#include "programs/remarks.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "base/number_text.h"
+#include "programs/solve.h"
+#include "saltus/control/control_rows.h"
+#include "saltus/simulate/events.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kMostAmplified = 1e6;   // relative changes of the initial state, in the loss
+constexpr double kMostOfTolerance = 10;  // integration errors beyond so many tolerances, and beyond
+constexpr double kRounding = 1e-7;       // that of motions which no number of steps improves
+constexpr double kWorse = 1e-9;          // relative: losses differ by more than rounding
+
+void AddTie(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Remarks* remarks) {
+  if (!ambiguous.empty()) remarks->push_back({"ambiguous", "ambiguous: " + DescribeTies(ambiguous, spread)});
+}
+
+void AddFallback(int unresolved_steps, int num_steps, Remarks* remarks) {
+  if (unresolved_steps > 0) remarks->push_back({"fallback", DescribeUnresolved(unresolved_steps, num_steps)});
+}
+
+// How many digits of the loss the rounding of initial state and control takes, if these are many.
+void AddLostDigits(const Scene& scene, const ModelGradient& gradient, Remarks* remarks) {
+  const std::vector<double> initial = InitialState(scene);
+  double amplified = 0;
+  for (std::size_t i = 0; i < initial.size(); ++i) amplified += std::abs(gradient.gradient.initial[i] * initial[i]);
+  amplified /= std::max(std::abs(gradient.loss), gradient.loss_scale);
+  if (!(amplified > kMostAmplified)) return;
+  remarks->push_back({"lost digits",
+                      "relative changes of the initial state grow by a factor of " + ToText(amplified, 2) +
+                          " in the loss, of which about " + std::to_string(static_cast<int>(std::log10(amplified))) +
+                          " digits are therefore lost to rounding"});
+}
+
+bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
+
+}  // namespace
+
+Json RemarksToJson(const Remarks& remarks) {
+  Json list = Json::array();
+  for (const Remark& remark : remarks) list.push_back({{"kind", remark.kind}, {"text", remark.text}});
+  return list;
+}
+
+Remarks RemarksOn(const ExactRun& exact) {
+  Remarks remarks;
+  if (!exact.ok && exact.reason != kStopped) {
+    remarks.push_back({exact.end.empty() ? "no exact motion" : "fallback", exact.reason});
+  }
+  AddTie(exact.ambiguous, exact.spread, &remarks);
+  return remarks;
+}
+
+bool MayHaveRemarks(const Simulator& simulator) {
+  return simulator.traits().event_driven && (!simulator.ties().empty() || NumUnresolvedSteps(simulator) > 0);
+}
+
+Remarks RemarksOn(const Simulator& simulator, const std::vector<double>& initial, const std::vector<double>& control,
+                  const StopRequest& stop) {
+  Remarks remarks;
+  if (!MayHaveRemarks(simulator)) return remarks;
+  AddFallback(NumUnresolvedSteps(simulator), simulator.num_steps(), &remarks);
+  if (TiesOf(simulator).empty()) return remarks;
+  const ExactRun exact = SimulateExactly(simulator.scene(), initial, control, {}, stop);
+  AddTie(exact.ambiguous, exact.spread, &remarks);
+  return remarks;
+}
+
+Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient) {
+  Remarks remarks;
+  AddFallback(gradient.unresolved_steps, gradient.num_steps, &remarks);
+  AddTie(gradient.ambiguous, gradient.spread, &remarks);
+  for (const OneSided& entry : gradient.one_sided) {
+    const std::string of = std::string(entry.component == 0 ? "x" : "y") + " of the " +
+                           QuantityToString(entry.quantity) + " of " + scene.bodies[entry.body].name;
+    remarks.push_back({"derivative",
+                       entry.side == OneSided::Side::kNone
+                           ? "there is no derivative by the " + of
+                           : "the derivative by the " + of + " is that of a " +
+                                 (entry.side == OneSided::Side::kAbove ? "rise" : "fall") + " only"});
+  }
+  AddLostDigits(scene, gradient, &remarks);
+  return remarks;
+}
+
+Remarks RemarksOn(const SolvedRun& run) {
+  const SolveReport& report = run.report;
+  Remarks remarks;
+  if (run.HasSolution()) remarks = RemarksOn(run.exact);
+  if (report.losses.empty()) return remarks;
+  if (EndsWorse(report)) remarks.push_back({"end", "ends worse than it began"});
+  if (report.initial_violation > kFeasible && report.final_violation <= kFeasible) {
+    remarks.push_back({"guess", "the initial guess does not meet the constraints"});
+  }
+  if (report.best && IsLess(report.best->loss, report.final_loss)) {
+    remarks.push_back({"end",
+                       "best " + Cell(report.best->loss).Display(10) + " after " +
+                           std::to_string(report.best->iteration) + " iterations"});
+  }
+  return remarks;
+}
+
+Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error, double tolerance) {
+  Remarks remarks;
+  if (const std::string why = simulator.WhyNotDifferentiable(); !why.empty()) remarks.push_back({"derivative", why});
+  if (integration_error && !(*integration_error <= std::max(kMostOfTolerance * tolerance, kRounding))) {
+    remarks.push_back({"integration error",
+                       "the relative error of the final state and of the times of events is " +
+                           ToText(*integration_error, 2) + ", above the tolerance of " + ToText(tolerance, 2) +
+                           ": use more steps of the integration"});
+  }
+  return remarks;
+}
+
+}  // namespace saltus

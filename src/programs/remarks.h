@@ -1,0 +1,46 @@
+// Remarks on a result: what limits it, or what it does not say by itself. They are made here once, and tables, pages,
+// JSON and Python show the same ones.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "programs/json_output.h"
+#include "programs/solve_output.h"
+#include "saltus/audit/gradients.h"
+#include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/simulate/exact_run.h"
+
+namespace saltus {
+
+struct Remark {
+  // "fallback" (steps that are not resolved into events), "no exact motion", "ambiguous" (simultaneous impacts whose
+  // order changes the motion), "derivative" (there is none, or a one-sided one), "integration error", "lost digits",
+  // "guess" or "end" (of a solver).
+  std::string kind;
+  std::string text;  // with the place and the cause
+};
+using Remarks = std::vector<Remark>;
+
+// [{"kind", "text"}, ...]
+Json RemarksToJson(const Remarks& remarks);
+
+// Of a motion that was simulated exactly, or could not be.
+Remarks RemarksOn(const ExactRun& exact);
+// Whether the last rollout of a simulator has ties or unresolved steps, so that there may be remarks on it. Cheap.
+bool MayHaveRemarks(const Simulator& simulator);
+// Of the last rollout of a simulator, from an initial state (simulator.h) under its control: ties are simulated in
+// other orders, which takes as many rollouts, and only those that change the motion are reported. Empty for models that
+// resolve no events.
+Remarks RemarksOn(const Simulator& simulator, const std::vector<double>& initial, const std::vector<double>& control,
+                  const StopRequest& stop = nullptr);
+// Of a loss and its gradient. Precondition: gradient.ok().
+Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient);
+// Of a run of a solver, or of a simulation.
+Remarks RemarksOn(const SolvedRun& run);
+// Of the last motion of a hybrid system, which succeeded, and, if it is known, of its integration error, which should
+// be at most `tolerance`, but for rounding.
+Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error = std::nullopt,
+                  double tolerance = 0);
+
+}  // namespace saltus
