@@ -536,13 +536,14 @@ class Identification {
     best.reason = "no start has a motion";
     std::set<std::string> sequences;
     const int starts = problem_.num_plain > 0 ? options_.starts : 1;  // which differ in these unknowns only
+    constexpr LineKind kInTurn[] = {LineKind::kMedians, LineKind::kLeastMedian, LineKind::kFirstTwo};
     const bool few = NumbersLeft() < kManyLeft;
     const std::vector<FitPoint> screened = few ? ScreenStarts() : std::vector<FitPoint>();
     for (int number = 0; number < starts && !Interrupted(); ++number) {
       const std::string name = "start " + std::to_string(number + 1);
       FitResult fit = number > 0 && number <= static_cast<int>(screened.size())
                           ? FitAll(screened[number - 1], name)
-                          : FitFrom(StartAt(number, static_cast<LineKind>(number % 3)), name);
+                          : FitFrom(StartAt(number, kInTurn[number % std::size(kInTurn)]), name);
       ++report_.starts;
       if (!fit.ok) {
         if (!best.ok) best.reason = fit.reason;

@@ -53,7 +53,7 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact);
 Table DesignTable(const Scene& scene, const SolvedRuns& solved);
 // One row a run with a certificate: verdict, residual, smallest curvature and what they mean.
 Table CertificateTable(const SolvedRuns& solved);
-// Whether that table has a curvature: no certificate of a free duration or of parameters has one.
+// Whether any row of that table has a curvature.
 bool HasCurvatures(const SolvedRuns& solved);
 
 // Those of the runs that have one, by the label of the run.

@@ -335,13 +335,14 @@ TEST(Identify, WithoutSigmaTheResidualsAreTested) {
   }
 }
 
-// A third of the samples is anywhere: the parameters are found all the same, by every robust loss, and none calls it a
+// Two of five samples are anywhere: the parameters are found all the same, by every robust loss, and none calls it a
 // fit.
 TEST(Identify, ManyOutliersGiveRobustLossesOneVerdict) {
   GeneratedProblem problem = BounceWithoutSigma();
   GeneratedRandom random(3);
-  for (Sample& sample : problem.recording.samples) {
-    if (random.Uniform(0, 1) < 0.4) sample.position = {random.Uniform(-0.2, 1), random.Uniform(0, 1.2)};
+  std::vector<Sample>& samples = problem.recording.samples;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    if (i % 5 < 2) samples[i].position = {random.Uniform(-0.2, 1), random.Uniform(0, 1.2)};
   }
   for (const RobustLoss loss : {RobustLoss::kHuber, RobustLoss::kCauchy}) {
     const IdentifyReport report = FitRestitution(problem, loss);
@@ -351,16 +352,14 @@ TEST(Identify, ManyOutliersGiveRobustLossesOneVerdict) {
   }
 }
 
-// Restitution 1, which errors of the samples push beyond. A stated sigma allows that.
+// A restitution above 1, which no fit may have, by less than what errors of the samples hide.
 TEST(Identify, AParameterAtItsBoundHasNoStandardError) {
   GeneratedProblem problem = Bounce();
-  problem.truth.contact.restitution = 1;
-  problem.recording.samples.clear();
+  problem.truth.contact.restitution = 1.0015;
   GeneratedRandom random(4);
-  Measure(1e-3, 0, &random, &problem);
   for (Sample& sample : problem.recording.samples) {
-    // Higher after the impact than from where it fell, by 2 mm.
-    if (sample.time > 0.5) sample.position[1] += 2e-3;
+    const double x = random.Normal(), y = random.Normal();
+    sample.position = BouncingBallAt(sample.time, problem.truth) + 1e-3 * Vec2d(x, y);
   }
   const IdentifyReport stated = FitRestitution(problem);
   EXPECT_EQ(stated.estimates[0].determination, Determination::kAtBound);
@@ -393,7 +392,7 @@ TEST_P(FewSamplesTest, IntervalsHold) {
       }
     }
   }
-  EXPECT_GE(intervals, 60);
+  EXPECT_GE(intervals, 50);
   EXPECT_GE(covered, 0.87 * intervals);
 }
 INSTANTIATE_TEST_SUITE_P(Identify, FewSamplesTest, testing::Bool());
@@ -412,8 +411,12 @@ TEST(Identify, TooFewSamplesAreNotJudged) {
 
 // Against values of tables, which have three decimals.
 TEST(Identify, IntervalsCountDegreesOfFreedom) {
-  for (const auto& [degrees, quantile] :
-       {std::pair{3.0, 3.182}, {4.0, 2.776}, {6.0, 2.447}, {10.0, 2.228}, {30.0, 2.042}, {120.0, 1.980}}) {
+  for (const auto& [degrees, quantile] : {std::pair{3.0, 3.182},
+                                          std::pair{4.0, 2.776},
+                                          std::pair{6.0, 2.447},
+                                          std::pair{10.0, 2.228},
+                                          std::pair{30.0, 2.042},
+                                          std::pair{120.0, 1.980}}) {
     EXPECT_NEAR(StudentQuantile(degrees), quantile, 6e-3) << degrees;
   }
 }
