@@ -71,6 +71,12 @@ void CheckFinite(const Array& array, const std::string& name) {
 }
 
 Array ReadArray(const py::handle& value, const std::string& name, const Shape& shape) {
+  if (!py::getattr(value, "durations", py::none()).is_none()) {
+    throw py::value_error(
+        name +
+        ": found the control of a run on intervals of different lengths, expected equal ones; where a "
+        "plan or durations are taken, pass plan=run or durations=run.durations");
+  }
   const Array read = ReadNumbers(value, name, shape);
   CheckFinite(read, name);
   return read;

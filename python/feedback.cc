@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
 #include <tuple>
@@ -23,27 +24,54 @@ namespace {
 
 using Matrices = std::vector<Eigen::MatrixXd>;
 
-// The exact motion of a scene under a control, or under its own; runs are simulated under `contact`, whose steps are
-// those of the scene.
-PlannedMotion PlanScene(const Scene& scene, const py::object& control, const py::object& contact_name) {
+// Lengths of `intervals` control intervals, whose sum is the scene's duration unless that is free. None: equal ones.
+std::vector<double> ReadDurations(const Scene& scene, const py::object& durations, py::ssize_t intervals) {
+  if (durations.is_none()) return {};
+  std::vector<double> lengths = ToVector(ReadArray(durations, "durations", {intervals}));
+  const double sum = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  if (!std::ranges::all_of(lengths, [](double length) { return length >= 0; }) || !(sum > 0)) {
+    throw py::value_error("durations: expected numbers >= 0, one of them not 0");
+  }
+  if (!scene.objective.duration && std::abs(sum - scene.duration) > 1e-9 * scene.duration) {
+    throw py::value_error("durations: found a sum of " + std::to_string(sum) + " s, expected the scene's duration, " +
+                          std::to_string(scene.duration) + " s");
+  }
+  return lengths;
+}
+
+// The exact motion of a scene under a control on intervals that last `durations`, or under its own; runs are simulated
+// under `contact`, of which one step covers an interval.
+PlannedMotion PlanMotion(Scene scene, const py::object& control, const py::object& durations,
+                         const py::object& contact_name) {
   const Contact contact = ReadContact(contact_name);
-  for (const Contact& model : {Contact("event"), contact}) CheckTakes(model, scene);
-  if (FindContactModel(contact)->grid_steps != 1) {
-    throw py::value_error("contact: '" + contact.name() + "' covers several steps of the scene by one");
+  std::vector<double> numbers = InitialControl(scene, scene.steps), lengths;
+  if (control.is_none()) {
+    if (!durations.is_none()) throw py::value_error("durations: found some without a plan");
+  } else {
+    if (durations.is_none() && scene.objective.duration) {
+      throw py::value_error(
+          "plan: found a control alone, whose duration is not known, as that of the scene is free; pass the run, or "
+          "durations");
+    }
+    const py::ssize_t intervals = durations.is_none() ? scene.steps : static_cast<py::ssize_t>(py::len(durations));
+    lengths = ReadDurations(scene, durations, intervals);
+    if (scene.control_width() > 0) {
+      const Array rows = ReadArray(control, "plan", {intervals, scene.num_controlled(), ControlColumns(scene)});
+      CheckRows(scene, "plan", View(rows));
+      numbers = ControlOfRows(scene, View(rows));
+      scene.steps = static_cast<int>(intervals);
+    }
+    if (!lengths.empty()) scene.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
   }
-  std::vector<double> numbers = InitialControl(scene, scene.steps);
-  if (!control.is_none()) {
-    const Array rows = ReadArray(control, "plan", {scene.steps, scene.num_controlled(), ControlColumns(scene)});
-    CheckRows(scene, "plan", View(rows));
-    numbers = ControlOfRows(scene, View(rows));
-  }
-  PlannedMotion planned;
+  CheckTakes("event", scene);
+  ScenePlan found;
   Computation().RunOrThrow([&] {
-    const auto motion = MakeSimulator("event", scene, Precision::kDouble);
-    if (!motion->Rollout(InitialState(scene), numbers)) throw std::runtime_error(motion->WhyFailed());
-    planned.plan = MakePlan(*motion, numbers);
-    planned.linear = Linearize(*motion, numbers);
+    found = PlanScene(scene, InitialState(scene), numbers, lengths);
+    if (!found.reason.empty()) throw std::runtime_error(found.reason);
   });
+  scene.steps *= FindContactModel(contact)->grid_steps;
+  CheckTakes(contact, scene);
+  PlannedMotion planned{.plan = std::move(found.plan), .linear = std::move(found.linear), .remark = found.remark};
   const Eigen::Index n = planned.plan.states.front().size();
   planned.what_is_wrong_with = [n, m = planned.plan.num_controls](const TrackingCost& cost) {
     if (cost.Q.size() != 1) return std::string("Q: expected one matrix");
@@ -54,7 +82,7 @@ PlannedMotion PlanScene(const Scene& scene, const py::object& control, const py:
     }
     return std::string();
   };
-  planned.make_plant = [scene, contact] { return MakePlant(MakeSimulator(contact, scene, Precision::kDouble)); };
+  planned.make_plant = [scene, contact, lengths = found.lengths] { return MakePlant(contact, scene, lengths); };
   return planned;
 }
 
@@ -244,7 +272,7 @@ py::tuple RegulatorToPython(const Regulator& regulator, const std::string& remar
 
 void BindFeedback(py::module_* module) {
   py::class_<PlannedMotion>(*module, "PlannedMotion")
-      .def(py::init(&PlanScene), py::arg("scene"), py::arg("control"), py::arg("contact"))
+      .def(py::init(&PlanMotion), py::arg("scene"), py::arg("control"), py::arg("durations"), py::arg("contact"))
       .def("track", &Track, py::arg("Q"), py::arg("R"), py::arg("QT"))
       .def("propagate", &Propagate, py::arg("covariances"), py::arg("gains"))
       .def("noisy_runs",

@@ -168,8 +168,8 @@ class CallableScheme final : public HybridScheme {
   Computation* const computation_;
 };
 
-// Mode, initial state, parameters, duration, and control or None.
-using Guess = std::tuple<int, py::object, py::object, double, py::object>;
+// Mode, initial state, parameters, duration, control or None, and the lengths of its intervals or None.
+using Guess = std::tuple<int, py::object, py::object, double, py::object, py::object>;
 
 // A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
@@ -184,7 +184,7 @@ class Problem {
 
   // The problem with a guess. Throws ValueError if something is wrong with it.
   HybridProblem At(const Guess& guess) const {
-    const auto& [mode, initial, parameters, duration, control] = guess;
+    const auto& [mode, initial, parameters, duration, control, durations] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
     input.initial = ToVector(ReadArray(initial, "initial", {system.state_size(mode)}));
@@ -196,6 +196,7 @@ class Problem {
       input.num_intervals = static_cast<int>(given.shape(0));
       input.control = ToVector(ReadArray(control, "control", {input.num_intervals, system.num_controls()}));
     }
+    if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
     if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);

@@ -3,9 +3,11 @@
 
 #include <cmath>
 
+#include "arrays.h"
 #include "computation.h"
 #include "convert.h"
 #include "programs/solve_output.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/solve/solver.h"
 
 namespace saltus::python {
@@ -16,6 +18,7 @@ struct Keywords {
   std::optional<double> learning_rate;
   bool rate_per_time;
   std::string sequence;
+  py::object guess;  // a control, and the lengths of its intervals; or None
   py::object surrogate;
   int threads;
   double memory_limit;  // MiB
@@ -46,6 +49,13 @@ SolverOptions ReadOptions(const Scene& scene, const Keywords& keywords) {
     throw py::value_error("memory_limit: expected MiB > 0");
   }
   SetSequence(scene, keywords.sequence, &options);
+  if (!keywords.guess.is_none() && scene.optimize == Optimize::kControl) {
+    const auto [control, durations] = keywords.guess.cast<std::pair<py::object, std::vector<double>>>();
+    const py::ssize_t intervals = static_cast<py::ssize_t>(durations.size());
+    const Array rows = ReadArray(control, "start", {intervals, scene.num_controlled(), ControlColumns(scene)});
+    CheckRows(scene, "start", View(rows));
+    options.guess = ControlGuess{ControlOfRows(scene, View(rows)), durations};
+  }
   options.surrogate = ReadSurrogate(keywords.surrogate);
   options.threads = ReadThreads(keywords.threads);
   options.memory_limit = static_cast<std::size_t>(keywords.memory_limit * (1 << 20));
@@ -108,18 +118,26 @@ void BindSolve(py::module_* module) {
              learning_rate,
          bool rate_per_time,
          const std::string& sequence,
+         const py::object& guess,
          const py::object& surrogate,
          int threads,
          double memory_limit,
          bool keep_iterates) {
-        return SolveScene(
-            scene,
-            contact,
-            solver,
-            precision,
-            callback,
-            status,
-            {iterations, learning_rate, rate_per_time, sequence, surrogate, threads, memory_limit, keep_iterates});
+        return SolveScene(scene,
+                          contact,
+                          solver,
+                          precision,
+                          callback,
+                          status,
+                          {iterations,
+                           learning_rate,
+                           rate_per_time,
+                           sequence,
+                           guess,
+                           surrogate,
+                           threads,
+                           memory_limit,
+                           keep_iterates});
       },
       py::arg("scene"),
       py::arg("contact"),
@@ -132,6 +150,7 @@ void BindSolve(py::module_* module) {
       py::arg("learning_rate"),
       py::arg("rate_per_time"),
       py::arg("sequence"),
+      py::arg("guess"),
       py::arg("surrogate"),
       py::arg("threads"),
       py::arg("memory_limit"),

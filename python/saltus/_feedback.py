@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
-from ._hybrid import HybridProblem, HybridSystem
+from ._hybrid import HybridProblem, HybridRun, HybridSystem
 from ._own import as_contact
-from ._results import Result
-from ._scene import SceneLike, as_scene
+from ._results import Result, Run
+from ._scene import SceneLike, as_scene, of_run
 from ._types import Floats, Remade, expect
 
 
@@ -48,12 +48,31 @@ def _matrix(value: ArrayLike | None) -> Any:
     return matrix
 
 
-def _planned(problem: HybridProblem | SceneLike, plan: ArrayLike | None, contact: Any = "event") -> Any:
-    if not isinstance(problem, HybridProblem):
-        return _saltus.PlannedMotion(as_scene(problem), plan, as_contact(contact))
-    if plan is not None:
-        raise ValueError("plan: found one for a HybridProblem, which has its control")
-    return problem._call("planned")
+def _along(problem: HybridProblem, plan: Any, durations: ArrayLike | None) -> HybridProblem:
+    """The problem whose motion is followed: that of a run, if one is given."""
+    if durations is not None:
+        raise ValueError("durations: found some for a HybridProblem, which has its own")
+    if plan is None:
+        return problem
+    if not isinstance(plan, HybridRun):
+        raise ValueError("plan: found no run for a HybridProblem, which has its control; expected a run or none")
+    return problem._from(plan)
+
+
+def _planned(
+    problem: HybridProblem | SceneLike, plan: Any, durations: ArrayLike | None, contact: Any = "event"
+) -> Any:
+    if isinstance(problem, HybridProblem):
+        return _along(problem, plan, durations)._call("planned")
+    scene: Any = as_scene(problem)
+    if isinstance(plan, Mapping):
+        if durations is not None:
+            raise ValueError("durations: found some with a run, which has its own")
+        scene, plan, durations = of_run(scene, plan)
+    elif durations is None:
+        durations = getattr(plan, "durations", None)
+    plain = None if plan is None else np.asarray(plan)
+    return _saltus.PlannedMotion(scene, plain, durations, as_contact(contact))
 
 
 def _gains(regulator: Regulator | None) -> Any:
@@ -68,7 +87,8 @@ def track(
     R: ArrayLike,
     QT: ArrayLike,
     *,
-    plan: ArrayLike | None = None,
+    plan: Run | HybridRun | ArrayLike | None = None,
+    durations: ArrayLike | None = None,
     continuous: bool = False,
 ) -> Regulator:
     """The linear-quadratic regulator with jumps about the motion of a hybrid problem, or about the exact motion of a scene,
@@ -77,8 +97,11 @@ def track(
     Minimises the sum over the control intervals of dx' Q dx + du' R du, plus dx' QT dx at the end, with du constant in
     each interval; or with ``continuous``, the integral, with du continuous in time, of a hybrid problem. ``Q``: a matrix,
     or one for each mode by name. The state dx is that at the beginning of the interval; in a scene, the state of all
-    discs in one row. ``plan``: the control of a scene, (K, C, 2) or (K, C, 3); None: its own. In du, a torque is divided
-    by the radius of its disc and stands after all forces.
+    discs in one row. In du, a torque is divided by the radius of its disc and stands after all forces.
+
+    ``plan``: a run of ``solve``, whose initial state, control, intervals and duration are followed; or the control of a
+    scene, (K, C, 2) or (K, C, 3), on K = steps equal intervals or on intervals that last ``durations``, (K,) in s; None: that
+    of the scene or of the problem.
     """
     if isinstance(Q, Mapping):
         if not isinstance(problem, HybridProblem):
@@ -90,9 +113,9 @@ def track(
     else:
         weights = [_matrix(Q)]
     if not continuous:
-        gains, cost, closed, events, remark = _planned(problem, plan).track(weights, _matrix(R), _matrix(QT))
+        gains, cost, closed, events, remark = _planned(problem, plan, durations).track(weights, _matrix(R), _matrix(QT))
     elif isinstance(problem, HybridProblem):
-        gains, cost, closed, events, remark = problem._call(
+        gains, cost, closed, events, remark = _along(problem, plan, durations)._call(
             "track_continuously", weights, _matrix(R), _matrix(QT)
         )
     else:
@@ -112,17 +135,18 @@ def propagate(
     process: ArrayLike | None = None,
     measurement: ArrayLike | None = None,
     regulator: Regulator | None = None,
-    plan: ArrayLike | None = None,
+    plan: Run | HybridRun | ArrayLike | None = None,
+    durations: ArrayLike | None = None,
 ) -> Covariance:
     """The covariance of the error of a motion, to first order through its events, in open loop or with a regulator whose
     du is constant in each interval.
 
     Covariance matrices: of the ``initial`` state; of the ``control`` in each interval; of the ``process``, added to the
-    state at the end of each interval; of the ``measurement`` of the state at its beginning. None: no error. ``plan`` as in
-    track.
+    state at the end of each interval; of the ``measurement`` of the state at its beginning. None: no error. ``plan`` and
+    ``durations`` as in track.
     """
     matrices = [_matrix(value) for value in (initial, control, process, measurement)]
-    nodes, times, risks, probability, warning, remark = _planned(problem, plan).propagate(matrices, _gains(regulator))
+    nodes, times, risks, probability, warning, remark = _planned(problem, plan, durations).propagate(matrices, _gains(regulator))
     return Covariance({
         "covariances": nodes, "event_times": np.array(times), "risks": risks, "change_probability": probability,
         "warning": warning, "remark": remark,
@@ -137,7 +161,8 @@ def noisy_runs(
     process: ArrayLike | None = None,
     measurement: ArrayLike | None = None,
     regulator: Regulator | None = None,
-    plan: ArrayLike | None = None,
+    plan: Run | HybridRun | ArrayLike | None = None,
+    durations: ArrayLike | None = None,
     contact: Any = "event",
     samples: int = 1000,
     seed: int = 1,
@@ -146,12 +171,12 @@ def noisy_runs(
     """Simulates a plan with noise, in open loop or with a regulator, which compares states with equally many events behind
     them (reference spreading).
 
-    Covariance matrices, ``regulator`` and ``plan`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
+    Covariance matrices, ``regulator``, ``plan`` and ``durations`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
     0 is one for each core; results do not depend on it.
     """
     expect("a whole number", samples=samples, seed=seed, threads=threads)
     matrices = [_matrix(value) for value in (initial, control, process, measurement)]
-    mean, covariance, planned, counted, failed, otherwise = _planned(problem, plan, contact).noisy_runs(
+    mean, covariance, planned, counted, failed, otherwise = _planned(problem, plan, durations, contact).noisy_runs(
         matrices, _gains(regulator), samples, seed, threads
     )
     error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")

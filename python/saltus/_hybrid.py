@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from . import _saltus
 from ._expression import Tape, call, outputs
-from ._results import Result, WrongGradient
-from ._types import asked_for, expect, parameters_of
+from ._results import KINDS, Result, WrongGradient, on_intervals
+from ._types import Closed, asked_for, expect, parameters_of
 
 _READS = "xupth"
 
@@ -63,7 +63,7 @@ def _outputs(what: str, tape: Tape, values: Any, expected: int | None = None) ->
         raise _at(what, error) from error
 
 
-class HybridSystem:
+class HybridSystem(Closed):
     """A hybrid system: a state that flows smoothly until a guard falls through zero, and is then reset.
 
     states: the modes, each with the names of its states. controls, parameters: names. SI units, or any others.
@@ -91,6 +91,8 @@ class HybridSystem:
     Raises TypeError where a function branches on a value, ValueError where sizes or names do not match, RuntimeError for
     what a function raises; each names the mode and the guard.
     """
+
+    _attributes = ("modes", "states", "controls", "parameters", "guards")
 
     def __init__(
         self,
@@ -212,8 +214,10 @@ class Record:
         raise TypeError("the function of a cost that was pickled is not kept; its record is evaluated in its problem only")
 
 
-class Cost:
+class Cost(Closed):
     """A term of a problem: residuals whose squares are summed (a cost), or that are to be 0 or at most 0."""
+
+    _attributes = ("name", "function", "at", "role", "mode", "guard", "before", "size")
 
     def __init__(self, name: str, function: Callable[..., Any], at: str, role: str, mode: str | None,
                  guard: str | None, before: bool, size: int | None):
@@ -382,12 +386,15 @@ def final_time(weight: float = 1.0) -> Cost:
     return Cost("final time", price, "end", "cost", None, None, False, None)
 
 
-class HybridProblem:
-    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew. A problem can be copied and
-    pickled: a pickle has what was recorded in place of the functions of costs. Several threads may use one problem.
+class HybridProblem(Closed):
+    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew; others are refused. A problem can
+    be copied and pickled: a pickle has what was recorded in place of the functions of costs. Several threads may use one problem.
 
-    system, mode, initial, parameters, duration: where the motion begins, and the final time.
-    control: (K, controls), held on K equal intervals; K = 1 and zeros if left out.
+    system, mode, initial, parameters, duration: where the motion begins, and the final time, which may be left out if
+    there are durations.
+    control: (K, controls), held on K intervals; K = 1 and zeros if left out.
+    durations: (K,), the lengths of the intervals, whose sum is the duration; equal ones if left out. With
+    ``control=run.control, durations=run.durations`` or ``start_from(run)`` the problem has the intervals of a run.
     costs: a list of saltus.terminal, saltus.effort, saltus.final_time and saltus.residuals, or of functions, which are
     residuals at the end.
     tolerance: relative error of final state and event times, for which the number of integration steps is chosen;
@@ -397,6 +404,9 @@ class HybridProblem:
     motion goes on in the mode that on_accumulation names, or fails.
     """
 
+    _attributes = ("system", "mode", "initial", "parameters", "duration", "control", "durations", "costs", "tolerance",
+                   "steps_per_interval", "wait_behind_guards", "most_events", "most_repeats")
+
     def __init__(
         self,
         system: HybridSystem,
@@ -404,8 +414,9 @@ class HybridProblem:
         mode: str,
         initial: ArrayLike,
         parameters: ArrayLike = (),
-        duration: float,
+        duration: float | None = None,
         control: ArrayLike | None = None,
+        durations: ArrayLike | None = None,
         costs: Sequence[Any] = (),
         tolerance: float = 1e-12,
         steps_per_interval: int = 0,
@@ -415,10 +426,15 @@ class HybridProblem:
     ):
         if not isinstance(system, HybridSystem):
             raise TypeError(f"system: found {type(system).__name__}, expected a saltus.HybridSystem")
+        if duration is None:
+            if durations is None:
+                raise TypeError("duration: found none and no durations, expected one of them")
+            duration = float(np.sum(np.asarray(durations, dtype=float)))
         expect("a number", duration=duration, tolerance=tolerance)
         expect("a whole number", steps_per_interval=steps_per_interval, most_events=most_events,
                most_repeats=most_repeats)
         self.system, self.mode, self.duration = system, mode, duration
+        self.durations: Any = durations
         self.initial: Any = initial
         self.parameters: Any = parameters
         self.control: Any = control
@@ -434,7 +450,8 @@ class HybridProblem:
         if self.mode not in self.system.states:
             raise ValueError(f"mode: found {self.mode!r}, expected some of {', '.join(self.system.modes)}")
         expect("a number", duration=self.duration)
-        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration), self.control)
+        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration),
+                 *self._intervals())
         limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events, self.most_repeats)
         rest = (self.system, tuple(self.costs), *limits)
         made = self._made
@@ -460,6 +477,40 @@ class HybridProblem:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "costs": [cost._as_recorded(self) for cost in self._costs()], "_made": None}
+
+    def _intervals(self) -> tuple[Any, Any]:
+        """The control, and the lengths of its intervals; None: equal ones. A run's control brings its own."""
+        durations = getattr(self.control, "durations", None) if self.durations is None else self.durations
+        if durations is None:
+            return self.control, None
+        lengths = np.asarray(durations, dtype=float)
+        intervals = self.intervals
+        if self.control is None or lengths.shape != (intervals,):
+            raise ValueError(f"durations: found shape {lengths.shape}, expected ({intervals},), one for each row of the control")
+        if not np.all(lengths > 0) or not np.all(np.isfinite(lengths)):
+            raise ValueError("durations: expected finite numbers > 0")
+        if abs(np.sum(lengths) - self.duration) > 1e-9 * abs(self.duration):
+            raise ValueError(
+                f"durations: found a sum of {np.sum(lengths):.10g}, expected the duration, {self.duration:.10g}; set both, or use "
+                "start_from(run)"
+            )
+        return np.asarray(self.control), lengths
+
+    def start_from(self, run: HybridRun) -> None:
+        """Takes over the solution of a run: initial state, control and its intervals, parameters and duration."""
+        if not isinstance(run, HybridRun):
+            raise TypeError(f"run: found {type(run).__name__}, expected a HybridRun")
+        if "control" not in run:
+            raise ValueError(f"run: found none with a solution: {run.get('reason', '')}")
+        self.control, self.durations = np.asarray(run.control), run.durations
+        self.initial, self.parameters, self.duration = run.initial, run.parameters, run.duration
+        self._call("check")
+
+    def _from(self, run: HybridRun) -> HybridProblem:
+        """The same problem from the solution of a run."""
+        problem = copy.copy(self)
+        problem.start_from(run)
+        return problem
 
     @property
     def intervals(self) -> int:
@@ -532,6 +583,16 @@ class HybridRun(Result):
     ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of solvers that certify, otherwise None."""
 
     _kind = "hybrid run"
+
+    @property
+    def control(self) -> Any:
+        """The control, (K, m)."""
+        control, durations = self.__getattr__("control"), self.__getattr__("durations")
+        equal = np.ptp(durations) <= 1e-9 * np.mean(durations)
+        return control if equal else on_intervals(control, durations)
+
+
+KINDS[HybridRun._kind] = HybridRun
 
 
 def _events(motion: Mapping[str, Any]) -> list[tuple[float, str, str, str]]:

@@ -20,7 +20,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-def _number_array(value: Any) -> Any:
+def number_array(value: Any) -> Any:
     """Returns lists of numbers as an array, with null as NaN, and everything else unchanged."""
     if not isinstance(value, list) or not value:
         return value
@@ -45,6 +45,24 @@ def _with_torques(value: Any) -> Any:
         return np.array(rows, dtype=float) if known else value
     except (TypeError, ValueError):
         return value
+
+
+class Control(np.ndarray):
+    """The control of a run whose intervals are not equally long, or whose duration was free: an array with the lengths of
+    its intervals as ``durations``, s. What takes a control on equal intervals refuses it. Arrays that are computed from it
+    have no durations."""
+
+    durations: Floats | None
+
+    def __array_finalize__(self, of: Any) -> None:
+        self.durations = None
+
+
+def on_intervals(control: Any, durations: Any) -> Any:
+    """Returns a control as an array that knows the lengths of its intervals."""
+    array = np.asarray(control, dtype=float).view(Control)
+    array.durations = np.asarray(durations, dtype=float)
+    return array
 
 
 class Result(Mapping[str, Any]):
@@ -73,7 +91,7 @@ class Result(Mapping[str, Any]):
         if name.startswith("_") or name not in self._data:
             raise AttributeError(f"this {self._kind} has no {name!r}; it has {', '.join(self._data)}")
         value = self._data[name]
-        return Result(value) if isinstance(value, dict) else _number_array(value)
+        return Result(value) if isinstance(value, dict) else number_array(value)
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._data]
@@ -112,7 +130,7 @@ class Result(Mapping[str, Any]):
 
 def _brief(value: Any) -> str:
     """Returns one line for a value of any size."""
-    value = _number_array(value)
+    value = number_array(value)
     if isinstance(value, np.ndarray):
         return f"array {value.shape}" if value.size > 6 else np.array2string(value, precision=10, separator=", ").replace("\n", "")
     if isinstance(value, float):
@@ -162,9 +180,16 @@ class Gradient(Result):
 
 class Run(Result):
     """A run of a solver: ``termination``, ``final_loss`` under its contact model, ``exact_loss`` under exact dynamics,
-    ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ``remarks``, ..."""
+    ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ``remarks``, ... If the control's
+    intervals are not those of the scene, ``durations`` (K,) has their lengths, s."""
 
     _kind = "run"
+
+    @property
+    def control(self) -> Any:
+        """The control, (K, C, 2) in N, or (K, C, 3) with torques in N m."""
+        control = self.__getattr__("control")
+        return on_intervals(control, self._data["durations"]) if self._data.get("durations") else control
 
     @property
     def converged(self) -> bool:
@@ -256,7 +281,8 @@ class WrongGradient(AssertionError):
     """Raised for a gradient that is not right, with the reasons of the audit."""
 
 
-_KINDS = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit, Fit)}
+# By what load_result makes of a file.
+KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradient, Run, Audit, Fit)}
 
 
 def load_result(path: str | os.PathLike[str]) -> Result:
@@ -265,7 +291,7 @@ def load_result(path: str | os.PathLike[str]) -> Result:
         data = json.load(file)
     if not isinstance(data, dict) or "saltus" not in data:
         raise ValueError(f"{os.fspath(path)}: expected a result that saltus has saved")
-    kind = _KINDS.get(data.pop("saltus"), Result)
+    kind = KINDS.get(data.pop("saltus"), Result)
     if kind is Rollout:
         data = {key: np.array(value) if key in ("states", "times", "steps_with_contact") else value
                 for key, value in data.items()}

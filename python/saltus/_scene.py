@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Mapping, Union
 import numpy as np
 
 from . import _saltus
+from ._results import number_array
 
 
 class SceneError(ValueError):
@@ -132,3 +133,17 @@ def as_scene(scene: SceneLike) -> Scene:
     if isinstance(scene, (str, os.PathLike)):
         return load_scene(scene)
     raise TypeError(f"scene: found {type(scene).__name__}, expected a Scene, a dict or the path of a scene file")
+
+
+def of_run(scene: _saltus.Scene, run: Mapping[str, Any]) -> tuple[_saltus.Scene, Any, Any]:
+    """Returns the scene with the initial state and the parameters of a run, its control, and the lengths of its intervals."""
+    if "control" not in run:
+        raise ValueError(f"run: found none with a solution: {run.get('reason', '')}")
+    if run.get("parameters"):
+        scene = _saltus.with_design(scene, run["parameters"])
+    keys = ("control", "durations", "position", "velocity", "angular_velocity")
+    scene = _saltus.starting_from_run(scene, json.dumps({key: run[key] for key in keys if key in run}, default=_plain))
+    control = number_array(run["control"])
+    intervals = len(control) or scene.steps
+    durations = run.get("durations") or [scene.duration / intervals] * intervals
+    return scene, control, durations

@@ -13,10 +13,10 @@ from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
-from ._types import Floats, Remade, expect
+from ._types import Closed, Floats, Remade, expect
 
 
-class Simulation(Remade, _saltus.Simulation):
+class Simulation(Closed, Remade, _saltus.Simulation):
     """A scene under a contact model, to be evaluated many times.
 
     The decision variables z are what the scene optimizes, in the shape ``shape``: a control (K, C, 2) in N ((K, C, 3)
@@ -60,6 +60,8 @@ class Simulation(Remade, _saltus.Simulation):
             a state, and with respect to the forces, (S, C, 2).
     """
 
+    _attributes = ("scene", "contact", "shape", "num_variables", "num_steps", "initial_guess")
+
     def __init__(
         self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", memory_limit: float = 1024
     ):
@@ -73,7 +75,7 @@ class Simulation(Remade, _saltus.Simulation):
         )
 
 
-class Batch(Remade, _saltus.Batch):
+class Batch(Closed, Remade, _saltus.Batch):
     """Losses and gradients at many points, on all cores, with the same bits for any number of threads.
 
     Results are new arrays, or the given ones. If a rollout fails, its loss and gradient are NaN.
@@ -101,7 +103,7 @@ class Batch(Remade, _saltus.Batch):
         )
 
 
-class EndState(Remade, _saltus.EndState):
+class EndState(Closed, Remade, _saltus.EndState):
     """The final state as a function of the initial state and the control, for automatic differentiation by other packages.
 
     ``end(initial, control)`` returns the final state in the shape of ``initial``. saltus.torch makes a function of torch
@@ -120,6 +122,8 @@ class EndState(Remade, _saltus.EndState):
             state and control, by one adjoint. The motion of the last call is not simulated again. The gradient is 0 for
             fixed discs.
     """
+
+    _attributes = ("initial", "control")
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double"):
         expect("text", precision=precision)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, Callable, Mapping, Sequence
 
 from . import _hybrid, _saltus
-from ._hybrid import HybridProblem
+from ._hybrid import HybridProblem, HybridRun
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
-from ._scene import SceneLike, as_scene
+from ._scene import SceneLike, as_scene, of_run
 from ._types import expect
 
 
@@ -34,6 +34,7 @@ def solve(
     learning_rate: float | None = None,
     rate_per_time: bool = False,
     sequence: str = "auto",
+    start: Run | HybridRun | None = None,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
     memory_limit: float = 1024,
@@ -60,6 +61,9 @@ def solve(
         rate_per_time: whether the learning rate is per unit of time.
         sequence: collision sequence of ceres_event, ceres_phases, hmp and mode_search: "auto", "fixed", "none" or pairs
             such as "striker-target,target-ceiling".
+        start: a run from which to start: its control on its own intervals, its duration, and the initial velocities or
+            positions that are free; of a HybridProblem also the parameters. Solvers on equal steps take the mean of the
+            control over each of them.
         surrogate: "smoothed_zeroth" or another surrogate gradient, or a dict of kind, sigma, samples, seed, segments.
         threads: number of threads for samples of surrogates; 0 is one per core.
         memory_limit: MiB, for the states of a rollout.
@@ -67,7 +71,7 @@ def solve(
         callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
         status: called as status(text) with the progress of solvers that take long.
 
-    A HybridProblem takes optimize, bounds, iterations, learning_rate and callback.
+    A HybridProblem takes optimize, bounds, iterations, learning_rate, start and callback.
 
     Returns:
         A Run, or a HybridRun.
@@ -85,11 +89,18 @@ def solve(
     if isinstance(scene, HybridProblem):
         rate = 0.01 if learning_rate is None else float(learning_rate)
         free = ["control"] if optimize is None else optimize
-        return _hybrid.solve(scene, solver, free, bounds or {}, iterations, rate, callback)
+        problem = scene if start is None else scene._from(start)
+        return _hybrid.solve(problem, solver, free, bounds or {}, iterations, rate, callback)
     if optimize is not None or bounds is not None:
         raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
+    given: Any = as_scene(scene)
+    guess = None
+    if start is not None:
+        if not isinstance(start, Run):
+            raise TypeError(f"start: found {type(start).__name__}, expected a Run")
+        given, *guess = of_run(given, start)
     found, stopped_by = _saltus.solve(
-        as_scene(scene),
+        given,
         as_contact(contact),
         solver,
         precision=precision,
@@ -99,6 +110,7 @@ def solve(
         learning_rate=learning_rate,
         rate_per_time=rate_per_time,
         sequence=sequence,
+        guess=guess,
         surrogate=surrogate,
         threads=1 if is_own(contact) else threads,
         memory_limit=memory_limit,

@@ -97,3 +97,16 @@ def asked_for(
     if order:
         expected += f", or {len(order)} arguments of other names for ({', '.join(order)}), in this order"
     raise ValueError(f"found an argument {unknown[0]!r}, expected {expected}")
+
+
+class Closed:
+    """A base of classes that refuse attributes which they do not have, such as misspelt ones."""
+
+    _attributes: tuple[str, ...] = ()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._attributes and not name.startswith("_"):
+            raise AttributeError(
+                f"this {type(self).__name__} has no attribute {name!r}; it has {', '.join(self._attributes)}"
+            )
+        super().__setattr__(name, value)

@@ -4,37 +4,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "base/normal_stream.h"
 #include "base/parallel_for.h"
 #include "feedback/noisy_states.h"
+#include "feedback/scene_intervals.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {
 namespace {
-
-// The touches of consecutive steps as events: impacts that have a time, and the beginnings of contacts that last.
-class TouchEvents {
- public:
-  // Those of one step, which follows the step of the last call.
-  void Add(std::span<const Touch> touches, std::vector<EventLabel>* events) {
-    std::vector<EventLabel> now;
-    for (const Touch& touch : touches) {
-      const Candidate& c = touch.candidate;
-      const EventLabel label{c.a, c.b, c.plane ? 1 : 0};
-      const bool impact = touch.time >= 0 && touch.kind == ContactKind::kImpact;
-      const auto in = [&](const std::vector<EventLabel>& labels) {
-        return std::find(labels.begin(), labels.end(), label) != labels.end();
-      };
-      if (impact || (!in(before_) && !in(now))) events->push_back(label);
-      now.push_back(label);
-    }
-    before_ = std::move(now);
-  }
-
- private:
-  std::vector<EventLabel> before_;
-};
 
 class HybridPlant final : public Plant {
  public:
@@ -63,7 +42,7 @@ class HybridPlant final : public Plant {
     piece_.duration = times_[k + 1] - times_[k];
     if (!simulator_.Rollout(piece_)) return false;
     for (const std::vector<HybridEvent>* events : {&std::as_const(at_once), &simulator_.events()}) {
-      for (const HybridEvent& event : *events) events_.push_back({event.mode, event.guard, event.next_mode});
+      for (const HybridEvent& event : *events) events_.push_back({event.mode, event.guard, event.next_mode, k});
     }
     mode_ = simulator_.final_mode();
     x_ = Eigen::Map<const Eigen::VectorXd>(simulator_.final_state().data(), simulator_.final_state().size());
@@ -79,47 +58,104 @@ class HybridPlant final : public Plant {
 
 class ScenePlant final : public Plant {
  public:
-  explicit ScenePlant(std::unique_ptr<Simulator> simulator)
-      : simulator_(std::move(simulator)), force_(simulator_->force_size()), next_(simulator_->state_size()) {}
+  explicit ScenePlant(SceneIntervals intervals)
+      : intervals_(std::move(intervals)),
+        force_(intervals_.simulator().force_size()),
+        full_(intervals_.simulator().state_size()),
+        next_(full_.size()) {}
 
+  // A model may keep numbers of its own of each disc behind those of the state, which begin as in a rollout.
   void Start(const Eigen::VectorXd& x) override {
+    const Simulator& simulator = intervals_.simulator();
+    CHECK(x.size() == simulator.initial_size() || x.size() == simulator.state_size())
+        << "found a state of " << x.size() << " numbers, expected " << simulator.initial_size();
     x_ = x;
+    if (x.size() != simulator.state_size()) {
+      simulator.ExpandInitial(ToInitial({x.data(), static_cast<std::size_t>(x.size())}, simulator.num_bodies()), full_);
+    }
     events_.clear();
     touch_events_ = {};
   }
 
-  bool Advance(int /*k*/, std::span<const double> u) override {
-    simulator_->ExpandForce(u, 0, force_);
+  bool Advance(int k, std::span<const double> u) override {
+    const SceneIntervals::Interval& interval = intervals_[k];
+    if (interval.simulator == nullptr) return true;
+    const int bodies = interval.simulator->num_bodies();
+    const auto size = static_cast<std::size_t>(x_.size()) / bodies, full = full_.size() / bodies;
+    for (int b = 0; b < bodies; ++b) std::copy_n(x_.data() + b * size, size, full_.data() + b * full);
+    interval.simulator->ExpandForce(u, 0, force_);
     touches_.clear();
-    simulator_->Step({x_.data(), next_.size()}, force_, next_, &touches_);
-    x_ = Eigen::Map<const Eigen::VectorXd>(next_.data(), next_.size());
-    touch_events_.Add(touches_, &events_);
+    interval.simulator->Step(full_, force_, next_, &touches_);
+    full_.swap(next_);
+    for (int b = 0; b < bodies; ++b) std::copy_n(full_.data() + b * full, size, x_.data() + b * size);
+    touch_events_.Add(touches_, [&](std::size_t i) { events_.push_back(LabelOf(touches_[i].candidate, k)); });
     return x_.allFinite();
   }
 
  private:
-  std::unique_ptr<Simulator> simulator_;
-  std::vector<double> force_, next_;
+  SceneIntervals intervals_;
+  std::vector<double> force_, full_, next_;
   std::vector<Touch> touches_;
   TouchEvents touch_events_;
 };
 
-// The nodes of the branches of each event, whose phase is that after the event or that before it.
-void AddBranches(Plan* plan, const std::function<std::vector<Eigen::VectorXd>(int event, int first, int last)>& late,
-                 const std::function<std::vector<Eigen::VectorXd>(int event, int first, int last)>& early) {
-  const auto nodes = [&](int phase) {
-    const auto range = std::equal_range(plan->phases.begin(), plan->phases.end() - 1, phase);
-    return std::pair(static_cast<int>(range.first - plan->phases.begin()),
-                     static_cast<int>(range.second - plan->phases.begin()) - 1);
+// The states of a branch of an event at the nodes first, ..., last.
+using BranchStates = std::function<std::vector<Eigen::VectorXd>(int event, int first, int last)>;
+
+// Events that share a disc that moves, and all events of a hybrid system, cannot change places.
+bool Ordered(const Plan& plan, int event, int other) {
+  if (plan.discs.empty()) return true;
+  return std::ranges::any_of(plan.discs[event], [&](int disc) {
+    return std::ranges::find(plan.discs[other], disc) != plan.discs[other].end();
+  });
+}
+
+// A branch reaches to the event of the same discs before or after; it is empty if no interval begins between the two.
+void AddBranches(Plan* plan, const BranchStates& late, const BranchStates& early) {
+  const auto first_node_behind = [&](int event) {
+    return static_cast<int>(std::upper_bound(plan->phases.begin(), plan->phases.end(), event) - plan->phases.begin());
   };
-  for (int event = 0; event < static_cast<int>(plan->events.size()); ++event) {
-    const auto [after, last_after] = nodes(event + 1);
-    const auto [before, last_before] = nodes(event);
-    plan->late.push_back(
-        {after, after <= last_after ? late(event, after, last_after) : std::vector<Eigen::VectorXd>()});
-    plan->early.push_back(
-        {before, before <= last_before ? early(event, before, last_before) : std::vector<Eigen::VectorXd>()});
+  const int K = plan->num_intervals(), num_events = static_cast<int>(plan->events.size());
+  for (int event = 0; event < num_events; ++event) {
+    int before = event - 1, after = event + 1;
+    while (before >= 0 && !Ordered(*plan, event, before)) --before;
+    while (after < num_events && !Ordered(*plan, event, after)) ++after;
+    // The nodes in [begin, at) have the events of these discs before this one behind them, those in [at, end) this one.
+    const int begin = before < 0 ? 0 : first_node_behind(before), at = first_node_behind(event);
+    const int end = after < num_events ? first_node_behind(after) : K;
+    Plan::Branch& behind = plan->late.emplace_back(Plan::Branch{at, at - 1, {}});
+    Plan::Branch& ahead = plan->early.emplace_back(Plan::Branch{begin, at, {}});
+    if (begin < at && at < end) {
+      behind.states = late(event, at, end - 1);
+      ahead.states = early(event, begin, at - 1);
+    }
   }
+}
+
+// Which of the planned events have happened, as of node k; nothing if others have, or in another order.
+std::optional<std::vector<char>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
+  std::vector<char> happened(plan.events.size());
+  // Of the events with which a contact comes to last, only the first counts.
+  for (const Plan::Lasting& contact : plan.lasting) {
+    for (int i = contact.event + 1; contact.event >= 0 && contact.from <= k && i < plan.phases[contact.from]; ++i) {
+      if (plan.events[i] == contact.pair) happened[i] = true;
+    }
+  }
+  for (const EventLabel& event : events) {
+    const bool lasts = std::ranges::any_of(plan.lasting, [&](const Plan::Lasting& contact) {
+      return contact.pair == event && contact.from <= k && event.interval <= contact.to &&
+             (contact.event < 0 || happened[contact.event]);
+    });
+    if (lasts) continue;
+    std::size_t i = 0;
+    while (i < happened.size() && (happened[i] || plan.events[i] != event)) ++i;
+    if (i == happened.size()) return std::nullopt;
+    for (std::size_t before = 0; before < i; ++before) {
+      if (!happened[before] && Ordered(plan, static_cast<int>(before), static_cast<int>(i))) return std::nullopt;
+    }
+    happened[i] = true;
+  }
+  return happened;
 }
 
 struct NoiseRoots {
@@ -166,7 +202,10 @@ ClosedLoopRun RunWith(const Plan& plan, const std::vector<Eigen::MatrixXd>& gain
     run.ok = acts.allFinite() && plant->state().allFinite() && plant->Advance(k, u);
     Disturb(noise.process, &stream, plant->state());
   }
-  run.as_planned = run.ok && plant->events() == plan.events;
+  if (run.ok) {
+    const auto happened = Happened(plan, plan.num_intervals(), plant->events());
+    run.as_planned = happened && std::ranges::count(*happened, 0) == 0;
+  }
   run.mode = plant->mode();
   run.final_state = plant->state();
   return run;
@@ -181,14 +220,15 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
   Plan plan{.num_controls = system.num_controls(), .control = input.control};
   plan.control.resize(static_cast<std::size_t>(K) * plan.num_controls);
   const std::vector<HybridSensitivity> intervals = motion.IntervalSensitivities();
-  std::vector<int> interval_of;  // of each event
   for (int k = 0; k <= K; ++k) {
     const std::span<const double> x = k == 0 ? std::span<const double>(input.initial) : motion.StateAt(k);
     plan.states.emplace_back(Eigen::Map<const Eigen::VectorXd>(x.data(), x.size()));
-    plan.phases.push_back(static_cast<int>(interval_of.size()));
-    if (k < K) interval_of.insert(interval_of.end(), intervals[k].times.size(), k);
+    plan.phases.push_back(static_cast<int>(plan.events.size()));
+    for (std::size_t i = 0; k < K && i < intervals[k].times.size(); ++i) {
+      const HybridEvent& event = motion.events()[plan.events.size()];
+      plan.events.push_back({event.mode, event.guard, event.next_mode, k});
+    }
   }
-  for (const HybridEvent& event : motion.events()) plan.events.push_back({event.mode, event.guard, event.next_mode});
   RungeKutta integrator(system.functions());
   // From a state and time over the nodes in turn, which are in order of time or against it.
   const auto extend = [&](int mode, std::span<const double> x0, double t, int interval, int from, int to) {
@@ -212,45 +252,78 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
       &plan,
       [&](int event, int first, int last) {
         const HybridEvent& at = motion.events()[event];
-        return extend(at.mode, at.before, at.time, interval_of[event], first, last);
+        return extend(at.mode, at.before, at.time, first - 1, first, last);
       },
       [&](int event, int first, int last) {
         const HybridEvent& at = motion.events()[event];
-        return extend(at.next_mode, at.after, at.time, std::min(interval_of[event] + 1, K - 1), last, first);
+        return extend(at.next_mode, at.after, at.time, last + 1, last, first);
       });
   return plan;
 }
 
 Plan MakePlan(const Simulator& motion, std::span<const double> control) {
-  const int K = motion.num_steps(), n = motion.state_size(), size = motion.body_size();
-  Plan plan{.num_controls = motion.control_width(), .control = {control.begin(), control.end()}};
-  CHECK_EQ(static_cast<int>(control.size()), motion.control_size());
-  const std::optional<FlightOver> over = motion.FreeFlightOver(motion.step());
-  TouchEvents touch_events;
-  std::vector<int> interval_of;
-  std::size_t touch = 0;
-  for (int k = 0; k <= K; ++k) {
-    Eigen::VectorXd x(n);
-    motion.GetState(k, {x.data(), static_cast<std::size_t>(n)});
-    plan.states.push_back(std::move(x));
-    plan.phases.push_back(static_cast<int>(plan.events.size()));
-    std::vector<Touch> now;
-    for (; touch < motion.touches().size() && motion.touches()[touch].step == k; ++touch) {
-      now.push_back(motion.touches()[touch].touch);
+  return MakePlan(SceneIntervals(motion), control);
+}
+
+namespace {
+
+// Events, phases and contacts that last.
+void AddEvents(const SceneIntervals& motion, Plan* plan) {
+  const std::vector<SceneEvent> events = PlannedEvents(motion);
+  auto event = events.begin();
+  for (int k = 0; k < motion.size(); ++k) {
+    plan->phases.push_back(static_cast<int>(plan->events.size()));
+    for (; event != events.end() && event->label.interval == k; ++event) {
+      plan->events.push_back(event->label);
+      plan->discs.push_back(event->discs);
     }
-    touch_events.Add(now, &plan.events);
-    interval_of.resize(plan.events.size(), k);
+    if (motion[k].simulator == nullptr) {
+      for (Plan::Lasting& contact : plan->lasting) contact.to += contact.to == k - 1;
+      continue;
+    }
+    for (const Touch& touch : motion.touches(k)) {
+      if (touch.kind != ContactKind::kSustained) continue;
+      const EventLabel pair = LabelOf(touch.candidate, k);
+      const auto goes_on = std::ranges::find_if(
+          plan->lasting, [&](const Plan::Lasting& contact) { return contact.pair == pair && contact.to >= k - 1; });
+      if (goes_on != plan->lasting.end()) {
+        goes_on->to = k;
+        continue;
+      }
+      // The first event of the pair in this interval, or the last before.
+      const auto of_pair = std::find(plan->events.begin() + plan->phases[k], plan->events.end(), pair);
+      int first = static_cast<int>(of_pair - plan->events.begin());
+      if (of_pair == plan->events.end()) {
+        for (first = plan->phases[k] - 1; first >= 0 && plan->events[first] != pair;) --first;
+      }
+      plan->lasting.push_back({pair, first, first < 0 ? 0 : k + 1, k});
+    }
   }
-  // One step of free flight of a disc, forwards or backwards.
-  std::vector<double> force(motion.force_size());
-  const auto fly = [&](int body, bool backwards, Eigen::VectorXd* x) {
-    const Body& disc = motion.scene().bodies[body];
-    if (disc.fixed) return;
-    const StepLinearization::FreeFlight& f = over->flight;
+  plan->phases.push_back(static_cast<int>(plan->events.size()));
+}
+
+}  // namespace
+
+Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
+  const Simulator& simulator = motion.simulator();
+  const int K = motion.size(), width = simulator.control_width(), size = simulator.body_size();
+  CHECK_EQ(static_cast<int>(control.size()), K * width);
+  Plan plan{.num_controls = width, .control = {control.begin(), control.end()}};
+  for (int k = 0; k <= K; ++k) {
+    const std::vector<double> x = motion.State(k);
+    plan.states.emplace_back(Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())));
+  }
+  AddEvents(motion, &plan);
+  // The free flight of a disc over interval k, forwards or backwards.
+  std::vector<double> force(simulator.force_size());
+  const auto fly = [&](int k, int body, bool backwards, Eigen::VectorXd* x) {
+    const Body& disc = simulator.scene().bodies[body];
+    if (disc.fixed || motion[k].simulator == nullptr) return;
+    const StepLinearization::FreeFlight f = motion[k].simulator->FreeFlightOver(motion[k].length)->flight;
     const double determinant = f.pp * f.vv - f.pv * f.vp;
     for (int j = 0; j < 2; ++j) {
       double &p = (*x)[size * body + j], &v = (*x)[size * body + 2 + j];
-      const double a = force[2 * body + j] / disc.mass + motion.scene().gravity[j];
+      const double a = force[2 * body + j] / disc.mass + simulator.scene().gravity[j];
       if (backwards) {
         const double dp = p - f.pa * a, dv = v - f.va * a;
         p = (f.vv * dp - f.pv * dv) / determinant;
@@ -261,33 +334,35 @@ Plan MakePlan(const Simulator& motion, std::span<const double> control) {
         v = f.vp * was + f.vv * v + f.va * a;
       }
     }
-    if (size == 4 + kSpin) (*x)[size * body + 4] += (backwards ? -1 : 1) * motion.step() * (*x)[size * body + 5];
+    if (size == 4 + kSpin) (*x)[size * body + 4] += (backwards ? -1 : 1) * motion[k].length * (*x)[size * body + 5];
   };
-  const auto extend = [&](int event, int interval, int start, int from, int to) {
+  const bool flies = simulator.FreeFlightOver(simulator.step()).has_value();
+  // Over `nodes` nodes from `from` on, forwards or backwards, beginning with the state at the node before.
+  const auto extend = [&](int event, int from, int nodes, bool backwards) {
     std::vector<Eigen::VectorXd> states;
-    if (!over) return states;
-    motion.ExpandForce(control, interval, force);
+    if (!flies) return states;
+    const int by = backwards ? -1 : 1;
+    const auto interval = static_cast<std::size_t>(from - by);
+    simulator.ExpandForce(control.subspan(interval * width, width), 0, force);
     const EventLabel& label = plan.events[event];
-    Eigen::VectorXd x = plan.states[start];
-    for (int node = start, by = from <= to ? 1 : -1; node != to;) {
-      node += by;
-      fly(label.a, by < 0, &x);
-      if (label.c == 0) fly(label.b, by < 0, &x);
+    Eigen::VectorXd x = plan.states[from - by];
+    for (int node = from; node != from + by * nodes; node += by) {
+      const int k = backwards ? node : node - 1;
+      fly(k, label.a, backwards, &x);
+      if (label.c == 0) fly(k, label.b, backwards, &x);
       // The other discs are where they are planned to be.
       Eigen::VectorXd state = plan.states[node];
       state.segment(size * label.a, size) = x.segment(size * label.a, size);
       if (label.c == 0) state.segment(size * label.b, size) = x.segment(size * label.b, size);
       states.push_back(std::move(state));
     }
-    if (from > to) std::reverse(states.begin(), states.end());
+    if (backwards) std::reverse(states.begin(), states.end());
     return states;
   };
   AddBranches(
       &plan,
-      [&](int event, int first, int last) { return extend(event, interval_of[event], first - 1, first, last); },
-      [&](int event, int first, int last) {
-        return extend(event, std::min(interval_of[event] + 1, K - 1), last + 1, last, first);
-      });
+      [&](int event, int first, int last) { return extend(event, first, last - first + 1, /*backwards=*/false); },
+      [&](int event, int first, int last) { return extend(event, last, last - first + 1, /*backwards=*/true); });
   return plan;
 }
 
@@ -296,24 +371,23 @@ bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains
   const auto m = static_cast<std::size_t>(plan.num_controls);
   const auto take = [&](int interval) { std::copy_n(plan.control.begin() + interval * m, m, u.begin()); };
   take(k);
-  const int planned = plan.phases[k], phase = static_cast<int>(events.size());
-  if (gains.empty() || std::abs(phase - planned) > 1 || events.size() > plan.events.size() ||
-      !std::equal(events.begin(), events.end(), plan.events.begin())) {
-    return false;
-  }
+  if (gains.empty()) return false;
+  const std::optional<std::vector<char>> happened = Happened(plan, k, events);
+  if (!happened) return false;
   const Eigen::VectorXd* reference = &plan.states[k];
-  int interval = k;
-  if (phase != planned) {
-    const Plan::Branch& branch = phase < planned ? plan.late[phase] : plan.early[planned];
+  int interval = k, odd = -1;
+  for (int i = 0; i < static_cast<int>(happened->size()); ++i) {
+    const bool planned = i < plan.phases[k];
+    if ((*happened)[i] == planned) continue;
+    if (odd >= 0) return false;
+    odd = i;
+    const Plan::Branch& branch = planned ? plan.late[i] : plan.early[i];
     const int at = k - branch.first;
     if (at < 0 || at >= static_cast<int>(branch.states.size())) return false;
     reference = &branch.states[at];
-    // The last interval that begins in this phase, or the first.
-    const auto range = std::equal_range(plan.phases.begin(), plan.phases.end() - 1, phase);
-    if (range.first == range.second) return false;
-    interval = static_cast<int>((phase < planned ? range.second - 1 : range.first) - plan.phases.begin());
+    interval = branch.interval;
   }
-  if (reference->size() != x.size() || gains[interval].cols() != x.size()) return false;
+  if (reference->size() != x.size() || gains[interval].cols() != x.size() || !reference->allFinite()) return false;
   take(interval);
   Eigen::Map<Eigen::VectorXd>(u.data(), u.size()) -= gains[interval] * (x - *reference);
   return true;
@@ -324,7 +398,11 @@ std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& 
 }
 
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator) {
-  return std::make_unique<ScenePlant>(std::move(simulator));
+  return std::make_unique<ScenePlant>(SceneIntervals(std::move(simulator)));
+}
+
+std::unique_ptr<Plant> MakePlant(const Contact& contact, const Scene& scene, std::span<const double> lengths) {
+  return std::make_unique<ScenePlant>(SceneIntervals(contact, scene, lengths));
 }
 
 ClosedLoopRun RunClosedLoop(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,

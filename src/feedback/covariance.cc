@@ -4,8 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
-#include <optional>
+#include <set>
 #include <tuple>
 
 #include "base/number_text.h"
@@ -15,7 +16,7 @@ namespace saltus {
 namespace {
 
 constexpr double kLeastProbability = 1e-12;  // of a risk that is listed
-constexpr double kSameTime = 1e-12;          // s
+constexpr double kSameDeviation = 1e-7;      // of the deviations of two times: that of their difference
 
 // That a normal number with this mean and standard deviation is below zero.
 double ProbabilityBelowZero(double mean, double deviation) {
@@ -23,10 +24,14 @@ double ProbabilityBelowZero(double mean, double deviation) {
   return 0.5 * std::erfc(mean / (deviation * std::numbers::sqrt2));
 }
 
-struct Pending {  // the event before the one that is looked at
+// An event that no other of its discs has followed so far.
+struct Pending {
   double time = 0;
   std::string name;
   double variance = 0;
+  int interval = 0;
+  Eigen::RowVectorXd by_state, by_control;  // of its time, in its interval
+  Eigen::RowVectorXd with_state;            // covariance of its time with the state at the beginning of a later one
 };
 
 }  // namespace
@@ -75,9 +80,8 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
     out.change_probability = std::min(1.0, out.change_probability + probability);
     if (probability >= kLeastProbability) out.risks.push_back({std::move(what), time, probability});
   };
-  // The covariance of the time of the last event with the state at the beginning of the interval.
-  std::optional<Pending> last;
-  Eigen::RowVectorXd last_by_state;
+  std::vector<Pending> events;
+  std::map<int, std::size_t> last_of;  // the last event of each disc; of a hybrid system, of all (-1)
   for (int k = 0; k < K; ++k) {
     const LinearInterval& at = motion.intervals[k];
     const Eigen::MatrixXd& P = out.nodes[k];
@@ -86,54 +90,73 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
     // The covariance of the control that does not come from dx.
     const Eigen::MatrixXd of_control =
         or_zero(noise.control, m) + gain * or_zero(noise.measurement, n) * gain.transpose();
+    // Of what changes by by_state dx + by_control (control that does not come from dx).
+    const auto covariance = [&](const Eigen::RowVectorXd& state,
+                                const Eigen::RowVectorXd& control,
+                                const Eigen::RowVectorXd& other_state,
+                                const Eigen::RowVectorXd& other_control) {
+      return (state * P * other_state.transpose() + control * of_control * other_control.transpose()).value();
+    };
     for (const LinearGuard& guard : at.guards) {
-      const double variance = guard.by_state * P * guard.by_state.transpose();
+      const Eigen::RowVectorXd by_state = guard.by_state - guard.by_control * gain;
+      const double variance = covariance(by_state, guard.by_control, by_state, guard.by_control);
       const double probability = ProbabilityBelowZero(guard.value, std::sqrt(std::max(variance, 0.0)));
-      if (probability >= kLeastProbability) add_risk(guard.name + " falls below zero", at.begin, probability);
+      if (probability >= kLeastProbability) add_risk(guard.name + " falls below zero", guard.time, probability);
     }
-    // dt = c dx + (control that does not come from dx).
-    Eigen::RowVectorXd before, before_by_control;
     for (const LinearEvent& event : at.events) {
-      const Eigen::RowVectorXd by_state = event.by_state - event.by_control * gain;
-      const double variance = std::max(
-          0.0,
-          (by_state * P * by_state.transpose() + event.by_control * of_control * event.by_control.transpose()).value());
-      out.event_times.push_back(std::sqrt(variance));
-      if (last && event.time - last->time <= kSameTime) {
-        // One follows from the other.
-      } else if (last) {
-        // Covariance with the time of the event before.
-        const double covariance =
-            before.size() > 0
-                ? (before * P * by_state.transpose() + before_by_control * of_control * event.by_control.transpose())
-                      .value()
-                : (last_by_state * by_state.transpose()).value();
-        const double difference = std::max(0.0, variance + last->variance - 2 * covariance);
-        add_risk(event.name + " comes before " + last->name,
+      Pending now{event.time, event.name, 0, k, event.by_state - event.by_control * gain, event.by_control, {}};
+      now.variance = std::max(0.0, covariance(now.by_state, now.by_control, now.by_state, now.by_control));
+      out.event_times.push_back(std::sqrt(now.variance));
+      const std::vector<int> discs = event.discs.empty() ? std::vector<int>{-1} : event.discs;
+      std::set<std::size_t> before;
+      for (const int disc : discs) {
+        if (const auto last = last_of.find(disc); last != last_of.end()) before.insert(last->second);
+        last_of[disc] = events.size();
+      }
+      for (const std::size_t i : before) {
+        const Pending& last = events[i];
+        if (event.follows) continue;
+        double variance = 0;
+        if (last.interval == k) {
+          const Eigen::RowVectorXd by_state = now.by_state - last.by_state,
+                                   by_control = now.by_control - last.by_control;
+          variance = covariance(by_state, by_control, by_state, by_control);
+        } else {
+          variance = now.variance + last.variance - 2 * last.with_state.dot(now.by_state);
+        }
+        const double rounding = kSameDeviation * kSameDeviation * (now.variance + last.variance);
+        add_risk(event.name + " comes before " + last.name,
                  event.time,
-                 ProbabilityBelowZero(event.time - last->time, std::sqrt(difference)));
-      } else {
+                 ProbabilityBelowZero(event.time - last.time, std::sqrt(variance > rounding ? variance : 0)));
+      }
+      if (before.empty()) {
         add_risk(event.name + " comes before the beginning",
                  event.time,
                  ProbabilityBelowZero(event.time - motion.intervals[0].begin, out.event_times.back()));
       }
-      last = Pending{event.time, event.name, variance};
-      before = by_state;
-      before_by_control = event.by_control;
+      events.push_back(std::move(now));
     }
     const Eigen::MatrixXd transition = at.A - at.B * gain;
     out.nodes.push_back(transition * P * transition.transpose() + at.B * of_control * at.B.transpose() +
                         or_zero(noise.process, at.A.rows()));
-    if (before.size() > 0) {
-      last_by_state = before * P * transition.transpose() + before_by_control * of_control * at.B.transpose();
-    } else if (last) {
-      last_by_state = last_by_state * transition.transpose();
+    std::set<std::size_t> last;
+    for (const auto& [disc, i] : last_of) last.insert(i);
+    for (const std::size_t i : last) {
+      Pending& event = events[i];
+      if (event.interval == k) {
+        event.with_state =
+            event.by_state * P * transition.transpose() + event.by_control * of_control * at.B.transpose();
+      } else {
+        event.with_state = (event.with_state * transition.transpose()).eval();
+      }
     }
   }
-  if (last) {
-    add_risk(last->name + " comes after the end",
-             last->time,
-             ProbabilityBelowZero(motion.end - last->time, std::sqrt(last->variance)));
+  std::set<std::size_t> last;
+  for (const auto& [disc, i] : last_of) last.insert(i);
+  for (const std::size_t i : last) {
+    add_risk(events[i].name + " comes after the end",
+             events[i].time,
+             ProbabilityBelowZero(motion.end - events[i].time, std::sqrt(events[i].variance)));
   }
   std::ranges::stable_sort(out.risks,
                            [](const SequenceRisk& a, const SequenceRisk& b) { return a.probability > b.probability; });

@@ -7,12 +7,10 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <numeric>
 
 #include "base/linear_algebra.h"
 #include "feedback/noisy_states.h"
 #include "hybrid/runge_kutta.h"
-#include "saltus/simulate/events.h"
 
 namespace saltus {
 namespace {
@@ -91,58 +89,6 @@ class Hamiltonian {
   Eigen::MatrixXd B_, matrix_;
 };
 
-// The derivative of the time of an event in a step by one of the numbers of x or force, which is given back as it was:
-// by a central difference, whose width is far below that of a change of the sequence. Not a number if the event does
-// not happen on both sides.
-double TimeDifference(const Simulator& motion, const Touch& event, std::span<const double> x,
-                      std::span<const double> force, double* number) {
-  constexpr double kWidth = 1e-6;
-  const double was = *number, width = kWidth * std::max(1.0, std::abs(was));
-  std::vector<double> next(x.size());
-  std::vector<Touch> touches;
-  double times[2];
-  for (int side : {0, 1}) {
-    *number = was + (side == 0 ? -width : width);
-    touches.clear();
-    motion.Step(x, force, next, &touches);
-    const auto same = std::find_if(
-        touches.begin(), touches.end(), [&](const Touch& touch) { return touch.candidate == event.candidate; });
-    times[side] = same == touches.end() ? std::numeric_limits<double>::quiet_NaN() : same->time;
-  }
-  *number = was;
-  return (times[1] - times[0]) / (2 * width);
-}
-
-// By how much the paths of two discs that collide overlap, across their relative velocity w: the sum d of their radii
-// minus the offset across, which is cross(r, w) / |w| for the relative position r, on either side.
-void AddOverlaps(const Simulator& motion, const Touch& event, std::span<const double> x, LinearInterval* interval) {
-  const Candidate& pair = event.candidate;
-  if (pair.plane || event.kind != ContactKind::kImpact) return;
-  const Scene& scene = motion.scene();
-  const Body &one = scene.bodies[pair.a], &other = scene.bodies[pair.b];
-  const int a = motion.body_size() * pair.a, b = motion.body_size() * pair.b;
-  const Vec2d r(x[a] - x[b], x[a + 1] - x[b + 1]), w(x[a + 2] - x[b + 2], x[a + 3] - x[b + 3]);
-  const double speed = w.norm();
-  if (!(speed > 0)) return;
-  const double offset = (r[0] * w[1] - r[1] * w[0]) / speed;
-  const Vec2d by_r = Vec2d(w[1], -w[0]) / speed;
-  const Vec2d by_w = Vec2d(-r[1], r[0]) / speed - offset / (speed * speed) * w;
-  for (const double side : {-1.0, 1.0}) {
-    const double value = one.radius + other.radius + side * offset;
-    if (!(value > 0)) continue;
-    Eigen::RowVectorXd row = Eigen::RowVectorXd::Zero(static_cast<Eigen::Index>(x.size()));
-    for (int j = 0; j < 2; ++j) {
-      row[a + j] = side * by_r[j];
-      row[b + j] = -side * by_r[j];
-      row[a + 2 + j] = side * by_w[j];
-      row[b + 2 + j] = -side * by_w[j];
-    }
-    interval->guards.push_back({.name = "the overlap of the paths of " + one.name + " and " + other.name,
-                                .value = value,
-                                .by_state = std::move(row)});
-  }
-}
-
 Eigen::MatrixXd Symmetric(const Eigen::MatrixXd& S) { return 0.5 * (S + S.transpose()); }
 
 }  // namespace
@@ -174,7 +120,8 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
                                  .name = "guard '" + system.GuardName(happened.mode, happened.guard) + "' in mode '" +
                                          system.ModeName(happened.mode) + "'",
                                  .by_state = row.head(n),
-                                 .by_control = row.tail(num_controls)});
+                                 .by_control = row.tail(num_controls),
+                                 .follows = happened.at_once});
     }
     // The guard of the event that ends the phase goes to zero as planned; that of the event before comes from zero.
     const auto planned = [&](std::size_t i, int guard) {
@@ -191,48 +138,11 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
       if (!(value > 0)) continue;
       interval.guards.push_back({.name = "guard '" + system.GuardName(interval.mode, guard) + "' in mode '" +
                                          system.ModeName(interval.mode) + "'",
+                                 .time = interval.begin,
                                  .value = value,
-                                 .by_state = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), n)});
-    }
-    linear.intervals.push_back(std::move(interval));
-  }
-  return linear;
-}
-
-LinearMotion Linearize(const Simulator& motion, std::span<const double> control) {
-  const int K = motion.num_steps(), n = motion.state_size(), m = motion.control_width();
-  CHECK_EQ(static_cast<int>(control.size()), motion.control_size());
-  // Of the numbers of the forces, those of a row of the control.
-  std::vector<double> numbers(motion.force_size()), columns(m), x(n), force(motion.force_size());
-  std::iota(numbers.begin(), numbers.end(), 0);
-  motion.SelectControl(numbers, columns);
-  const std::vector<StepTouch> touches = EventTouches(motion);
-  const std::vector<Event> events = EventsOf(motion);
-  LinearMotion linear;
-  linear.end = motion.scene().duration;
-  StepLinearization step;
-  Eigen::MatrixXd by_force;
-  std::size_t event = 0;
-  for (int k = 0; k < K; ++k) {
-    LinearInterval interval{.begin = k * motion.step()};
-    motion.GetState(k, x);
-    motion.ExpandForce(control, k, force);
-    motion.Linearize(x, force, /*with_parameters=*/false, &step);
-    step.ToDense(&interval.A, &by_force);
-    interval.B.resize(n, m);
-    for (int j = 0; j < m; ++j) interval.B.col(j) = by_force.col(static_cast<Eigen::Index>(columns[j]));
-    for (; event < touches.size() && touches[event].step == k; ++event) {
-      AddOverlaps(motion, touches[event].touch, x, &interval);
-      LinearEvent at{.time = events[event].time,
-                     .name = events[event].a + " and " + events[event].b,
-                     .by_state = Eigen::RowVectorXd(n),
-                     .by_control = Eigen::RowVectorXd(m)};
-      for (int j = 0; j < n; ++j) at.by_state[j] = TimeDifference(motion, touches[event].touch, x, force, &x[j]);
-      for (int j = 0; j < m; ++j) {
-        at.by_control[j] =
-            TimeDifference(motion, touches[event].touch, x, force, &force[static_cast<std::size_t>(columns[j])]);
-      }
-      if (at.by_state.allFinite() && at.by_control.allFinite()) interval.events.push_back(std::move(at));
+                                 .by_state = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), n),
+                                 .by_control = Eigen::Map<const Eigen::RowVectorXd>(
+                                     gradient.data() + gradient.size() - num_controls, num_controls)});
     }
     linear.intervals.push_back(std::move(interval));
   }
@@ -280,6 +190,7 @@ std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& moti
 
 Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {
   const auto K = static_cast<int>(motion.intervals.size());
+  const auto begin_of = [&](int k) { return k < K ? motion.intervals[k].begin : motion.end; };
   Regulator regulator;
   regulator.gains.resize(K);
   regulator.closed_loop.resize(K);
@@ -289,13 +200,17 @@ Regulator Track(const LinearMotion& motion, const TrackingCost& cost) {
     const LinearInterval& at = motion.intervals[k];
     const Eigen::MatrixXd& S = regulator.cost_to_go[k + 1];
     CHECK(S.rows() == at.A.rows()) << "QT has another size than the final state";
-    const Eigen::MatrixXd SB = Multiply(S, at.B);
-    const CholeskySolver factors(cost.R + MultiplyTransposed(at.B, SB));
-    if (!factors.ok()) return {};
-    regulator.gains[k] = factors.Solve(MultiplyTransposed(SB, at.A));
-    if (!regulator.gains[k].allFinite()) return {};
+    const double weight = cost.per_time ? begin_of(k + 1) - at.begin : 1;
+    regulator.gains[k] = Eigen::MatrixXd::Zero(at.B.cols(), at.A.cols());
+    if (weight > 0) {
+      const Eigen::MatrixXd SB = Multiply(S, at.B);
+      const CholeskySolver factors(weight * cost.R + MultiplyTransposed(at.B, SB));
+      if (!factors.ok()) return {};
+      regulator.gains[k] = factors.Solve(MultiplyTransposed(SB, at.A));
+      if (!regulator.gains[k].allFinite()) return {};
+    }
     regulator.closed_loop[k] = at.A - Multiply(at.B, regulator.gains[k]);
-    regulator.cost_to_go[k] = Symmetric(WeightOf(cost, at.mode, at.A.cols()) +
+    regulator.cost_to_go[k] = Symmetric(weight * WeightOf(cost, at.mode, at.A.cols()) +
                                         Multiply(MultiplyTransposed(at.A, S), regulator.closed_loop[k]));
   }
   return regulator;

@@ -10,7 +10,6 @@
 #include "programs/program.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
-#include "solve/control_guess.h"
 
 DEFINE_bool(feedback, false,
             "compute a regulator along each solution and how errors grow with and without it, and simulate noisy runs");
@@ -96,9 +95,8 @@ FeedbackStudy Run(const Study& of) {
   study.open = loop(nullptr);
   const int m = of.plan.num_controls;
   if (m == 0) return study;
-  const double step = (of.linear.end - study.times[0]) / static_cast<double>(of.linear.intervals.size());
-  TrackingCost cost{.R = options.control * step * Eigen::MatrixXd::Identity(m, m)};
-  for (const Eigen::MatrixXd& Q : of.Q) cost.Q.push_back(options.state * step * Q);
+  TrackingCost cost{.R = options.control * Eigen::MatrixXd::Identity(m, m), .per_time = true};
+  for (const Eigen::MatrixXd& Q : of.Q) cost.Q.push_back(options.state * Q);
   cost.QT = options.final * Eigen::MatrixXd::Identity(study.planned.size(), study.planned.size());
   const Regulator regulator = Track(of.linear, cost);
   if (regulator.gains.empty()) {
@@ -189,40 +187,37 @@ std::optional<FeedbackOptions> SceneFeedbackFromFlags() {
 FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
   double price_of_time = 0;
-  const Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
+  Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
+  if (scene.num_controlled() > 0) scene.steps = static_cast<int>(control.size() / scene.control_width());
   FeedbackStudy none;
+  none.reason = WhyTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
+  if (!none.reason.empty()) return none;
   // One step of the plant is one interval of the plan, whatever its model.
   Scene plant_scene = scene;
   plant_scene.steps *= FindContactModel(Contact(options.plant).name())->grid_steps;
-  for (const std::string& model : {std::string("event"), options.plant}) {
-    none.reason = WhyNotApplicable(model, plant_scene);
-    if (!none.reason.empty()) return none;
-  }
-  none.reason = WhyTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
+  none.reason = WhyNotApplicable(options.plant, plant_scene);
   if (!none.reason.empty()) return none;
-  const std::unique_ptr<Simulator> motion = MakeSimulator({"event"}, scene, Precision::kDouble);
-  std::vector<double> row_means;
-  if (scene.num_controlled() > 0) {
-    row_means = MeanOverSteps({control, durations}, scene.control_width(), motion->num_steps());
-  }
-  if (!motion->Rollout(initial, row_means)) {
-    none.reason = motion->WhyFailed();
-    return none;
-  }
-  const int n = motion->state_size(), body_size = motion->body_size();
-  Study study{options, threads, MakePlan(*motion, row_means), Linearize(*motion, row_means)};
+  ScenePlan planned = PlanScene(scene, initial, control, durations);
+  none.reason = planned.reason;
+  if (!none.reason.empty()) return none;
+  const int body_size = static_cast<int>(InitialSize(scene)) / scene.num_bodies(), n = body_size * scene.num_bodies();
+  Study study{options, threads, std::move(planned.plan), std::move(planned.linear)};
   study.noise = NoiseOf(scene, options, body_size);
   study.Q = {Eigen::MatrixXd::Identity(n, n)};
-  study.make_plant = [&] { return MakePlant(MakeSimulator(options.plant, plant_scene, Precision::kDouble)); };
+  study.make_plant = [&] { return MakePlant(options.plant, plant_scene, planned.lengths); };
   if (scene.objective.running.empty() && scene.objective.via.empty()) {
-    const double step = motion->step();
-    study.loss = [&objective = scene.objective, step, body_size, price_of_time](const ClosedLoopRun& run) {
+    const auto width = static_cast<std::size_t>(scene.control_width());
+    study.loss = [&, width, body_size, price_of_time](const ClosedLoopRun& run) {
       const std::span<const double> x(run.final_state.data(), static_cast<std::size_t>(run.final_state.size()));
-      return TerminalLoss(objective, x, body_size) + EffortLoss(objective, run.control, step) + price_of_time;
+      double loss = TerminalLoss(scene.objective, x, body_size) + price_of_time;
+      for (std::size_t k = 0; k < planned.lengths.size(); ++k) {
+        loss += EffortLoss(scene.objective, std::span(run.control).subspan(k * width, width), planned.lengths[k]);
+      }
+      return loss;
     };
     // Both terms are quadratic: that of the final state is the mean over points +-sqrt(r) l_j, where l_j are the
     // columns of a square root of the covariance; that of the effort the sum over such columns.
-    study.expected_loss = [&, step](const Covariance& covariance, const Regulator* regulator) {
+    study.expected_loss = [&](const Covariance& covariance, const Regulator* regulator) {
       const Eigen::MatrixXd root = RootOfCovariance(covariance.nodes.back());
       const auto r = static_cast<double>(root.cols());
       ClosedLoopRun at{.final_state = study.plan.states.back(), .control = study.plan.control};
@@ -242,13 +237,15 @@ FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initi
           if (study.noise.measurement.size() > 0) of_control += K * study.noise.measurement * K.transpose();
         }
         const Eigen::MatrixXd columns = RootOfCovariance(of_control);
-        sum += EffortLoss(scene.objective, {columns.data(), static_cast<std::size_t>(columns.size())}, step);
+        sum +=
+            EffortLoss(scene.objective, {columns.data(), static_cast<std::size_t>(columns.size())}, planned.lengths[k]);
       }
       return sum;
     };
   }
   FeedbackStudy out = Run(study);
   out.plant = options.plant;
+  out.remark = planned.remark;
   return out;
 }
 

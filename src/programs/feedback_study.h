@@ -43,8 +43,7 @@ struct FeedbackStudy {
   std::optional<Loop> closed;  // nothing without controls
 };
 
-// Of the exact motion of a scene under a control: a solution with intervals of other lengths than the scene's steps is
-// followed with its mean over each step.
+// Of the exact motion of a scene under a control, on the intervals of the control.
 FeedbackStudy StudyFeedback(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads);
 FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& input, const FeedbackOptions& options,

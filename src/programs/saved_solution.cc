@@ -23,11 +23,13 @@ class SolutionReader : InputReader {
   SavedSolution Read() {
     const StatusOr<std::string> bytes = ReadFile(path_);
     if (!bytes.ok()) throw InputError(flag_ + ": " + bytes.status().message());
-    if (bytes->starts_with("PK")) {
-      ReadArrays();
-    } else {
-      ReadJson(*bytes);
-    }
+    if (!bytes->starts_with("PK")) return Read(*bytes);
+    ReadArrays();
+    CheckFinite();
+    return std::move(solution_);
+  }
+  SavedSolution Read(const std::string& json) {
+    ReadJson(json);
     CheckFinite();
     return std::move(solution_);
   }
@@ -198,6 +200,10 @@ class SolutionReader : InputReader {
 
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene) {
   return SolutionReader(flag, path, scene).Read();
+}
+
+SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene) {
+  return SolutionReader(name, "", scene).Read(json);
 }
 
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene) {

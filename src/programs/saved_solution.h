@@ -20,6 +20,9 @@ struct SavedSolution {
 // are not those of the scene.
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene);
 
+// The same of JSON that is not in a file; `name` begins messages.
+SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene);
+
 // Takes over the velocities or positions that the scene leaves free. Throws InputError if the others are not those of
 // the scene: then it is a solution of another problem.
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene);

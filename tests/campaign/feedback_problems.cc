@@ -4,16 +4,25 @@
 // covariance of --samples runs and that of first order, as a multiple of its standard error; the root mean square of
 // the final error, of the samples and of first order; the runs whose events are not as planned, and the probability of
 // that to first order. Fails if at the smallest noise a difference is above 5 standard errors.
+//
+// With --count, random scenes with bounces, rest and slides in their place: each motion is planned, or refused with a
+// reason. Fails if a plan is not its own undisturbed run, in open loop or in closed loop, if a covariance is not
+// finite, or if a disturbed motion with the planned events and without a remark does not end where its linearization
+// says.
 #include <gflags/gflags.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "base/normal_stream.h"
+#include "campaign/scenes.h"
 #include "feedback/bouncing_disc.h"
 #include "folders.h"
 #include "problems/hybrid_systems.h"
@@ -24,6 +33,8 @@
 #include "saltus/simulate/registry.h"
 
 DEFINE_int32(samples, 10000, "runs of each plan");
+DEFINE_int32(count, 0, "random scenes, in the place of the five plans");
+DEFINE_int32(seed, 1, "of the first of them");
 DEFINE_int32(seeds, 200, "recordings for the filters");
 DEFINE_int32(threads, 0, "of the runs; 0: one per core");
 
@@ -31,6 +42,7 @@ namespace saltus {
 namespace {
 
 using Eigen::MatrixXd;
+using Eigen::VectorXd;
 
 bool failed = false;
 
@@ -147,12 +159,94 @@ void ComparePlans() {
   Compare(OfSystem("cart_pole_walls", CartPoleWallsProblem(), {0.1 * MatrixXd::Identity(4, 4)}));
 }
 
+void Fail(const std::string& scene, const std::string& what) {
+  failed = true;
+  std::printf("%s: %s\n", scene.c_str(), what.c_str());
+}
+
+// Returns the reason why the scene has no plan; empty if it has one.
+std::string CheckScene(const campaign::NamedScene& named, std::uint32_t seed, int* compared, int* remarked) {
+  const Scene& scene = named.scene;
+  const std::string name = named.kind + " " + std::to_string(seed);
+  const std::vector<double> control =
+      scene.control_width() > 0 ? InitialControl(scene, scene.steps) : std::vector<double>();
+  const ScenePlan planned = PlanScene(scene, InitialState(scene), control);
+  if (!planned.reason.empty()) return planned.reason;
+  *remarked += !planned.remark.empty();
+  const VectorXd& end = planned.plan.states.back();
+  const Eigen::Index n = end.size(), m = planned.plan.num_controls;
+  const auto plant = [&] { return MakePlant(Contact("event"), scene, planned.lengths); };
+  const std::unique_ptr<Plant> one = plant();
+  const double size = 1 + end.norm();
+  std::vector<MatrixXd> gains;
+  if (m > 0) {
+    gains = Track(planned.linear,
+                  {.Q = {MatrixXd::Identity(n, n)}, .R = MatrixXd::Identity(m, m), .QT = MatrixXd::Identity(n, n)})
+                .gains;
+  }
+  for (const bool closed : {false, true}) {
+    if (closed && m == 0) continue;
+    const ClosedLoopRun run =
+        RunClosedLoop(planned.plan, closed ? gains : std::vector<MatrixXd>(), {}, 1, 0, one.get());
+    if (!run.ok || !run.as_planned) Fail(name, "the undisturbed run has other events");
+    if (run.ok && (run.final_state - end).norm() > 1e-6 * size) Fail(name, "the undisturbed run ends elsewhere");
+  }
+  const Noise noise{.initial = 1e-8 * MatrixXd::Identity(n, n)};
+  const Covariance covariance = Propagate(planned.linear, noise);
+  if (!covariance.nodes.back().allFinite()) Fail(name, "the covariance is not finite");
+  if (!(covariance.change_probability >= 0 && covariance.change_probability <= 1)) Fail(name, "no probability");
+  RunMonteCarlo(planned.plan, gains, noise, plant, {.samples = 5, .threads = 1});
+  if (!planned.remark.empty()) return "";
+  // One disturbed motion, as its linearization says.
+  NormalStream stream(seed);
+  VectorXd change = VectorXd::Zero(n);
+  const int body_size = static_cast<int>(n) / scene.num_bodies();
+  for (int i = 0; i < n; ++i) {
+    const Body& body = scene.bodies[i / body_size];
+    if (!body.fixed && (i % body_size < 4 || body.Spins())) change[i] = 1e-8 * stream.Next();
+  }
+  Plan moved = planned.plan;
+  moved.states[0] += change;
+  const ClosedLoopRun run = RunClosedLoop(moved, {}, {}, 1, 0, one.get());
+  if (!run.as_planned) return "";
+  for (const LinearInterval& interval : planned.linear.intervals) change = interval.A * change;
+  ++*compared;
+  const double error = (run.final_state - end - change).norm();
+  if (error > 1e-3 * change.norm() + 1e-10 * size) {
+    Fail(name,
+         "a disturbed motion ends " + std::to_string(error / change.norm()) + " of its change from its linearization");
+  }
+  return "";
+}
+
+void CheckRandomScenes() {
+  std::map<std::string, int> refused;
+  int planned = 0, compared = 0, remarked = 0;
+  for (int i = 0; i < FLAGS_count; ++i) {
+    const auto seed = static_cast<std::uint32_t>(FLAGS_seed + i);
+    const std::string reason = CheckScene(
+        i % 4 == 3 ? campaign::RandomEdgeScene(seed) : campaign::RandomScene(seed), seed, &compared, &remarked);
+    planned += reason.empty();
+    if (!reason.empty()) ++refused[reason.substr(0, reason.find_first_of("0123456789"))];
+  }
+  std::printf("%d scenes: %d planned, %d of them with a remark, %d compared with a disturbed motion\n",
+              FLAGS_count,
+              planned,
+              remarked,
+              compared);
+  for (const auto& [reason, count] : refused) std::printf("%d refused: %s...\n", count, reason.c_str());
+}
+
 }  // namespace
 }  // namespace saltus
 
 int main(int argc, char** argv) {
   gflags::ParseCommandLineFlags(&argc, &argv, true);
-  saltus::PrintFilters();
-  saltus::ComparePlans();
+  if (FLAGS_count > 0) {
+    saltus::CheckRandomScenes();
+  } else {
+    saltus::PrintFilters();
+    saltus::ComparePlans();
+  }
   return saltus::failed ? 1 : 0;
 }

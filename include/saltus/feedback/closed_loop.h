@@ -9,6 +9,9 @@
 //   * If it has happened already, the reference is the planned motion after the event, continued backwards, with the
 //     control and the gain of the first interval that begins after it.
 //   * If other events have happened than planned, or two more or fewer, there is no feedback: the planned control acts.
+//   * In a scene, events that share no disc that moves may happen in another order, and how often a pair meets before
+//   its
+//     contact lasts, and while it does, is not compared.
 //
 // Of a hybrid system, the motion is continued by the flow of the mode; of a scene, by free flight of the discs of the
 // event, with a constant angular velocity.
@@ -19,18 +22,21 @@
 #include <functional>
 #include <memory>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "saltus/feedback/covariance.h"
 #include "saltus/feedback/regulator.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 
 // Which event: mode, guard and next mode of a hybrid system; disc, disc or wall (Candidate) and 1 for a wall in a
-// scene.
+// scene. Events that are equal may happen in different intervals.
 struct EventLabel {
   int a = 0, b = 0, c = 0;
-  friend bool operator==(const EventLabel&, const EventLabel&) = default;
+  int interval = 0;
+  friend bool operator==(const EventLabel& x, const EventLabel& y) { return x.a == y.a && x.b == y.b && x.c == y.c; }
 };
 
 // A motion with what feedback needs of it.
@@ -41,18 +47,42 @@ struct Plan {
   std::vector<int> phases = {};              // K + 1: how many events have happened then
   std::vector<EventLabel> events = {};
   // Of each event: the motion before it, continued to the beginnings of intervals `first` and later that follow it and
-  // precede the next event; and the motion after it, continued backwards to those between the event before and it.
+  // precede the next event; and the motion after it, continued backwards to those between the event before and it. The
+  // control and the gain are those of `interval`.
   struct Branch {
-    int first = 0;
+    int first = 0, interval = 0;
     std::vector<Eigen::VectorXd> states = {};
   };
   std::vector<Branch> late = {}, early = {};
+  // Of each event of a scene, the discs in it that move: events that share none may change places. None of a hybrid
+  // system, whose events may not.
+  std::vector<std::vector<int>> discs = {};
+  // A contact of a scene that lasts from node `from` to interval `to`. The events of the pair from `event` to `from`,
+  // those with which it comes to rest, count as one; none (-1) if it lasts from the start. Later ones do not count.
+  struct Lasting {
+    EventLabel pair;
+    int event = -1, from = 0, to = 0;
+  };
+  std::vector<Lasting> lasting = {};
 
   int num_intervals() const { return static_cast<int>(phases.size()) - 1; }
 };
 // Of the last rollout, which succeeded, of `input` or under `control`.
 Plan MakePlan(HybridSimulator& motion, const HybridInput& input);
 Plan MakePlan(const Simulator& motion, std::span<const double> control);
+
+// Plan and linearization of the exact motion of a scene, on control intervals of any lengths.
+struct ScenePlan {
+  std::string reason = {};  // why there is no motion or no linearization, and then there is nothing else
+  std::string remark = {};  // why derivatives are one-sided, or do not say what disturbed motions do; empty if they do
+  Plan plan = {};
+  LinearMotion linear = {};
+  std::vector<double> lengths = {};  // of the K intervals, s
+};
+// The control's K intervals last `durations` (K numbers >= 0, s, which take the place of the scene's duration), or
+// equally long without any; a scene without a control has its own steps. `initial` as in simulator.h.
+ScenePlan PlanScene(Scene scene, const std::vector<double>& initial, const std::vector<double>& control,
+                    const std::vector<double>& durations = {});
 
 // The control of interval k, given the state at its beginning and the events that have happened. Writes the planned
 // control and returns false if there is no feedback by the rule above. `gains` as in Regulator; empty: planned control.
@@ -80,8 +110,12 @@ class Plant {
 // event at once if the guard falls there, and otherwise waits until it is above zero. steps_per_interval: of the
 // integration.
 std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval);
-// The scene under the contact model of the simulator. Contact that lasts over several steps is one event.
+// The scene under the contact model of the simulator. Contact that lasts over several steps is one event. A state has
+// the numbers of the scene's (positions, velocities and, if discs spin, rotations) or all that the model keeps.
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);
+// The same on intervals that last `lengths` (K numbers >= 0, s), each one step of the model. Precondition: their sum is
+// the scene's duration, and the contact model is applicable to the scene.
+std::unique_ptr<Plant> MakePlant(const Contact& contact, const Scene& scene, std::span<const double> lengths);
 
 struct ClosedLoopRun {
   bool ok = false;

@@ -27,13 +27,18 @@ struct LinearEvent {
   double time = 0;                                    // s
   std::string name = {};                              // "guard 'ground' in mode 'flight'"; "a and b" of a scene
   Eigen::RowVectorXd by_state = {}, by_control = {};  // of the time, by x_k and u_k
+  // Of a scene, the discs that move: the order of events that share none does not matter. None: it does.
+  std::vector<int> discs = {};
+  bool follows = false;  // from the event before, without time passing
 };
 
-// A guard that stays above zero, at the beginning of an interval.
+// A number that stays above zero in an interval, where it is least: a guard of a hybrid system; in a scene the gap of a
+// pair that does not touch, or the overlap of the paths of discs that do.
 struct LinearGuard {
   std::string name = {};
-  double value = 0;                  // > 0
-  Eigen::RowVectorXd by_state = {};  // by x_k
+  double time = 0;                                    // s
+  double value = 0;                                   // >= 0; 0 where it reaches zero only
+  Eigen::RowVectorXd by_state = {}, by_control = {};  // by x_k and u_k
 };
 
 struct LinearInterval {
@@ -62,6 +67,7 @@ LinearMotion Linearize(const Simulator& motion, std::span<const double> control)
 struct TrackingCost {
   std::vector<Eigen::MatrixXd> Q = {};
   Eigen::MatrixXd R = {}, QT = {};
+  bool per_time = false;  // for Track: Q and R are multiplied by the length of each interval
 };
 
 struct Regulator {

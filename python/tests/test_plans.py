@@ -1,0 +1,163 @@
+"""Runs as plans: the intervals, durations and initial states of solutions are kept by what follows or starts from them."""
+
+import numpy as np
+import pytest
+from conftest import SOURCE
+from numpy.testing import assert_allclose, assert_array_equal
+
+import saltus
+
+HOCKEY = {
+    "name": "hockey", "duration": 1.5, "steps": 30,
+    "bodies": [
+        {"name": "striker", "radius": 0.08, "mass": 0.3, "position": [0.3, -0.2]},
+        {"name": "puck", "radius": 0.05, "mass": 0.1, "position": [0.9, 0.1], "velocity": [-0.3, -0.1]},
+    ],
+    "contact": {"restitution": 0.9}, "control": {"bodies": ["striker"], "initial": [[3, 1]], "max": 4.0},
+    "objective": {
+        "terminal": [{"body": "puck", "quantity": "position", "target": [2.0, 0.15], "hard": True}],
+        "effort": 0.01, "duration": {"free": True, "min": 0.3, "max": 3, "weight": 1.0},
+    },
+    "optimize": "control",
+}
+
+
+@pytest.fixture(scope="module")
+def hockey():
+    scene = saltus.Scene(HOCKEY)
+    return scene, saltus.solve(scene, "event", "ceres_phases", iterations=200)
+
+
+def test_plan_of_a_run_with_a_free_duration(hockey):
+    scene, run = hockey
+    small = 1e-16 * np.eye(8)
+    runs = saltus.noisy_runs(scene, small, plan=run, samples=4)
+    # The puck ends where the solution says, and where the hard term asks for.
+    assert_allclose(runs.mean[4:6], [2.0, 0.15], atol=1e-6)
+    # The control knows its intervals; as a plain array it is refused, as its duration is not known.
+    assert_array_equal(saltus.noisy_runs(scene, small, plan=run.control, samples=4).mean, runs.mean)
+    plain = np.array(run.control)
+    durations = saltus.noisy_runs(scene, small, plan=plain, durations=run.durations, samples=4)
+    assert_array_equal(durations.mean, runs.mean)
+    with pytest.raises(ValueError, match="duration is not known"):
+        saltus.noisy_runs(scene, small, plan=plain, samples=4)
+    with pytest.raises(ValueError, match="durations: found shape"):
+        saltus.propagate(scene, small, plan=plain, durations=run.durations[:-1])
+    regulator = saltus.track(scene, np.eye(8), 0.1 * np.eye(2), np.eye(8), plan=run)
+    assert len(regulator.gains) == len(run.durations)
+
+
+def test_controls_on_other_intervals_are_refused(hockey):
+    scene, run = hockey
+    with pytest.raises(ValueError, match="different lengths"):
+        saltus.Simulation(scene).loss(run.control)
+    two_balls = saltus.load_scene(SOURCE / "problems" / "two_balls.yaml").replace(steps=6)
+    phases = saltus.solve(two_balls, "event", "ceres_event")
+    assert np.ptp(phases.durations) > 1e-3
+    for refused in (saltus.rollout, saltus.loss_and_gradient, saltus.linearize):
+        with pytest.raises(ValueError, match="different lengths|found shape"):
+            refused(two_balls, control=phases.control)
+    # A plan is the solution's own motion: its loss is the exact loss.
+    errors = 1e-18 * np.eye(8)
+    runs = saltus.noisy_runs(two_balls, errors, plan=phases, samples=2)
+    assert_allclose(runs.mean, np.ravel(phases.exact_final_state), atol=1e-8)
+    # Arrays that are computed from it are plain.
+    assert (2 * phases.control).durations is None
+
+
+def test_start_from_a_run(hockey):
+    scene, run = hockey
+    again = saltus.solve(scene, "event", "ceres_phases", start=run, iterations=50)
+    assert again.exact_loss <= run.exact_loss + 1e-8
+    assert again.iterations < run.iterations
+    with pytest.raises(TypeError, match="start: found ndarray, expected a Run"):
+        saltus.solve(scene, "event", "ceres_phases", start=np.zeros((30, 1, 2)))
+
+
+def test_velocities_of_a_run():
+    scene = saltus.Scene(
+        name="throw", duration=1.0, steps=20, gravity=[0, -9.8], planes=[{"name": "g", "point": [0, 0], "normal": [0, 1]}],
+        bodies=[{"name": "d", "radius": 0.1, "mass": 1, "position": [0, 1], "velocity": [1, 1]}], optimize="velocity",
+        free=["d"], objective={"terminal": [{"body": "d", "quantity": "position", "target": [2, 0.5]}]})
+    run = saltus.solve(scene, "event", "ceres_lm")
+    runs = saltus.noisy_runs(scene, 1e-18 * np.eye(4), plan=run, samples=2)
+    assert_allclose(runs.mean[:2], [2, 0.5], atol=1e-5)
+    other = scene.replace(bodies=[{**scene.to_dict()["bodies"][0], "position": [0, 2]}])
+    with pytest.raises(ValueError, match="the position of d is not the scene's"):
+        saltus.noisy_runs(other, 1e-18 * np.eye(4), plan=run, samples=2)
+
+
+def ball(**changes):
+    system = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
+        flow={"flight": lambda t, x, u, p: [x[1], -p[0] + u[0]]}, guards={"flight": {"ground": lambda t, x, p: x[0]}},
+        resets={"flight": {"ground": lambda t, x, p: ("flight", [0, -p[1] * x[1]])}})
+    given = dict(mode="flight", initial=[4, 0], parameters=[9.8, 0.7], duration=1.0, control=np.zeros((7, 1)),
+                 costs=[saltus.terminal([1, 0], weight=100), saltus.effort(1 / 32)])
+    return saltus.HybridProblem(system, **{**given, **changes})
+
+
+def test_durations_of_a_hybrid_problem():
+    # Two pushes of 0.25 and 0.75 s from rest, far above the ground: v = u1/4 + 3 u2/4, y = u1 (1/32 + 3/16) + u2 9/32.
+    problem = ball(initial=[50, 0], parameters=[0, 0.7], control=[[2], [-4]], durations=[0.25, 0.75])
+    final = saltus.rollout(problem).final
+    assert_allclose(final, [50 + 2 * (1 / 32 + 3 / 16) - 4 * 9 / 32, 0.5 - 3], rtol=1e-14)
+    assert_allclose(ball(initial=[50, 0], parameters=[0, 0.7], control=[[2], [-4]], durations=[0.25, 0.75],
+                         duration=None).duration, 1.0)
+    gradient = saltus.final_derivatives(problem).by_control
+    assert_allclose(np.ravel(gradient[1]), [0.25, 0.75], rtol=1e-12)
+    with pytest.raises(ValueError, match=r"durations: found shape \(3,\), expected \(2,\)"):
+        ball(control=[[2], [-4]], durations=[0.25, 0.5, 0.25])
+    with pytest.raises(ValueError, match="durations: found a sum of 1.5, expected the duration, 1"):
+        ball(control=[[2], [-4]], durations=[0.75, 0.75])
+    with pytest.raises(ValueError, match="expected finite numbers > 0"):
+        ball(control=[[2], [-4]], durations=[0, 1])
+
+
+def test_hybrid_problem_from_a_run():
+    problem = ball()
+    run = saltus.solve(problem, solver="ceres_phases")
+    assert np.ptp(run.durations) > 1e-3
+    following = ball(control=run.control, durations=run.durations)
+    assert_allclose(saltus.rollout(following).final, run.final, atol=1e-9)
+    # The control brings its intervals, too.
+    problem.control = run.control
+    assert_allclose(saltus.rollout(problem).final, run.final, atol=1e-9)
+    other = ball()
+    other.start_from(run)
+    assert_allclose(saltus.rollout(other).final, run.final, atol=1e-9)
+    runs = saltus.noisy_runs(ball(), 1e-18 * np.eye(2), plan=run, samples=2)
+    assert_allclose(runs.mean, run.final, atol=1e-6)
+    again = saltus.solve(ball(), solver="ceres_phases", start=run)
+    assert again.loss <= run.loss * (1 + 1e-9)
+    with pytest.raises(TypeError, match="run: found dict, expected a HybridRun"):
+        other.start_from({})
+
+
+def test_a_free_duration_of_a_hybrid_run():
+    problem = ball(costs=[saltus.terminal([1, 0], weight=100), saltus.effort(1 / 32), saltus.final_time(0.1)])
+    run = saltus.solve(problem, solver="ceres_phases", optimize=["control", "duration"])
+    assert abs(run.duration - 1) > 1e-3
+    problem.start_from(run)
+    assert problem.duration == run.duration
+    assert_allclose(saltus.rollout(problem).final, run.final, atol=1e-9)
+
+
+def test_unknown_attributes_are_refused():
+    problem = ball()
+    for of, name in ((problem, "cost"), (problem.system, "guard"), (problem.costs[0], "weight")):
+        with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
+            setattr(of, name, [])
+    with pytest.raises(AttributeError):
+        saltus.Simulation(saltus.Scene(HOCKEY).replace(optimize="control")).control = None
+
+
+def test_impacts_at_the_same_time_warn():
+    tie = saltus.Scene(
+        name="tie", duration=1.0, steps=20, objective={"terminal": []}, optimize="none",
+        bodies=[{"name": n, "radius": 0.1, "mass": 1, "position": p, "velocity": v}
+                for n, p, v in (("s", [-0.5, 0], [1, 0]), ("a", [0, 0.1], [0, 0]), ("b", [0, -0.1], [0, 0]))])
+    found = saltus.propagate(tie, 1e-6 * np.eye(12))
+    assert found.change_probability >= 0.5
+    assert "comes before" in found.warning
+    assert "the order of the impacts of s, a and b" in found.remark
