@@ -132,28 +132,31 @@ void AddBranches(Plan* plan, const BranchStates& late, const BranchStates& early
   }
 }
 
+enum Occurrence : char { kNotYet, kHappened, kNotCounted };
+
 // Which of the planned events have happened, as of node k; nothing if others have, or in another order.
-std::optional<std::vector<char>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
-  std::vector<char> happened(plan.events.size());
-  // Of the events with which a contact comes to last, only the first counts.
+std::optional<std::vector<Occurrence>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
+  std::vector<Occurrence> happened(plan.events.size(), kNotYet);
+  // Of the events with which a contact comes to last, only the first counts, and none while it lasts.
   for (const Plan::Lasting& contact : plan.lasting) {
-    for (int i = contact.event + 1; contact.event >= 0 && contact.from <= k && i < plan.phases[contact.from]; ++i) {
-      if (plan.events[i] == contact.pair) happened[i] = true;
+    for (std::size_t i = contact.event + 1; contact.from <= k && i < plan.events.size(); ++i) {
+      if (plan.events[i] == contact.pair && plan.events[i].interval <= contact.to) happened[i] = kNotCounted;
     }
   }
   for (const EventLabel& event : events) {
     const bool lasts = std::ranges::any_of(plan.lasting, [&](const Plan::Lasting& contact) {
       return contact.pair == event && contact.from <= k && event.interval <= contact.to &&
-             (contact.event < 0 || happened[contact.event]);
+             (contact.event < 0 || happened[contact.event] != kNotYet);
     });
     if (lasts) continue;
     std::size_t i = 0;
-    while (i < happened.size() && (happened[i] || plan.events[i] != event)) ++i;
+    while (i < happened.size() && (happened[i] != kNotYet || plan.events[i] != event)) ++i;
     if (i == happened.size()) return std::nullopt;
     for (std::size_t before = 0; before < i; ++before) {
-      if (!happened[before] && Ordered(plan, static_cast<int>(before), static_cast<int>(i))) return std::nullopt;
+      if (happened[before] == kNotYet && Ordered(plan, static_cast<int>(before), static_cast<int>(i)))
+        return std::nullopt;
     }
-    happened[i] = true;
+    happened[i] = kHappened;
   }
   return happened;
 }
@@ -204,7 +207,7 @@ ClosedLoopRun RunWith(const Plan& plan, const std::vector<Eigen::MatrixXd>& gain
   }
   if (run.ok) {
     const auto happened = Happened(plan, plan.num_intervals(), plant->events());
-    run.as_planned = happened && std::ranges::count(*happened, 0) == 0;
+    run.as_planned = happened && std::ranges::count(*happened, kNotYet) == 0;
   }
   run.mode = plant->mode();
   run.final_state = plant->state();
@@ -372,13 +375,13 @@ bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains
   const auto take = [&](int interval) { std::copy_n(plan.control.begin() + interval * m, m, u.begin()); };
   take(k);
   if (gains.empty()) return false;
-  const std::optional<std::vector<char>> happened = Happened(plan, k, events);
+  const std::optional<std::vector<Occurrence>> happened = Happened(plan, k, events);
   if (!happened) return false;
   const Eigen::VectorXd* reference = &plan.states[k];
   int interval = k, odd = -1;
   for (int i = 0; i < static_cast<int>(happened->size()); ++i) {
     const bool planned = i < plan.phases[k];
-    if ((*happened)[i] == planned) continue;
+    if ((*happened)[i] == (planned ? kHappened : kNotYet) || (*happened)[i] == kNotCounted) continue;
     if (odd >= 0) return false;
     odd = i;
     const Plan::Branch& branch = planned ? plan.late[i] : plan.early[i];
