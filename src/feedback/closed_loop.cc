@@ -8,6 +8,7 @@
 
 #include "base/normal_stream.h"
 #include "base/parallel_for.h"
+#include "base/time_grid.h"
 #include "feedback/noisy_states.h"
 #include "feedback/scene_intervals.h"
 #include "hybrid/runge_kutta.h"
@@ -99,8 +100,8 @@ class ScenePlant final : public Plant {
   TouchEvents touch_events_;
 };
 
-// The states of a branch of an event at the nodes first, ..., last.
-using BranchStates = std::function<std::vector<Eigen::VectorXd>(int event, int first, int last)>;
+// The states of a branch of an event at the nodes first, ..., last, under the control of an interval.
+using BranchStates = std::function<std::vector<Eigen::VectorXd>(int event, int interval, int first, int last)>;
 
 // Events that share a disc that moves, and all events of a hybrid system, cannot change places.
 bool Ordered(const Plan& plan, int event, int other) {
@@ -111,7 +112,9 @@ bool Ordered(const Plan& plan, int event, int other) {
 }
 
 // A branch reaches to the event of the same discs before or after; it is empty if no interval begins between the two.
-void AddBranches(Plan* plan, const BranchStates& late, const BranchStates& early) {
+// The control before an event that happens as its interval begins is that of the interval before.
+void AddBranches(Plan* plan, const std::function<bool(int event)>& on_node, const BranchStates& late,
+                 const BranchStates& early) {
   const auto first_node_behind = [&](int event) {
     return static_cast<int>(std::upper_bound(plan->phases.begin(), plan->phases.end(), event) - plan->phases.begin());
   };
@@ -123,11 +126,12 @@ void AddBranches(Plan* plan, const BranchStates& late, const BranchStates& early
     // The nodes in [begin, at) have the events of these discs before this one behind them, those in [at, end) this one.
     const int begin = before < 0 ? 0 : first_node_behind(before), at = first_node_behind(event);
     const int end = after < num_events ? first_node_behind(after) : K;
-    Plan::Branch& behind = plan->late.emplace_back(Plan::Branch{at, at - 1, {}});
+    const int last_before = on_node(event) && at - 2 >= begin ? at - 2 : at - 1;
+    Plan::Branch& behind = plan->late.emplace_back(Plan::Branch{at, last_before, {}});
     Plan::Branch& ahead = plan->early.emplace_back(Plan::Branch{begin, at, {}});
     if (begin < at && at < end) {
-      behind.states = late(event, at, end - 1);
-      ahead.states = early(event, begin, at - 1);
+      behind.states = late(event, last_before, at, end - 1);
+      ahead.states = early(event, at, begin, at - 1);
     }
   }
 }
@@ -253,13 +257,14 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
   };
   AddBranches(
       &plan,
-      [&](int event, int first, int last) {
+      [](int) { return false; },
+      [&](int event, int interval, int first, int last) {
         const HybridEvent& at = motion.events()[event];
-        return extend(at.mode, at.before, at.time, first - 1, first, last);
+        return extend(at.mode, at.before, at.time, interval, first, last);
       },
-      [&](int event, int first, int last) {
+      [&](int event, int interval, int first, int last) {
         const HybridEvent& at = motion.events()[event];
-        return extend(at.next_mode, at.after, at.time, last + 1, last, first);
+        return extend(at.next_mode, at.after, at.time, interval, last, first);
       });
   return plan;
 }
@@ -271,8 +276,7 @@ Plan MakePlan(const Simulator& motion, std::span<const double> control) {
 namespace {
 
 // Events, phases and contacts that last.
-void AddEvents(const SceneIntervals& motion, Plan* plan) {
-  const std::vector<SceneEvent> events = PlannedEvents(motion);
+void AddEvents(const SceneIntervals& motion, const std::vector<SceneEvent>& events, Plan* plan) {
   auto event = events.begin();
   for (int k = 0; k < motion.size(); ++k) {
     plan->phases.push_back(static_cast<int>(plan->events.size()));
@@ -316,7 +320,8 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
     const std::vector<double> x = motion.State(k);
     plan.states.emplace_back(Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())));
   }
-  AddEvents(motion, &plan);
+  const std::vector<SceneEvent> events = PlannedEvents(motion);
+  AddEvents(motion, events, &plan);
   // The free flight of a disc over interval k, forwards or backwards.
   std::vector<double> force(simulator.force_size());
   const auto fly = [&](int k, int body, bool backwards, Eigen::VectorXd* x) {
@@ -341,12 +346,11 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
   };
   const bool flies = simulator.FreeFlightOver(simulator.step()).has_value();
   // Over `nodes` nodes from `from` on, forwards or backwards, beginning with the state at the node before.
-  const auto extend = [&](int event, int from, int nodes, bool backwards) {
+  const auto extend = [&](int event, int interval, int from, int nodes, bool backwards) {
     std::vector<Eigen::VectorXd> states;
     if (!flies) return states;
     const int by = backwards ? -1 : 1;
-    const auto interval = static_cast<std::size_t>(from - by);
-    simulator.ExpandForce(control.subspan(interval * width, width), 0, force);
+    simulator.ExpandForce(control.subspan(static_cast<std::size_t>(interval) * width, width), 0, force);
     const EventLabel& label = plan.events[event];
     Eigen::VectorXd x = plan.states[from - by];
     for (int node = from; node != from + by * nodes; node += by) {
@@ -364,8 +368,17 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
   };
   AddBranches(
       &plan,
-      [&](int event, int first, int last) { return extend(event, first, last - first + 1, /*backwards=*/false); },
-      [&](int event, int first, int last) { return extend(event, last, last - first + 1, /*backwards=*/true); });
+      [&](int event) {
+        const int k = events[event].label.interval;
+        const double time = motion.touches(k)[events[event].touch].time;
+        return time >= 0 && IsOnNode(time, motion[k].length);
+      },
+      [&](int event, int interval, int first, int last) {
+        return extend(event, interval, first, last - first + 1, /*backwards=*/false);
+      },
+      [&](int event, int interval, int first, int last) {
+        return extend(event, interval, last, last - first + 1, /*backwards=*/true);
+      });
   return plan;
 }
 
