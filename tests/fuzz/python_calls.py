@@ -367,10 +367,15 @@ def of_results(rng):
     result = pick(rng, [saltus.rollout(SCENES[0]), saltus.loss_and_gradient(SCENES[0])])
 
     def use(path, data):
+        if isinstance(path, int):  # a file that is open, such as standard output
+            raise TypeError("path")
+        if isinstance(path, str):
+            path = os.path.join(tempfile.gettempdir(), f"saltus_fuzz_{os.getpid()}_{os.path.basename(path)}")
         type(result)(data).save(path)
         saltus.load_result(path)
+        os.remove(path)
 
-    return use, {"path": os.path.join(tempfile.gettempdir(), "saltus_fuzz.json"), "data": result.to_dict()}
+    return use, {"path": "result.json", "data": result.to_dict()}
 
 
 def of_where(rng):
