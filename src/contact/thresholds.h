@@ -40,7 +40,7 @@ inline constexpr double kAtBound = 1e-12;        // of the bound of friction: a 
 inline constexpr double kOverlapOfOpen = 0.1;    // of kContactGap: the overlap from which open contacts are closed
 
 // Numbers of events in a step.
-inline constexpr int kMaxEvents = 100000;    // after which impacts are plastic; after twice as many it fails [piles]
+inline constexpr int kMaxEvents = 200000;    // after which a step fails [exact]
 inline constexpr int kManyImpacts = 2000;    // after which slow speeds grow within piles without friction [piles]
 inline constexpr int kRepeatedImpacts = 32;  // of a pair and of its discs with others, likewise [piles]
 inline constexpr int kMostSubStepCuts = 8;   // in succession, at the ends of contact modes [rolling]
@@ -60,7 +60,7 @@ inline constexpr double kTieTime = 1e-6;                  // of the step [ties]
 inline constexpr double kTieRounding = 1e-13;             // of the coordinates of the discs [ties]
 inline constexpr double kTieSpeed = 1e-6;                 // of the fastest impact: outcomes are the same [ties]
 inline constexpr double kTieSlowSpeed = 10 * kSlowSpeed;  // the same, absolute [ties]
-inline constexpr int kMostTiedImpacts = 200;              // of one tie, after which they are plastic [ties]
+inline constexpr int kMostTiedImpacts = 10000;            // of one tie, that are taken in one order
 inline constexpr int kAllTieOrders = 4;                   // contacts of which all orders are tried [ties]
 
 // Forces of resting contacts (solvers/resting_forces.h); accelerations are of the largest that is given.

@@ -18,10 +18,9 @@
 //   the first candidate (discs by index pairs, then walls). The pairs whose motion has changed are predicted again,
 //   until no event is left. A row of equal discs thus passes an impact on, and a disc in a right-angled corner bounces
 //   off both walls. Derivatives are those of this order, even where another order of impacts at the same time leads to
-//   the same velocities: there the loss may have a kink. After kMaxEvents in one step impacts are plastic. A step
-//   fails if it has twice as many, if the forces of contacts at rest are not found, or if at its end energy has grown,
-//   or discs overlap, by more than kLargestGain and kLargestOverlap: where many contacts are sustained, the thresholds
-//   may not suffice.
+//   the same velocities: there the loss may have a kink. A step fails if it has more than kMaxEvents, if the forces of
+//   contacts at rest are not found, or if at its end energy has grown, or discs overlap, by more than kLargestGain and
+//   kLargestOverlap: where many contacts are sustained, the thresholds may not suffice.
 // Ties. Impacts at the same time that share discs are reported as tied if another order leads to other velocities
 //   (event_ties.h).
 // Head-on. The derivative by mu at mu = 0 is the one from above. It is zero for an impact whose sliding speed is less
@@ -38,7 +37,8 @@
 //   Coulomb's law with the same mu; sliding ends at the exact time, or at once where friction jams the discs.
 //   Derivatives are those of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h
 //   says where they are one-sided. Reported as kSustained, again in every step.
-// Piles. Without friction each bounce within a pile causes others, ever smaller and in ever shorter times (Zeno
+// Piles. Without friction each inelastic bounce within a pile causes others, ever smaller and in ever shorter times
+// (Zeno
 //   behaviour). After kManyImpacts in a step, a pair that touches others and has met kRepeatedImpacts times more, and
 //   its discs others as often, does not bounce below a speed that doubles with every further time, up to
 //   kLargestSlowSpeed.

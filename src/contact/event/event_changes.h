@@ -139,13 +139,12 @@ class EventChanges {
     Report(c, ContactMode::kPocketed, at.time, ContactKind::kSustained);
   }
 
-  // `pressed`: the two are accelerated into each other and touch nothing else. `plastic`: the impact has no
-  // restitution.
-  void Impact(int q, const Instant<T>& at, bool pressed, bool plastic) {
+  // `pressed`: the two are accelerated into each other and touch nothing else.
+  void Impact(int q, const Instant<T>& at, bool pressed) {
     const Candidate& c = motion_.CandidateOf(q);
     ReleaseBoth(c, at);
     const bool again = motion_.disc(c.a).kick > 0 || (!c.plane && motion_.disc(c.b).kick > 0);
-    const ContactMode mode = ApplyImpact(c, pressed, plastic);
+    const ContactMode mode = ApplyImpact(c, pressed);
     if (again) RemoveRounding(c, Value(at.time));
     queue_.pair(q).met = Value(at.time);
     SlideBoth(c);
@@ -190,12 +189,12 @@ class EventChanges {
 
   // A pressed pair that would separate slowly has all further bounces at once: their impulses beyond those of a contact
   // at rest, friction included, sum up to that of a plastic impact.
-  SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed, bool plastic) {
+  SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = motion_.LastSeparation(c);
     const Vec2<T> w = motion_.LastRelativeVelocity(c);
     const ImpactNumbers<T> law = law_.At(at.normal, w);
     const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
-    const T bounce = plastic || last ? T(1.0) : T(law.restitution + 1.0);
+    const T bounce = last ? T(1.0) : T(law.restitution + 1.0);
     const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
     ApplyImpulse(in_, c, impact.impulse, [&](int i, const Vec2<T>& dv) {
       motion_.disc(i).v += dv;

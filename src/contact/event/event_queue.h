@@ -259,9 +259,9 @@ class EventQueue {
   }
 
   // How often pair q has met since there are kManyImpacts in the step, at most as often as its discs have met others.
-  // With friction piles come to rest by themselves.
+  // With friction piles come to rest by themselves, and elastic ones never do.
   int Repetitions(int q) const {
-    if (Value(in_.contact.friction) > 0) return 0;
+    if (Value(in_.contact.friction) > 0 || Value(in_.contact.restitution) >= 1) return 0;
     const Candidate& c = motion_.CandidateOf(q);
     const int own = pairs_[q].impacts;
     const auto others = [&](int i) { return motion_.Moves(i) ? motion_.disc(i).impacts - own : 0; };

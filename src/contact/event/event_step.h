@@ -62,7 +62,7 @@ class EventStep {
     }
     for (int i = 0; in_.table >= 0 && i < motion_.num_discs(); ++i) changes_.Slide(i);
     queue_.PredictAll();
-    for (int count = 0; count < 2 * kMaxEvents; ++count) {
+    for (int count = 0; count < kMaxEvents; ++count) {
       int q = queue_.NextPair();
       if (q < 0) return Finish();
       q = queue_.FirstAtOnce(q);
@@ -70,13 +70,14 @@ class EventStep {
         const auto& disc = motion_.disc(cut->disc);
         Settle(cut->pair, Instant<T>{disc.t, disc.event}, queue_.EventTime(q));
       } else {
-        Resolve(q, changes_.NewEvent(), /*plastic=*/count >= kMaxEvents);
+        Resolve(q, changes_.NewEvent());
       }
       if (changes_.failed()) return;
       queue_.PredictDirty();
       for (auto& disc : motion_.discs()) disc.dirty = false;
     }
-    changes_.Fail("there is no end of events");
+    static_assert(kMaxEvents == 200000);
+    changes_.Fail("more than 200000 events happen within the step, the most that are resolved: use more `steps`");
   }
 
   // Whether an event changed disc i, and if so its state at the end of the step; not a number if the step has failed. A
@@ -98,7 +99,7 @@ class EventStep {
   using Group = EventGroup<T, kRotation>;
 
   // The next event of pair q.
-  void Resolve(int q, int event, bool plastic) {
+  void Resolve(int q, int event) {
     const Candidate& c = motion_.CandidateOf(q);
     const double time = queue_.pair(q).next;
     if (motion_.IsTable(c)) return changes_.Stop(c.a, event);
@@ -108,7 +109,7 @@ class EventStep {
     const Approach approach = motion_.ApproachAt(c, time);
     if (approach.speed < -queue_.SlowSpeed(q, time)) {
       const bool pressed = approach.PushedTogether() && motion_.TouchesAlone(q, time);
-      if (!ties_.Resolve(q, time, plastic)) changes_.Impact(q, {motion_.ImpactTime(c, time), event}, pressed, plastic);
+      if (!ties_.Resolve(q, time)) changes_.Impact(q, {motion_.ImpactTime(c, time), event}, pressed);
       return;
     }
     const Instant<T> at{motion_.SlowTime(c, time, approach), event};

@@ -47,18 +47,18 @@ class EventTies {
 
   // Looks for other contacts that meet at the time of pair q's impact, and reports them if their order matters. Returns
   // true if it has taken the impacts, in the order that was asked for.
-  bool Resolve(int q, double time, bool plastic) {
+  bool Resolve(int q, double time) {
     if (motion_.num_pairs() < 2 || (in_.ties == nullptr && in_.tie_order == 0)) return false;
     if (time - queue_.pair(q).tied <= kTieTime * in_.h) return false;
     Find(q, time);
     if (tied_.size() < 2) return false;
     for (int r : tied_) queue_.pair(r).tied = time;
     if constexpr (std::is_same_v<T, double>) {
-      if (in_.ties != nullptr && OrderMatters(time, plastic)) Report(time);
+      if (in_.ties != nullptr && OrderMatters(time)) Report(time);
     }
     if (in_.tie_order == 0) return false;
     ArrangeTie(in_.tie_order, tied_);
-    Take(time, plastic);
+    Take(time);
     return true;
   }
 
@@ -88,10 +88,11 @@ class EventTies {
     std::ranges::sort(tied_);
   }
 
-  // Takes the impacts among tied_, which lists them in order of preference. Returns whether there was ever a choice.
-  bool Take(double time, bool plastic) {
+  // Takes the impacts among tied_, which lists them in order of preference; after kMostTiedImpacts, the others are left
+  // to the queue. Returns whether there was ever a choice.
+  bool Take(double time) {
     bool choice = false;
-    for (int count = 0; count < 2 * kMostTiedImpacts; ++count) {
+    for (int count = 0; count < kMostTiedImpacts; ++count) {
       int next = -1;
       for (int r : tied_) {
         if (motion_.ApproachAt(motion_.CandidateOf(r), time).speed >= -kSlowSpeed) continue;
@@ -101,13 +102,13 @@ class EventTies {
       }
       if (next < 0) break;
       const T at = motion_.ImpactTime(motion_.CandidateOf(next), time);
-      changes_.Impact(next, {at, changes_.NewEvent()}, /*pressed=*/false, plastic || count >= kMostTiedImpacts);
+      changes_.Impact(next, {at, changes_.NewEvent()}, /*pressed=*/false);
     }
     return choice;
   }
 
   // Tries the orders, and restores the step.
-  bool OrderMatters(double time, bool plastic) {
+  bool OrderMatters(double time) {
     double fastest = 0;
     for (int r : tied_) fastest = std::max(fastest, -motion_.ApproachAt(motion_.CandidateOf(r), time).speed);
     if (fastest <= kTieSlowSpeed) return false;
@@ -121,7 +122,7 @@ class EventTies {
     for (int k = 1; k <= NumTieOrders(static_cast<int>(tied_.size())) && choice && !matters; ++k) {
       tied_ = trial_.tied;
       ArrangeTie(k, tied_);
-      choice = Take(time, plastic) || k > 1;
+      choice = Take(time) || k > 1;
       if (k == 1) trial_.outcome = motion_.discs();
       for (int i = 0; i < motion_.num_discs(); ++i) matters = matters || Difference(i, time) > same;
       motion_.discs() = trial_.discs;
