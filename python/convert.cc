@@ -5,6 +5,7 @@
 #include <thread>
 
 #include "saltus/control/control_rows.h"
+#include "saltus/simulate/events.h"
 
 namespace saltus::python {
 
@@ -40,6 +41,14 @@ void CheckRows(const Scene& scene, const std::string& name, std::span<const doub
 void CheckTakes(const Contact& contact, const Scene& scene) {
   const std::string why_not = WhyNotApplicable(contact, scene);
   if (!why_not.empty()) throw py::value_error("contact " + contact.name() + ": " + why_not);
+}
+
+void WarnOfUnresolved(int unresolved_steps, int num_steps) {
+  if (unresolved_steps == 0) return;
+  const std::string text =
+      "the motion is right to first order in the step only: " + DescribeUnresolved(unresolved_steps, num_steps) +
+      "; use more steps";
+  if (PyErr_WarnEx(PyExc_RuntimeWarning, text.c_str(), 1) < 0) throw py::error_already_set();
 }
 
 Contact ReadContact(const py::handle& contact) {

@@ -26,6 +26,9 @@ void CheckRows(const Scene& scene, const std::string& name, std::span<const doub
 // ValueError with the reason if the model cannot take the scene.
 void CheckTakes(const Contact& contact, const Scene& scene);
 
+// RuntimeWarning if so many steps of a motion used the time-stepping fallback (simulate/events.h).
+void WarnOfUnresolved(int unresolved_steps, int num_steps);
+
 // A contact model by its name, perhaps with options, or one made in Python. ValueError.
 Contact ReadContact(const py::handle& contact);
 

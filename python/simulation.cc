@@ -119,6 +119,7 @@ void Simulation::Compute(const Evaluate& evaluate) {
     failure = why.empty() ? contact_ + ": the loss is not finite" : "the rollout fails: " + why;
   });
   if (!failure.empty()) throw std::runtime_error(failure);
+  WarnOfUnresolved(NumUnresolvedSteps(shooting_.simulator()), shooting_.simulator().num_steps());
 }
 
 template <typename Evaluate>
