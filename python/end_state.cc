@@ -7,6 +7,8 @@
 #include "motion.h"
 #include "programs/remarks.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/simulate/events.h"
+#include "scene/scene_rules.h"
 #include "scene/units.h"
 
 namespace saltus::python {
@@ -101,6 +103,7 @@ class EndState {
   std::string Simulate(const Motion& motion) {
     if (last_ == motion) return "";
     last_.reset();
+    if (const std::optional<SceneError> error = FindOverlapAt(near_, motion.initial)) return error->ToString();
     if (!simulator_->Rollout(motion.initial, motion.control)) return Failure();
     last_ = motion;
     return "";
@@ -111,9 +114,10 @@ class EndState {
     ConvertPositions(final, simulator_->body_size(), near_.units, scene_.units);
   }
 
-  static void Check(const Computation& computation, const std::string& failure) {
+  void Check(const Computation& computation, const std::string& failure) const {
     computation.Rethrow();
     if (!failure.empty()) throw std::runtime_error("the rollout fails: " + failure);
+    WarnOfUnresolved(NumUnresolvedSteps(*simulator_), simulator_->num_steps());
   }
 
   Scene scene_, near_;

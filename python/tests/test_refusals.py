@@ -210,3 +210,30 @@ def test_results_are_saved_with_all_digits(two_balls, tmp_path):
     with pytest.raises(saltus.WrongGradient, match="convex: the gradient is wrong"):
         saltus.audit(two_balls, "convex").raise_if_wrong()
     saltus.audit(two_balls, ["event", "toi_velocity"]).raise_if_wrong()
+
+
+def test_overlaps_at_the_start_are_refused_everywhere():
+    scene = saltus.Scene({
+        "name": "overlap", "duration": 1.0, "steps": 10,
+        "bodies": [
+            {"name": "a", "radius": 0.2, "mass": 1, "position": [0.3, 0], "velocity": [1, 0]},
+            {"name": "b", "radius": 0.2, "mass": 1, "position": [1, 0]},
+        ],
+        "objective": {"terminal": [{"body": "b", "quantity": "position", "target": [2.3, 0]}]},
+        "optimize": "position", "free": ["a"],
+    })
+    with pytest.raises(ValueError, match="overlap"):
+        saltus.rollout(scene, position=[[0.7, 0], [1, 0]])
+    simulation = saltus.Simulation(scene)
+    for evaluate in (simulation.loss, simulation.loss_and_gradient, simulation.rollout):
+        with pytest.raises(RuntimeError, match="overlap of 0.1 m"):
+            evaluate([[0.7, 0]])
+    assert simulation.loss([[0.5, 0]]) == pytest.approx(0.16)  # b moves on at 1 m/s after 0.1 s
+    losses = saltus.Batch(scene, threads=1).loss(np.array([[0.5, 0], [0.7, 0]]))
+    assert losses[0] == pytest.approx(0.16)
+    assert np.isnan(losses[1])
+    end = saltus.EndState(scene)
+    initial = end.initial.copy()
+    initial[0, 0] = 0.7
+    with pytest.raises(RuntimeError, match="overlap"):
+        end(initial, end.control)

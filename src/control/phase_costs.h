@@ -359,6 +359,26 @@ struct Clearance {
   }
 };
 
+// Row, an inequality: how much nearer than at a touch two are at the start, of their contact distance. Blocks: the
+// initial states of those that are not held.
+struct StartGap {
+  double contact_distance;
+  std::optional<HalfPlane<double>> plane;  // in the place of b
+  std::array<std::optional<Vec2d>, 2> at;  // held
+
+  template <typename T>
+  bool operator()(T const* const* x, T* rows) const {
+    std::array<Vec2<T>, 2> p;
+    for (int side = 0; side < (plane ? 1 : 2); ++side) {
+      p[side] = at[side] ? Vec2<T>(at[side]->template cast<T>()) : Vec2<T>((*x)[0], (*x)[1]);
+      if (!at[side]) ++x;
+    }
+    const Separation<T> apart = plane ? Separate<T>(p[0], *plane) : Separate<T>(p[0], p[1]);
+    rows[0] = 1.0 - apart.distance / contact_distance;
+    return true;
+  }
+};
+
 // sqrt(weight T), so that the loss gains weight T. Block: the final time.
 struct DurationPrice {
   double weight;

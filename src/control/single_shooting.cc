@@ -11,6 +11,7 @@
 #include "control/way_costs.h"
 #include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
+#include "scene/scene_rules.h"
 #include "simulate/lane_simulator.h"
 #include "simulate/wide_loops.h"
 
@@ -56,6 +57,7 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
       has_duration_(of_scene_ != nullptr && scene().objective.duration.has_value()),
       way_(WayCosts::Make(*simulator_)),
       controls_(variables == Variables::kOfScene && scene().optimize == Optimize::kControl),
+      places_(variables == Variables::kOfScene && scene().optimize == Optimize::kPosition),
       initial_(InitialState(simulator_->scene())),
       final_(simulator_->state_size()),
       cotangent_(simulator_->state_size()) {
@@ -146,23 +148,27 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
   return "";
 }
 
-std::string SingleShooting::WhyFailed() const { return way_failure_.empty() ? simulator_->WhyFailed() : way_failure_; }
+std::string SingleShooting::WhyFailed() const { return failure_.empty() ? simulator_->WhyFailed() : failure_; }
 
 bool SingleShooting::BeginRollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
-  way_failure_.clear();
+  failure_.clear();
   if (way_ != nullptr) at_.assign(z.begin(), z.end());
-  way_failure_ = SetScene(z);
-  if (!way_failure_.empty()) return false;
+  failure_ = SetScene(z);
+  if (!failure_.empty()) return false;
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
+  if (places_) {
+    if (const std::optional<SceneError> error = FindOverlapAt(scene(), initial_)) failure_ = error->ToString();
+    if (!failure_.empty()) return false;
+  }
   ++num_rollouts_;
   return true;
 }
 
 bool SingleShooting::EndRollout(std::span<const double> z) {
   simulator_->GetState(simulator_->num_steps(), final_);
-  if (way_ != nullptr) way_failure_ = way_->Update(*simulator_, initial_, ControlIn(z));
-  return way_failure_.empty();
+  if (way_ != nullptr) failure_ = way_->Update(*simulator_, initial_, ControlIn(z));
+  return failure_.empty();
 }
 
 bool SingleShooting::Rollout(std::span<const double> z) {

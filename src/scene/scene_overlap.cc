@@ -131,8 +131,8 @@ class OverlapSearch {
     const double tolerance = Tolerance(body);
     if (depth <= tolerance) return;
     Refuse(body,
-           "found an overlap of " + ToText(depth) + " m with " + other + " at the start, expected at most " +
-               ToText(tolerance) + " m");
+           "found an overlap of " + ToText(depth * scene_.units.length) + " m with " + other +
+               " at the start, expected at most " + ToText(tolerance * scene_.units.length) + " m");
   }
 
   const Scene& scene_;
@@ -143,5 +143,12 @@ class OverlapSearch {
 }  // namespace
 
 std::optional<SceneError> FindOverlap(const Scene& scene) { return OverlapSearch(scene).Run(); }
+
+std::optional<SceneError> FindOverlapAt(Scene scene, std::span<const double> initial) {
+  for (std::size_t i = 0; i < scene.bodies.size(); ++i) {
+    scene.bodies[i].position = {initial[4 * i], initial[4 * i + 1]};
+  }
+  return FindOverlap(scene);
+}
 
 }  // namespace saltus

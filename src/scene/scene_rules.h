@@ -3,6 +3,7 @@
 
 #include <array>
 #include <optional>
+#include <span>
 
 #include "saltus/scene/scene.h"
 
@@ -17,5 +18,7 @@ std::optional<SceneError> BrokenRule(const Scene& scene);
 // The first overlap at the start of a body that moves, with another or with what is solid, beyond the tolerance, with
 // how deep it is. Precondition: the scene has passed all other rules of Validate; its numbers are finite.
 std::optional<SceneError> FindOverlap(const Scene& scene);
+// The same with the positions of an initial state (InitialState).
+std::optional<SceneError> FindOverlapAt(Scene scene, std::span<const double> initial);
 
 }  // namespace saltus

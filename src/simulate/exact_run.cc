@@ -10,6 +10,7 @@
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
+#include "scene/scene_rules.h"
 #include "scene/units.h"
 #include "simulate/flight.h"
 
@@ -239,6 +240,9 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   if (exact == nullptr) return refuse("no event-driven contact model is registered");
   std::string reason = WhyNotApplicable(exact->name, scene);
   if (reason.empty()) reason = WhyNotShaped(scene, initial, control, durations);
+  if (reason.empty() && scene.optimize == Optimize::kPosition) {
+    if (const std::optional<SceneError> error = FindOverlapAt(scene, initial)) reason = error->ToString();
+  }
   if (!reason.empty()) return refuse(reason);
   Scene part = scene;
   if (!control.empty()) part.steps = static_cast<int>(control.size() / scene.control_width());

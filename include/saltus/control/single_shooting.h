@@ -131,10 +131,11 @@ class SingleShooting final : public ShootingFunction {
   Scene given_;  // whose design parameters are those of the start; only if there are any
   ParameterGradient parameters_;
   std::unique_ptr<WayCosts> way_;  // null if the loss is that of the end and the effort
-  std::string way_failure_;
-  std::vector<double> at_;  // with path costs: where the last rollout was
+  std::string failure_;            // of the last evaluation, if it is not the simulator's
+  std::vector<double> at_;         // with path costs: where the last rollout was
   StopRequest stop_;
   bool controls_;  // z is the control
+  bool places_;    // z is positions at the start, at which discs must not overlap
   std::vector<double> guess_;
   std::vector<int> variables_;  // if it is not: index of each variable in the initial state
   std::vector<double> initial_, final_, cotangent_;

@@ -68,6 +68,7 @@ PhaseTranscription::PhaseTranscription(const Scene& scene, const std::vector<Own
   Lay(force, apart);
   AddSteps();
   HoldWhatIsGiven();
+  if (scene_.optimize == Optimize::kPosition) KeepApartAtStart();
   AddImpacts();
   rotations_.AddTo(times_, turns_, LeastLength(), &problem_);
   AddBounds();
@@ -242,6 +243,26 @@ void PhaseTranscription::HoldWhatIsGiven() {
   }
   if (scene_.optimize == Optimize::kControl) return;
   for (std::array<double, 2>& force : forces_) problem.SetParameterBlockConstant(force.data());
+}
+
+// Positions that are optimized must be those of discs that do not overlap.
+void PhaseTranscription::KeepApartAtStart() {
+  const auto is_free = [&](int body) { return std::ranges::count(scene_.free, body) > 0 && initial_[body] >= 0; };
+  for (const Candidate& c : AllPairs(scene_)) {
+    if (!is_free(c.a) && (c.plane || !is_free(c.b))) continue;
+    const ImpactCut cut = MakeCut(scene_, c);
+    StartGap gap{cut.law.contact_distance, cut.plane, {}};
+    std::vector<double*> blocks;
+    for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+      const int body = side == 0 ? c.a : c.b;
+      if (is_free(body)) {
+        blocks.push_back(NodeAt(initial_[body]));
+      } else {
+        gap.at[side] = scene_.bodies[body].position;
+      }
+    }
+    problem_.Add(Dynamic(gap, 1, std::vector<int>(blocks.size(), 4)), {.inequalities = 1}, blocks);
+  }
 }
 
 double PhaseTranscription::LeastLength() const {

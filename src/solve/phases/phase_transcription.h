@@ -88,6 +88,7 @@ class PhaseTranscription {
   int AddNode(const Node& node);
   void AddSteps();
   void HoldWhatIsGiven();
+  void KeepApartAtStart();
   void AddImpacts();
   void AddBounds();
   void AddTerms();
