@@ -168,10 +168,11 @@ Certificate WithImpactsOf(const ControlledMotion& motion) {
   return certificate;
 }
 
-std::optional<double> ThetaBetween(double early, double late, double multiplier) {
+void SetTheta(double early, double late, double multiplier, ImpactCertificate* impact) {
   const double kink = early - late;
-  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) return std::nullopt;
-  return (multiplier - late) / kink;
+  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) return;
+  impact->theta = (multiplier - late) / kink;
+  impact->concave = kink > 0;
 }
 
 void Judge(Certificate* certificate) {
@@ -189,15 +190,23 @@ void Judge(Certificate* certificate) {
     certificate->reason = std::string("the largest residual is that of ") + name;
     worst = residual;
   }
-  if (certificate->verdict == kNotStationary && certificate->gradient &&
-      *certificate->gradient <= kCertificateTolerance) {
-    const auto between = [](const ImpactCertificate& impact) {  // the two one-sided gradients
-      return !impact.theta || (*impact.theta >= 0 && *impact.theta <= 1);
-    };
-    if (std::all_of(certificate->impacts.begin(), certificate->impacts.end(), between)) {
+  // The multiplier of a minimum is between those of the two one-sided gradients, and the early one is the smaller.
+  const auto leaves_node = [](const ImpactCertificate& impact) {
+    return impact.theta && (impact.concave || *impact.theta < 0 || *impact.theta > 1);
+  };
+  const auto leaving = std::ranges::find_if(certificate->impacts, leaves_node);
+  if (leaving == certificate->impacts.end()) {
+    if (certificate->verdict == kNotStationary && certificate->gradient &&
+        *certificate->gradient <= kCertificateTolerance) {
       certificate->verdict = kStationaryOnGrid;
       certificate->reason.clear();
     }
+  } else if (certificate->verdict == kStationary) {
+    certificate->verdict = kNotStationary;
+    certificate->reason =
+        "stationary if the intervals move with the impacts; with the intervals as they are, the loss "
+        "falls as the impact " +
+        leaving->a + "-" + leaving->b + " leaves its node";
   }
   if (!certificate->IsStationary() || !certificate->curvature) return;
   if (certificate->IsSaddle()) {

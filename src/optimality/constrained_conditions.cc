@@ -30,22 +30,8 @@ namespace {
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
 
-constexpr double kApart = 1e-6;  // of the contact distance: pairs that must not touch and stay so far apart are free
-
-// The least distance of two discs, or of a disc and a plane, less that at which they touch, in parts of that.
-double LeastGap(const Scene& scene, const Flight& flight, const NoContact& pair) {
-  constexpr int kSamples = 4;  // of a piece
-  const Candidate c{pair.a, pair.b, pair.plane};
-  const double contact_distance = MakeImpactConstants(scene, c).contact_distance;
-  double least = std::numeric_limits<double>::infinity();
-  for (const Flight::Piece& piece : flight.pieces()) {
-    for (int i = 0; i <= kSamples; ++i) {
-      const double distance = SeparationOf(scene, c, piece.After(piece.duration * i / kSamples).p).distance;
-      least = std::min(least, distance / contact_distance - 1);
-    }
-  }
-  return least;
-}
+// Of the contact distance: pairs that must not touch and stay so far apart are free. Solvers keep them apart by less.
+constexpr double kApart = 2e-4;
 
 class ConstrainedCertifier {
  public:
@@ -351,7 +337,7 @@ class ConstrainedCertifier {
                    const double late = sweep_.Late(k, jump, gain);
                    if (!unknown[k]) return late;
                    const double early = sweep_.Early(k, jump, gain);
-                   result->impacts[k].theta = ThetaBetween(early, late, found.multipliers[k]);
+                   SetTheta(early, late, found.multipliers[k], &result->impacts[k]);
                    return found.multipliers[k];
                  });
   }
@@ -438,9 +424,36 @@ class ConstrainedCertifier {
 
 Certificate ConstrainedConditions(const ControlledMotion& motion) { return ConstrainedCertifier(motion).Run(); }
 
+NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candidate& pair) {
+  constexpr int kSamples = 4;  // of a piece
+  constexpr int kRefinements = 60;
+  constexpr double kGolden = 0.6180339887498949;
+  const double contact_distance = MakeImpactConstants(scene, pair).contact_distance;
+  const auto gap = [&](double time) {
+    return SeparationOf(scene, pair, flight.Before(time).p).distance / contact_distance - 1;
+  };
+  NearestPass best{0, std::numeric_limits<double>::infinity()};
+  double width = 0;
+  for (const Flight::Piece& piece : flight.pieces()) {
+    for (int i = 0; i <= kSamples; ++i) {
+      const double time = piece.start + piece.duration * i / kSamples, here = gap(time);
+      if (!(here < best.gap)) continue;
+      best = {time, here};
+      width = piece.duration / kSamples;
+    }
+  }
+  double begin = std::max(best.time - width, 0.0), end = std::min(best.time + width, scene.duration);
+  for (int i = 0; i < kRefinements; ++i) {
+    const double left = end - kGolden * (end - begin), right = begin + kGolden * (end - begin);
+    (gap(left) < gap(right) ? end : begin) = gap(left) < gap(right) ? right : left;
+  }
+  const double time = 0.5 * (begin + end);
+  return {time, gap(time)};
+}
+
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight) {
   for (const NoContact& pair : scene.no_contact) {
-    if (LeastGap(scene, flight, pair) > kApart) continue;
+    if (NearestPassOf(scene, flight, {pair.a, pair.b, pair.plane}).gap > kApart) continue;
     return "a pair that must not touch holds the motion back; the conditions are those without";
   }
   return "";

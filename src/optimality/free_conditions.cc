@@ -262,7 +262,7 @@ class Certifier {
     const double before = PhaseHamiltonian(k);
     out->hamiltonian = count == 0 && !hit.on_node ? 0.0 : next_hamiltonian_ - before;
     next_hamiltonian_ = before;
-    if (count > 0 && hit.on_node) out->theta = Theta(k, jump, out->multiplier);
+    if (count > 0 && hit.on_node) AddTheta(k, jump, out);
   }
 
   // Of an impact between discs that are not pushed: that which keeps the Hamiltonian, in the mean over the phases if
@@ -274,13 +274,14 @@ class Certifier {
   }
 
   // Early (late) is as if the forces just before (after) the impact acted on both of its sides.
-  std::optional<double> Theta(int k, const ImpactJump& jump, double multiplier) const {
+  void AddTheta(int k, const ImpactJump& jump, ImpactCertificate* out) const {
     const Flight::Hit& hit = flight_.hits()[k];
     const int next = std::min<int>(hit.next_piece, static_cast<int>(flight_.pieces().size()) - 1);
     const int last = std::max(hit.next_piece - 1, 0);
-    return ThetaBetween(jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
-                        jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed),
-                        multiplier);
+    SetTheta(jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
+             jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed),
+             out->multiplier,
+             out);
   }
 
   void GridGradients(Certificate* result) const {

@@ -23,8 +23,6 @@ constexpr double kTouch = 1e-6;   // of the distance of a contact
 constexpr double kApart = 1e-3;   // of the duration, between a touch and an impact of the same pair
 constexpr double kKick = 1e-5;    // an impulse, in natural units
 constexpr double kNoJump = 1e-9;  // of the loss
-constexpr int kSamples = 4;       // of a piece of flight
-constexpr int kRefinements = 60;
 
 struct Kink {
   Candidate pair;
@@ -78,11 +76,6 @@ class KinkCertifier {
   }
 
  private:
-  double Gap(const Candidate& pair, double time) const {
-    const double distance = SeparationOf(scene_, pair, flight_.Before(time).p).distance;
-    return distance / MakeImpactConstants(scene_, pair).contact_distance - 1;
-  }
-
   std::pair<std::string, std::string> NamesOf(const Candidate& pair) const {
     return {scene_.bodies[pair.a].name, pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name};
   }
@@ -92,36 +85,14 @@ class KinkCertifier {
       if (hit.time >= scene_.duration * (1 - kAtEnd)) kinks_.push_back({hit.contact, hit.time, true});
     }
     for (const Candidate& pair : AllPairs(scene_)) {
-      const double time = TimeOfLeastGap(pair);
-      const bool near = std::ranges::any_of(flight_.hits(), [&](const Flight::Hit& hit) {
-        return hit.contact == pair && std::abs(hit.time - time) <= kApart * scene_.duration;
+      const auto [time, gap] = NearestPassOf(scene_, flight_, pair);
+      const bool near = std::ranges::any_of(flight_.hits(), [&, at = time](const Flight::Hit& hit) {
+        return hit.contact == pair && std::abs(hit.time - at) <= kApart * scene_.duration;
       });
-      if (!near && time > 0 && std::abs(Gap(pair, time)) <= kTouch) kinks_.push_back({pair, time, false});
+      if (!near && time > 0 && std::abs(gap) <= kTouch) kinks_.push_back({pair, time, false});
     }
     gaps_.resize(static_cast<Eigen::Index>(control_.size()), static_cast<Eigen::Index>(kinks_.size()));
     for (Eigen::Index i = 0; i < gaps_.cols(); ++i) gaps_.col(i) = GapGradient(kinks_[i]);
-  }
-
-  // The best sample, and golden sections around it.
-  double TimeOfLeastGap(const Candidate& pair) const {
-    double best = 0, least = std::numeric_limits<double>::infinity(), width = 0;
-    for (const Flight::Piece& piece : flight_.pieces()) {
-      for (int i = 0; i <= kSamples; ++i) {
-        const double time = piece.start + piece.duration * i / kSamples, gap = Gap(pair, time);
-        if (gap < least) {
-          least = gap;
-          best = time;
-          width = piece.duration / kSamples;
-        }
-      }
-    }
-    double begin = std::max(best - width, 0.0), end = std::min(best + width, scene_.duration);
-    constexpr double kGolden = 0.6180339887498949;
-    for (int i = 0; i < kRefinements; ++i) {
-      const double left = end - kGolden * (end - begin), right = begin + kGolden * (end - begin);
-      (Gap(pair, left) < Gap(pair, right) ? end : begin) = Gap(pair, left) < Gap(pair, right) ? right : left;
-    }
-    return 0.5 * (begin + end);
   }
 
   // The motion until `time`, without the impacts from there on.

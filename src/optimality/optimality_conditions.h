@@ -33,12 +33,17 @@ Certificate FreeConditions(const ControlledMotion& motion);
 // With bounds on the forces, hard terms, running and via terms, torques and a free final time. Costates are carried
 // backwards through the motion, and the multipliers are those that meet the conditions best.
 Certificate ConstrainedConditions(const ControlledMotion& motion);
+// When two discs, or a disc and a plane, are nearest, s, and their gap then, in parts of the distance of a contact.
+struct NearestPass {
+  double time = 0, gap = 0;
+};
+NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candidate& pair);
 // Why ConstrainedConditions() does not apply; empty if it does.
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight);
 
-// The theta of an impact on a node, whose multiplier lies between the one-sided ones: 0 at the late one, 1 at the early
-// one. Returns std::nullopt if these two are the same.
-std::optional<double> ThetaBetween(double early, double late, double multiplier);
+// Sets the theta of an impact on a node, by its multiplier and the one-sided ones: 0 at the late one, 1 at the early
+// one; and whether the kink is concave. There is none if these two are the same.
+void SetTheta(double early, double late, double multiplier, ImpactCertificate* impact);
 
 // Returns std::nullopt if the matrices would be too large.
 std::optional<Curvature> FindCurvature(const CondensedLoss& loss);

@@ -102,9 +102,9 @@ void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>&
   if (spread) (*item)["loss_spread"] = {spread->lowest, spread->highest};
 }
 
-Json CertificateToJson(const Scene& scene, const Certificate& certificate) {
+Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of) {
   // Whatever loss a solver has minimized, the conditions are those of the exact one.
-  Json item = {{"of", "exact_loss"}, {"verdict", VerdictToString(certificate.verdict)}};
+  Json item = {{"of", of}, {"verdict", VerdictToString(certificate.verdict)}};
   if (!certificate.reason.empty()) item["reason"] = certificate.reason;
   AddTies(certificate.ambiguous, std::nullopt, &item);
   using enum Certificate::Verdict;

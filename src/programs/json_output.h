@@ -51,7 +51,7 @@ Json DesignToJson(const Scene& scene, const std::vector<double>& values);
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 
 // The conditions of the minimum principle, see saltus/optimality/certificate.h.
-Json CertificateToJson(const Scene& scene, const Certificate& certificate);
+Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of = "exact_loss");
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
 Json SearchedToJson(const Searched& searched);

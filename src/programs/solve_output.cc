@@ -660,6 +660,9 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
         }
       }
       if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
+      if (report.continuous) {
+        item["continuous_certificate"] = CertificateToJson(request.scene, *report.continuous, "continuous_time");
+      }
       if (report.searched) item["searched"] = SearchedToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition)

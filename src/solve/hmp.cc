@@ -154,8 +154,8 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
   } else if (std::abs(optimum->loss - report.final_loss) > kSameLossAsOnGrid * std::abs(report.final_loss)) {
     give_up("the conditions are met at a point that is no minimum");
   } else {
-    const Certificate on_grid = Certify(scene, report.initial_state, report.control, report.durations);
-    report.certificate = CertifyOptimum(*optimum, on_grid);
+    report.certificate = Certify(scene, report.initial_state, report.control, report.durations);
+    report.continuous = CertifyOptimum(*optimum, *report.certificate);
     report.termination = Termination::kConverged;
     report.final_loss = optimum->loss;
     report.losses.push_back(optimum->loss);
@@ -194,7 +194,7 @@ Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const Ex
   return certificate;
 }
 
-// A piecewise constant control with the same impacts.
+// A piecewise constant control with the same impacts: the best one near by, if there is one.
 bool WriteControl(const Scene& scene, const ContactSequence& sequence, const std::vector<double>& z,
                   const std::vector<double>& times, Trial* trial) {
   std::vector<int> intervals = DistributeIntervals(scene, sequence, times);
@@ -203,7 +203,10 @@ bool WriteControl(const Scene& scene, const ContactSequence& sequence, const std
   Path<double> path;
   if (!phases.Unroll(z.data(), &path)) return false;
   phases.Control(path, &trial->control, &trial->durations);
-  trial->exact = SimulateExactly(scene, InitialState(scene), trial->control, trial->durations);
+  Simulate(scene, {}, trial);
+  if (!trial->exact.ok || trial->exact.contacts != sequence) return true;
+  PhaseSolution best = SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, *trial), sequence), {});
+  if (best.optimal() && best.trial.exact.loss <= trial->exact.loss) *trial = std::move(best.trial);
   return true;
 }
 
@@ -213,13 +216,13 @@ struct Attempt {
   double loss = 0;  // in continuous time
   Termination termination = Termination::kFailed;
   std::string reason;
-  std::optional<Certificate> certificate;
+  std::optional<Certificate> certificate, continuous;
 };
 
 Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun* run) {
   const Scene& scene = run->scene();
   const auto fail = [&](Termination termination, const std::string& reason) {
-    return Attempt{start, start.exact.loss, termination, reason, std::nullopt};
+    return Attempt{start, start.exact.loss, termination, reason, std::nullopt, std::nullopt};
   };
   const EventPhases phases(scene, sequence);
   const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, start), sequence);
@@ -252,14 +255,12 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
     return fail(Termination::kFailed, "there are too few steps to write the control down");
   }
   attempt.termination = Termination::kNoProgress;
-  if (minimum.touches || !HasEvents(attempt.trial.exact, sequence, times, scene.duration)) {
+  if (minimum.touches || !attempt.trial.exact.only_impacts || attempt.trial.exact.contacts != sequence) {
     attempt.reason = WhyNotOptimal(scene, sequence, minimum.touches, attempt.trial.exact);
     return attempt;
   }
-  attempt.certificate = CertifyRoot(phases, root, attempt.trial.exact);
-  attempt.certificate->curvature =
-      CurvatureAt(scene, InitialState(scene), attempt.trial.control, attempt.trial.durations);
-  Judge(&*attempt.certificate);
+  attempt.continuous = CertifyRoot(phases, root, attempt.trial.exact);
+  attempt.certificate = CertifyTrial(scene, attempt.trial);
   if (root.residual > kResidualTolerance * root.scale) {
     attempt.reason = "the conditions are not met";
   } else if (std::abs(attempt.loss - minimum.loss) > kSameLoss * std::abs(attempt.loss)) {
@@ -370,6 +371,7 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
     attempt = std::move(next);
   }
   run.report().certificate = std::move(attempt.certificate);
+  run.report().continuous = std::move(attempt.continuous);
   return run.Finish(attempt.trial, attempt.loss, attempt.termination, std::move(attempt.reason));
 }
 

@@ -7,7 +7,8 @@
 //
 // Otherwise they are those of optimality/costate_shooting.h, and Newton's method starts from the solution of
 // ceres_phases and the multipliers of its certificate. The report has the control that ceres_phases has found on
-// Scene::steps intervals, and loss and certificate of the optimum in continuous time.
+// Scene::steps intervals, and the loss of the optimum in continuous time. The certificate is that of the control
+// reported, and SolveReport::continuous has the conditions in continuous time.
 #pragma once
 
 #include <optional>
@@ -55,7 +56,7 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
 // Why the method cannot take a request; empty if it can.
 std::string WhyNotHmp(const SolveRequest& request);
 
-// The certificate holds the conditions in continuous time. Precondition: WhyNotHmp is empty.
+// Precondition: WhyNotHmp is empty.
 SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

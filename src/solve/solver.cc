@@ -214,7 +214,9 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   convert_motion(&report);
   if (report.best) convert_motion(&*report.best);
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, z);
-  if (report.certificate) *report.certificate = InUnits(*report.certificate, scene.units, si);
+  for (std::optional<Certificate>* certificate : {&report.certificate, &report.continuous}) {
+    if (*certificate) *certificate = InUnits(**certificate, scene.units, si);
+  }
   for (LocalOptimum& optimum : report.optima) optimum.times = Multiplied(std::move(optimum.times), to_si.time);
   return report;
 }

@@ -81,7 +81,7 @@ TEST(Certificate, DescribesTheImpact) {
   ASSERT_TRUE(impact.theta);
   EXPECT_NEAR(*impact.theta, 0.5, 2e-3);
   const SolveReport indirect = Solve("hmp", {scene, "event"}, {});
-  EXPECT_NEAR(impact.multiplier, indirect.certificate->impacts[0].multiplier, 1e-4);
+  EXPECT_NEAR(impact.multiplier, indirect.continuous->impacts[0].multiplier, 1e-4);
 }
 
 TEST(Certificate, RejectsOneControlChangedByOnePercent) {

@@ -51,7 +51,9 @@ TEST_P(ConstrainedHmp, FindsTheOptimumInContinuousTimeWhateverTheGrid) {
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
     EXPECT_NEAR(report.final_loss, reference["loss"].get<double>(), 1e-11) << steps;
     ASSERT_TRUE(report.certificate);
-    const Certificate& certificate = *report.certificate;
+    EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+    ASSERT_TRUE(report.continuous);
+    const Certificate& certificate = *report.continuous;
     EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
     ASSERT_EQ(certificate.impacts.size(), 1u);
     EXPECT_NEAR(certificate.impacts[0].time, reference["impact_time"].get<double>(), 1e-11);
@@ -112,9 +114,9 @@ TEST(ConstrainedHmp, TakesSeveralImpacts) {
   const SolveReport loose = Solve("hmp", {scene, "event"}, options);
   ASSERT_EQ(loose.termination, Termination::kConverged) << loose.reason;
   EXPECT_NEAR(loose.final_loss, free.final_loss, 1e-11 * free.final_loss);
-  ASSERT_EQ(loose.certificate->impacts.size(), 2u);
+  ASSERT_EQ(loose.continuous->impacts.size(), 2u);
   for (int k = 0; k < 2; ++k) {
-    const ImpactCertificate &a = loose.certificate->impacts[k], &b = free.certificate->impacts[k];
+    const ImpactCertificate &a = loose.continuous->impacts[k], &b = free.continuous->impacts[k];
     EXPECT_NEAR(a.multiplier, b.multiplier, 1e-8 * std::abs(b.multiplier));
   }
   scene.control.max = {0.8 * largest};

@@ -55,6 +55,7 @@ struct ImpactCertificate {
   double hamiltonian = 0;       // residual: the Hamiltonian after less that before
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
+  bool concave = false;         // ... and the loss falls as the impact leaves the node, to either side
 };
 
 // A hard term: if its target moves by a small d, the loss of the optimum falls by multiplier . d.
@@ -90,7 +91,7 @@ struct Curvature {
 
 struct Certificate {
   enum class Verdict {
-    kStationary,        // all conditions hold
+    kStationary,        // all conditions hold, each theta being in [0, 1] and no kink concave
     kStationaryOnGrid,  // not so, but the gradient on the given intervals vanishes, each theta being in [0, 1]
     kNotStationary,
     kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply

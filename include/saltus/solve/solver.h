@@ -153,6 +153,7 @@ struct SolveReport {
   std::vector<double> parameters;          // of a hybrid system; or the values of Scene::design
   double integration_error = 0;            // of a hybrid system: relative, of final state and event times
   std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
+  std::optional<Certificate> continuous;   // of hmp: the conditions in continuous time, at the optimum there
   std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
   std::optional<Searched> searched;        // of mode_search
 };

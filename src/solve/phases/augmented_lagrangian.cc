@@ -6,6 +6,7 @@
 #include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "solve/phases/interior_point.h"
 #include "solve/solve_run.h"
@@ -14,6 +15,7 @@ namespace saltus {
 namespace {
 
 constexpr double kGrowth = 10;    // of the weights, from solve to solve
+constexpr double kStalled = 0.5;  // of the violation that the solve before has left
 constexpr int kShortPhase = 332;  // steps
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
@@ -89,7 +91,10 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   int num_equalities() const { return roles_.equalities; }
   void ClearMultipliers() { std::fill(multipliers_.begin(), multipliers_.end(), 0.0); }
   int num_constraints() const { return roles_.equalities + roles_.inequalities; }
-  void SetEqualityMultiplier(int row, double multiplier) { multipliers_[row] = multiplier; }
+  // That of an inequality is not negative.
+  void SetMultiplier(int row, double multiplier) {
+    multipliers_[row] = row < roles_.equalities ? multiplier : std::max(0.0, multiplier);
+  }
 
   double LargestMultiplier() const {
     double largest = 0;
@@ -141,40 +146,42 @@ void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, con
   problem_.AddResidualBlock(weighted.release(), nullptr, blocks);
 }
 
-// Least |J_f^T f + J_c^T l| over l, with the rows f of costs and c of equalities.
+// Least |J_f^T f + J_c^T l| over l, with the rows f of costs and c of equalities and violated inequalities.
 void AugmentedLagrangian::EstimateMultipliers() {
   for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
-  weights_ = {1, 1};  // rows are those of the functions
+  const Weights weights = std::exchange(weights_, {1, 1});  // rows are those of the functions
   std::vector<double> rows, gradient;
   ceres::CRSMatrix jacobian;
-  if (!problem_.Evaluate({}, nullptr, &rows, nullptr, &jacobian)) return;
+  const bool evaluated = problem_.Evaluate({}, nullptr, &rows, nullptr, &jacobian);
+  weights_ = weights;
+  if (!evaluated) return;
   Eigen::VectorXd by_costs = Eigen::VectorXd::Zero(jacobian.num_cols);
   std::vector<Eigen::Triplet<double>> entries;
-  int row = 0, equality = 0;
+  std::vector<std::pair<Weighted*, int>> constrained;  // rows of functions
+  int row = 0;
   for (const auto& [function, blocks] : functions_) {
     for (int i = 0; i < function->num_residuals(); ++i, ++row) {
-      const bool is_equality = i < function->num_equalities();
+      const bool is_cost = i >= function->num_constraints();
+      const bool counts = !is_cost && (i < function->num_equalities() || rows[row] > 0);
       for (int k = jacobian.rows[row]; k < jacobian.rows[row + 1]; ++k) {
-        if (is_equality) {
-          entries.emplace_back(equality, jacobian.cols[k], jacobian.values[k]);
-        } else if (i >= function->num_constraints()) {
-          by_costs[jacobian.cols[k]] += rows[row] * jacobian.values[k];
-        }
+        if (counts) entries.emplace_back(constrained.size(), jacobian.cols[k], jacobian.values[k]);
+        if (is_cost) by_costs[jacobian.cols[k]] += rows[row] * jacobian.values[k];
       }
-      equality += is_equality;
+      if (counts) constrained.emplace_back(function, i);
     }
   }
-  Eigen::SparseMatrix<double> equalities(equality, jacobian.num_cols);
-  equalities.setFromTriplets(entries.begin(), entries.end());
-  Eigen::SparseMatrix<double> normal = equalities * equalities.transpose();
-  for (int i = 0; i < equality; ++i) normal.coeffRef(i, i) *= 1 + 1e-12;
+  const auto size = static_cast<Eigen::Index>(constrained.size());
+  Eigen::SparseMatrix<double> constraints(size, jacobian.num_cols);
+  constraints.setFromTriplets(entries.begin(), entries.end());
+  Eigen::SparseMatrix<double> normal = constraints * constraints.transpose();
+  for (Eigen::Index i = 0; i < size; ++i) normal.coeffRef(i, i) *= 1 + 1e-12;
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
   if (factors.info() != Eigen::Success) return;
-  const Eigen::VectorXd multipliers = -factors.solve(equalities * by_costs);
+  const Eigen::VectorXd multipliers = -factors.solve(constraints * by_costs);
   if (!multipliers.allFinite()) return;
-  int next = 0;
-  for (const auto& [function, blocks] : functions_) {
-    for (int i = 0; i < function->num_equalities(); ++i) function->SetEqualityMultiplier(i, multipliers[next++]);
+  for (Eigen::Index i = 0; i < size; ++i) {
+    const auto& [function, of_row] = constrained[static_cast<size_t>(i)];
+    function->SetMultiplier(of_row, multipliers[i]);
   }
 }
 
@@ -258,16 +265,14 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     result.jacobians += summary.num_jacobian_evaluations;
     if (summary.termination_type == ceres::FAILURE) break;
     result.usable = true;
-    const double before = result.cost;
+    const double before = result.cost, open_before = result.violation;
     result.violation = UpdateMultipliers(&result.cost);
     // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
     near = near || (round == 0 && !estimated && result.iterations == 0);
     if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
       estimated = true;
       SetValues(start);
-      const Weights weights = weights_;
       EstimateMultipliers();
-      weights_ = weights;
       if (!result.interrupted && result.iterations < options.iterations) {
         --round;
         continue;
@@ -279,6 +284,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
     const double most = LargestWeight();
+    // Of two inequalities that are nearly the same, as at a touch on the node between two steps, one has all of the
+    // multiplier of both in the end. It would get there by their difference times the weight in each solve.
+    if (weights_.inequality >= most && result.violation > kStalled * open_before) EstimateMultipliers();
     weights_.equality = std::min(most, kGrowth * weights_.equality);
     weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }

@@ -52,7 +52,7 @@ class AugmentedLagrangian {
     // alone.
     Algorithm algorithm = Algorithm::kLeastSquares;
     int iterations = 200;                                    // of all solves together, at most
-    int rounds = 16;                                         // solves, at most
+    int rounds = 24;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
     double tolerance = 1e-9;                                 // largest violation of a row
     double radius = 1e8;                                     // of the trust region at first, after the first solve
