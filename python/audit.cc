@@ -37,6 +37,7 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
     gradient = ComputeGradient(contact, scene, arithmetic, computation.stop(), control.is_none() ? nullptr : &given);
   });
   if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
+  WarnOfUnresolved(gradient.unresolved_steps, gradient.num_steps);
   if (!gradient.ambiguous.empty()) {
     computation.RunOrThrow([&] {
       const std::vector<double> rows = control.is_none() ? InitialControl(scene, scene.steps) : given;
@@ -60,7 +61,8 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
 using OwnSimulator = std::tuple<std::string, py::object, std::string, bool>;
 
 py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
-                    const std::string& precision, bool width_sweep, const py::object& surrogate, int threads) {
+                    const std::string& precision, bool width_sweep, const py::object& surrogate, int threads,
+                    double audit_seconds) {
   Request request;
   request.scene = scene;
   request.precision = ReadPrecision(precision);
@@ -72,6 +74,7 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   if (options.surrogate && width_sweep) {
     throw py::value_error("width_sweep: is of the models' own gradients, expected no surrogate with it");
   }
+  if (!(audit_seconds >= 0)) throw py::value_error("audit_seconds: expected seconds, or 0 for no limit");
   options.stop = computation.stop();
   const int workers = ReadThreads(threads);
   if (contacts.size() == 1) options.threads = workers;
@@ -90,7 +93,7 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
     });
     // One after the other, in this thread, which has Python's exceptions.
     for (const std::shared_ptr<BlackBox>& box : boxes) {
-      report.models.push_back(AuditBlackBox(box, scene, report.reference, options));
+      report.models.push_back(AuditBlackBox(box, scene, report.reference, options, {audit_seconds}));
     }
   });
   const ModelGradient& first = report.models[0].gradient;
@@ -125,7 +128,8 @@ void BindAudit(py::module_* module) {
               py::arg("precision"),
               py::arg("width_sweep"),
               py::arg("surrogate"),
-              py::arg("threads"));
+              py::arg("threads"),
+              py::arg("audit_seconds"));
   module->def("contact_models", [] { return SummariesOf(AllContactModels()); });
   module->def("style", &StyleOfModel, py::arg("contact"));
 }

@@ -114,6 +114,7 @@ def audit(
     width_sweep: bool,
     surrogate: str | Mapping[str, Any] | None,
     threads: int,
+    audit_seconds: float,
 ) -> dict[str, Any]: ...
 def solve(
     scene: Scene,

@@ -138,6 +138,7 @@ def audit(
     width_sweep: bool = False,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
+    audit_seconds: float = 0,
 ) -> Any:
     """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
 
@@ -168,6 +169,8 @@ def audit(
         width_sweep: whether to compare with differences of every width too.
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
+        audit_seconds: time, s, within which the audit of ``simulate`` is planned, from the time that its first gradient
+            takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not.
 
     Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step, a function of some of
     mode, t, x, u, p and h by the names of its arguments, which returns the mode's name and the state after a step of length h; or as simulate a
@@ -202,6 +205,7 @@ def audit(
         raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
     expect("text", precision=precision, name=name)
     expect("a whole number", threads=threads)
+    expect("a number", audit_seconds=audit_seconds)
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     return Audit(
@@ -213,5 +217,6 @@ def audit(
             width_sweep=width_sweep,
             surrogate=surrogate,
             threads=threads,
+            audit_seconds=audit_seconds,
         )
     )

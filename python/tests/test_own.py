@@ -1,9 +1,12 @@
 """Simulators and contact models in Python."""
 
+import collections
+import math
 import os
 import signal
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -295,3 +298,75 @@ class TestEngines:
         assert (found["verdict"], found["class"], found["motion"]) == (there["verdict"], there["class"], there["motion"])
         assert found["loss"] == pytest.approx(there["loss"], rel=1e-9)
         assert (found["verdict"] == "right") == (flag == "--events")
+
+
+class TestCalls:
+    """How often an audit calls a simulator."""
+
+    @staticmethod
+    def counted(sign, restitution):
+        """Discs with an impulse at the boundary of a step; with the wrong sign they are pulled together for ever."""
+        counts = collections.Counter()
+
+        def simulate(scene, initial, control, dt):
+            counts[len(control)] += 1
+            bodies = scene.to_dict()["bodies"][:2]
+            (m, n), (r, s) = ([b[key] for b in bodies] for key in ("mass", "radius"))
+            ax, ay, au, av, bx, by, bu, bv = map(float, np.ravel(initial[:2]))
+            fx, fy = map(float, control[0][0][:2]) if control.size else (0.0, 0.0)
+            for _ in range(len(control)):
+                au, av = au + dt * fx / m, av + dt * fy / m
+                nx, ny = ax - bx, ay - by
+                distance = math.hypot(nx, ny)
+                nx, ny = nx / distance, ny / distance
+                w = nx * (au - bu) + ny * (av - bv)
+                if distance < r + s and w < 0:
+                    impulse = -sign * (1 + restitution) * w / (1 / m + 1 / n)
+                    au, av = au + impulse * nx / m, av + impulse * ny / m
+                    bu, bv = bu - impulse * nx / n, bv - impulse * ny / n
+                ax, ay, bx, by = ax + dt * au, ay + dt * av, bx + dt * bu, by + dt * bv
+            return [[ax, ay, au, av], [bx, by, bu, bv], *initial[2:]]
+
+        return simulate, counts
+
+    @pytest.fixture
+    def shot(self):
+        return saltus.Scene({
+            "name": "shot", "duration": 1.0, "steps": 32,
+            "bodies": [
+                {"name": "cue", "radius": 0.15, "mass": 1, "position": [-1.1, -0.1], "velocity": [1.6, 0.1]},
+                {"name": "obj", "radius": 0.2, "mass": 2, "position": [0, 0]},
+            ],
+            "contact": {"restitution": 0.8},
+            "objective": {"terminal": [{"body": "obj", "quantity": "position", "target": [0.6, 0.2]}]},
+            "optimize": "velocity", "free": ["cue"],
+        })
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_at_most_2000(self, shot, sign):
+        simulate, counts = self.counted(sign, 0.8)
+        report = saltus.audit(shot, simulate=simulate)
+        assert sum(counts.values()) <= 2000
+        assert report.verdicts["simulate"] in ("wrong", "wrong sign")
+
+    def test_a_reason_where_it_takes_more(self, shot):
+        data = shot.to_dict()
+        data["bodies"] += [{"name": f"d{i}", "radius": 0.1, "mass": 1, "position": [3 + i, 3]} for i in range(18)]
+        simulate, counts = self.counted(1, 0.8)
+        report = saltus.audit(saltus.Scene({**data, "steps": 8}), simulate=simulate)
+        assert sum(counts.values()) > 2000
+        assert any("more than 2000 runs" in remark for remark in report.of("simulate")["findings"])
+
+    def test_a_limit_of_time(self, shot):
+        simulate, counts = self.counted(1, 0.8)
+
+        def slow(*arguments):
+            time.sleep(0.02)
+            return simulate(*arguments)
+
+        begin = time.monotonic()
+        saltus.audit(shot, simulate=slow, audit_seconds=4)
+        assert time.monotonic() - begin < 20
+        assert sum(counts.values()) < 600
+        with pytest.raises(ValueError, match="audit_seconds"):
+            saltus.audit(shot, simulate=simulate, audit_seconds=-1)

@@ -126,7 +126,8 @@ std::string CauseOf(const ModelAudit& audit) {
   if (audit.verdict == Verdict::kIllConditioned) {
     const Conditioning& conditioning = *audit.refinement->conditioning;
     return "rounding alone changes the exact gradient by " + ToText(conditioning.rounding, 2) + " of it (condition " +
-           ToText(conditioning.condition, 2) + ")";
+           ToText(conditioning.condition, 2) + "): " + ToText(std::ceil(conditioning.DigitsLost()), 2) +
+           " of 16 digits are lost";
   }
   // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
   const std::optional<ContactRecognition>& recognition = audit.recognition;
@@ -230,6 +231,7 @@ std::string ModelAudit::Why() const {
   if (verdict == Verdict::kOneSided) return "every derivative by the initial state is one-sided, or there is none";
   if (!resolved) return DescribeUnresolved(gradient.unresolved_steps, gradient.num_steps);
   const std::string cause = CauseOf(*this);
+  if (verdict == Verdict::kIllConditioned) return cause;  // nor can differences of its loss be compared
   if (ContradictsItself()) {
     return "its gradient contradicts its own simulator: along a direction by " +
            std::string(QuantityToString(own->quantity)) + " it is " + ToText(own->gradient, 4) +

@@ -336,6 +336,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   if (audit.refinement && audit.refinement->conditioning) {
     item["condition"] = audit.refinement->conditioning->condition;
     item["rounding"] = audit.refinement->conditioning->rounding;
+    item["digits_lost"] = audit.refinement->conditioning->DigitsLost();
   }
   if (audit.own && audit.own->agreement != Agreement::kUndecided) {
     item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;

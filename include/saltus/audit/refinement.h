@@ -11,8 +11,9 @@
 //   wrong sign   wrong, and an entry that is not negligible has the wrong sign
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       a surrogate, which is not meant to be the gradient; there is no study of it
-//   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself
-//   (Conditioning)   not applicable    model and exact gradient are of different worlds; there is no study of it
+//   ill-conditioned   it would be wrong, but by no more than rounding changes the exact gradient itself, or rounding
+//                     leaves no digit of the exact gradient (Conditioning)
+//   not applicable    model and exact gradient are of different worlds; there is no study of it
 //   ambiguous    there is no gradient: the order of impacts at the same time decides (simulate/events.h, Tie)
 //   one-sided    every derivative by the initial state exists from one side only, or from none, and none is judged
 //
@@ -113,8 +114,12 @@ struct Conditioning {
   // largest of a few.
   double condition = 0;
   // By how much the exact gradient differs from itself, relative, computed with other numbers of steps, which change
-  // nothing but the rounding, and from the other initial states; the largest of a few.
+  // nothing but the rounding, and from the other initial states; the largest of a few. A refinement whose errors may be
+  // rounding measures it with its own numbers of steps too.
   double rounding = 0;
+
+  // Decimal digits of the exact gradient that rounding takes, of the 16 of double precision.
+  double DigitsLost() const;
 };
 // Of the event-driven model; nothing where that one cannot take the scene or fails. Where discs meet again and again,
 // each impact magnifies what was there before: after a few dozen of them the last bits of the initial state, and the

@@ -24,6 +24,7 @@ struct WidthSweepOptions {
   double narrow_from = 1e-4, narrow_to = 1e-2;  // the plateaus, likewise
   double wide_from = 5, wide_to = 50;
   double tolerance = 0.05;  // by which plateaus may differ, of the largest entry of the quantity
+  int most_states = 0;      // of the motion, at which speeds are measured for the grid width; 0: all
 };
 
 enum class WidthFinding {

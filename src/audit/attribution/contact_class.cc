@@ -22,7 +22,6 @@ constexpr int kPerHalving = 3;
 constexpr int kHalvings = 8, kMostHalvings = 16;
 constexpr int kReboundHalvings = 4;
 constexpr size_t kNeighbours = kPerHalving;
-constexpr int kMostSteps = 20'000;  // of all runs until a contact is over
 
 // An impulse keeps more than the one, a force that is resolved less than the other. Runs end when it is well resolved.
 constexpr double kImpulse = 0.4, kForce = 0.1, kResolved = 0.02;
@@ -70,10 +69,7 @@ class Recogniser {
   }
 
   ContactRecognition Run() {
-    if (!RunContacts()) {
-      out_.words = "the contact does not happen at every length of step";
-      return out_;
-    }
+    if (!RunContacts()) return out_;
     RecordContacts();
     if (std::max(*out_.rebound, *out_.finer_rebound) < kNoRebound * out_.restitution) {
       Decide(ContactClass::kNoRestitution,
@@ -96,13 +92,16 @@ class Recogniser {
 
  private:
   double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
-  // Until it is clear whether the contact is an impulse. False if it did not happen at some length.
+  // Until it is clear whether the contact is an impulse. False, with the reason in words, if that cannot be said.
   bool RunContacts() {
     std::vector<double> from = before_;
     int steps = 0;
-    for (int i = 0; i <= kMostHalvings * kPerHalving && steps < kMostSteps; ++i) {
+    for (int i = 0; i <= kMostHalvings * kPerHalving && steps < bench_.MostSteps(); ++i) {
       const ContactRun run = bench_.Run(LengthOf(i), from, /*onset_only=*/false);
-      if (!run.begins) return false;
+      if (!run.begins) {
+        out_.words = "the contact does not happen at every length of step";
+        return false;
+      }
       lengths_.push_back({LengthOf(i), run});
       from = run.before;
       steps += run.steps;
@@ -110,7 +109,9 @@ class Recogniser {
       const double concentration = FinestConcentration();
       if (concentration < kResolved || (i >= kHalvings * kPerHalving && concentration > kImpulse)) break;
     }
-    return lengths_.size() >= 2 * kNeighbours;
+    if (lengths_.size() >= 2 * kNeighbours) return true;
+    out_.words = FormatNumbers("the contact is not over after %.0f steps", static_cast<double>(steps));
+    return false;
   }
 
   double FinestConcentration() const {

@@ -95,6 +95,8 @@ class ContactBench {
   virtual ContactRun Run(double h, std::span<const double> from, bool onset_only) const = 0;
   // Over the step that follows `before_largest` by two, with free flight undone.
   virtual NormalMap Linearize(double h, std::span<const double> before_largest) const = 0;
+  // Of all runs together, after which the class is decided from what they have shown.
+  virtual int MostSteps() const { return 20'000; }
 };
 
 // How a contact is made, from runs with steps of length `h` and finer ones, the first of them from the state `before`.

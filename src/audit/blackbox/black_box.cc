@@ -2,9 +2,12 @@
 #include "saltus/audit/black_box.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
+#include <cstdint>
 #include <limits>
+#include <utility>
 
 #include "audit/blackbox/black_box_head_on.h"
 #include "audit/blackbox/black_box_simulator.h"
@@ -46,7 +49,30 @@ constexpr double kMotionOrder = 0.5, kMotionFar = 1e-2, kExactMotion = 1e-9, kMo
 // The width sweep: widths in what moves in a step.
 constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisyTo = 0.2, kWideFrom = 2, kWideTo = 8;
 constexpr int kWidths = 24;  // of each entry, about
+constexpr int kSpeeds = 32;  // states at which speeds are measured, about
+// Runs of the simulator that an audit takes, unless a gradient by differences needs more for a verdict.
+constexpr int kMostCalls = 2000;
 constexpr double kRebounds = 0.5, kLost = 0.5;
+
+// Passes questions on to a black box, and counts the runs that it is asked for.
+class CountedBox final : public BlackBox {
+ public:
+  explicit CountedBox(std::shared_ptr<BlackBox> box) : box_(std::move(box)) {}
+
+  const std::string& name() const override { return box_->name(); }
+  BlackBoxTraits Describe(const Scene& scene) override { return box_->Describe(scene); }
+  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
+                          const StopRequest& stop) override {
+    calls_ += std::ranges::count_if(questions, [](const Question& q) { return q.kind != Question::Kind::kStep; });
+    return box_->Ask(scene, questions, stop);
+  }
+
+  std::int64_t calls() const { return calls_; }
+
+ private:
+  const std::shared_ptr<BlackBox> box_;
+  std::atomic<std::int64_t> calls_ = 0;
+};
 
 // The final state of the scene's own motion over the first `steps` of its grid.
 Question OwnMotion(const Scene& scene, int steps) {
@@ -262,6 +288,7 @@ WidthSweepOptions WidthsOf(const BlackBoxFindings& findings, WidthSweepOptions o
   options.narrow_to = noisy ? kNoisyTo : kNarrowTo;
   options.wide_from = kWideFrom;
   options.largest = options.wide_to = kWideTo;
+  options.most_states = kSpeeds;
   return options;
 }
 
@@ -291,11 +318,12 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   }
 }
 
-// What the parts of an audit cost, from the time that the first gradient took, and what of them fits into the time.
+// What the parts of an audit cost, from the time that the first gradient took, and what of them fits into the time and
+// into kMostCalls.
 class AuditPlan {
  public:
-  AuditPlan(const AuditTime& time, const std::function<void(const std::string&)>& status)
-      : time_(time), status_(status), start_(Now()) {}
+  AuditPlan(const AuditTime& time, const CountedBox& box, const std::function<void(const std::string&)>& status)
+      : time_(time), box_(box), status_(status), start_(Now()) {}
 
   double Now() const {
     if (time_.clock) return time_.clock();
@@ -303,10 +331,13 @@ class AuditPlan {
   }
   bool limited() const { return time_.seconds > 0; }
   double Left() const { return time_.seconds - (Now() - start_); }
+  // Whether so many more calls fit.
+  bool FitsCalls(double calls) const { return static_cast<double>(box_.calls()) + calls <= kMostCalls; }
 
   // A gradient took `seconds`, for which the simulator was asked for so many rollouts at a time.
   void SetCost(double seconds, int rollouts) {
     gradient_ = seconds;
+    rollouts_ = rollouts;
     rollout_ = seconds / rollouts;
   }
   // Of rollouts that are asked for at a time, and one after the other.
@@ -318,17 +349,20 @@ class AuditPlan {
   double OfMotion(int samples) const { return OfRollouts(samples * (std::ldexp(1, kMotionLevels) - 1)); }
 
   double OfStudies(int levels, int samples) const { return OfRefinement(levels, samples) + OfMotion(samples); }
+  double CallsOfStudies(int levels, int samples) const {
+    return static_cast<double>(samples) * (kMotionLevels + levels * rollouts_);
+  }
 
   // Lowers the levels and samples of the refinement, and of the study of the motion beside it, to what fits; or to the
   // fewest.
   void Fit(RefinementOptions* refinement) const {
-    if (!limited()) return;
-    const double left = Left();
+    const auto fits = [&](int levels) {
+      return Fits(OfStudies(levels, refinement->samples)) && FitsCalls(CallsOfStudies(levels, refinement->samples));
+    };
     for (const int samples : kSamples) {
       refinement->samples = std::min(refinement->samples, samples);
-      if (OfStudies(kLeastLevels, samples) <= left) break;
+      if (fits(kLeastLevels)) break;
     }
-    const auto fits = [&](int levels) { return OfStudies(levels, refinement->samples) <= left; };
     while (refinement->most_levels > kLeastLevels && !fits(refinement->most_levels)) --refinement->most_levels;
     refinement->levels = std::min(refinement->levels, refinement->most_levels);
   }
@@ -339,9 +373,11 @@ class AuditPlan {
 
  private:
   const AuditTime& time_;
+  const CountedBox& box_;
   const std::function<void(const std::string&)>& status_;
   const double start_;
   double gradient_ = 0, rollout_ = 0, single_ = 0;  // s
+  int rollouts_ = 1;                                // of a gradient
 };
 
 // Rollouts for a gradient.
@@ -355,7 +391,8 @@ int NumRollouts(const Scene& scene, bool own_gradient) {
 double NumRolloutsOfWidths(const Scene& scene) {
   const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
   const auto entries = 4 * moving + scene.control_width();
-  return static_cast<double>(2 * kWidths * entries) + 0.5 * scene.steps;  // the speeds take final states of all lengths
+  // The speeds take shorter runs.
+  return static_cast<double>(2 * kWidths * entries) + 0.5 * std::min(scene.steps, kSpeeds);
 }
 
 // Differences know the control by segments only.
@@ -402,9 +439,10 @@ Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& sce
   return ContactOf(box, traits, {.noise = asked ? FindNoise(box.get(), scene, traits, stop) : 0.0});
 }
 
-ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scene,
+ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& scene,
                          const std::optional<ModelGradient>& reference, const AuditOptions& options,
                          const AuditTime& time) {
+  const auto box = std::make_shared<CountedBox>(given);
   const StopRequest& stop = options.stop;
   ModelAudit audit;
   audit.gradient.contact = box->name();
@@ -425,7 +463,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     findings.precision_found = BitsOf(findings.noise);
   }
   const Contact contact = ContactOf(box, traits, AskingWith(findings));
-  AuditPlan plan(time, options.status);
+  AuditPlan plan(time, *box, options.status);
   const double begin = plan.Now();
   audit.gradient = ComputeGradient(contact, scene, Precision::kDouble, stop);
   if (HasFailed(box.get(), scene, &audit) || !audit.gradient.ok()) {
@@ -472,10 +510,18 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     }
     if (!keep(std::move(recognition), &audit.recognition)) return audit;
   }
-  if (traits.gradient && !keep(CompareWithOwnDifferences(contact, scene, stop), &audit.own)) return audit;
+  if (traits.gradient && !keep(CompareWithOwnDifferences(contact, scene, stop, 1, kSpeeds), &audit.own)) return audit;
   if (reference) {
     audit.error = CompareGradients(AsMeasured(audit.gradient, findings), *reference);
     plan.Fit(&refinement_options);
+    if (!plan.FitsCalls(plan.CallsOfStudies(refinement_options.levels, refinement_options.samples))) {
+      findings.remarks.push_back(FormatNumbers(
+          "the audit takes more than %.0f runs: a gradient takes %.0f of them, and a verdict needs gradients at %.0f "
+          "numbers of steps",
+          kMostCalls,
+          NumRollouts(scene, traits.gradient),
+          refinement_options.levels * refinement_options.samples));
+    }
     plan.Say("motion", plan.OfMotion(refinement_options.samples));
     StudyMotion(box.get(), scene, traits, *reference, refinement_options.samples, stop, &findings);
     plan.Say("refinement", plan.OfRefinement(refinement_options.levels, refinement_options.samples));
@@ -491,14 +537,20 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& box, const Scene& scen
     }
   }
   if (options.width_sweep || !reference || !traits.gradient) {
-    if (plan.Fits(of_widths)) {
+    const double runs = NumRolloutsOfWidths(scene);
+    if (!plan.Fits(of_widths)) {
+      findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
+    } else if (reference && !plan.FitsCalls(runs)) {
+      findings.remarks.push_back(
+          FormatNumbers("the comparison with differences of every width takes %.0f runs, more than are left of %.0f",
+                        runs,
+                        kMostCalls));
+    } else {
       plan.Say("differences of every width", of_widths);
       const WidthSweepOptions widths = WidthsOf(findings, options.widths);
       if (!keep(SweepWidths(contact, scene, widths, stop), &audit.widths)) return audit;
       if (reference) CompareWithExact(scene, *reference, &*audit.widths);
       if (!reference) audit.verdict = audit.widths->verdict;
-    } else {
-      findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
     }
   }
   if (HasFailed(box.get(), scene, &audit)) return audit;

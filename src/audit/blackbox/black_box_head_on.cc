@@ -16,7 +16,7 @@ constexpr int kPhases = 9;
 // Displacements, of what moves in a step: small, so that the impact stays in its step, unless answers are rounded much.
 constexpr double kSmall = 1e-3, kLarger = 0.05, kMuchNoise = 1e-11;
 constexpr double kFelt = 16;  // noises by which a velocity must change
-constexpr int kBlock = 16;    // steps that are asked for at a time
+constexpr int kBlock = 8;     // steps that are asked for at a time
 constexpr int kMostSteps = 4096;
 
 // The pair alone.
@@ -111,7 +111,7 @@ ContactRun HeadOnImpact::Run(double h, std::span<const double> from, bool onset_
   RunRecorder recorder(onset_only);
   std::vector<Motion> all = {{-(reach_ + start.gap), start.speed}};
   double closing = start.speed;
-  for (int k = 0; k < kMostSteps && !recorder.ended();) {
+  for (int k = 0; k < std::min(kMostSteps, MostSteps()) && !recorder.ended();) {
     const int count = std::max(kBlock, traits_.states ? k : 0);  // twice as many each time
     const std::vector<Motion> motions = Motions(start, h, k + 1, count);
     if (motions.empty()) return {};

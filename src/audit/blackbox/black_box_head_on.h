@@ -41,6 +41,8 @@ class HeadOnImpact final : public ContactBench {
   std::vector<double> FarBefore() const { return {kApproach * speed_ * step(), speed_}; }
   ContactRun Run(double h, std::span<const double> from, bool onset_only) const override;
   NormalMap Linearize(double h, std::span<const double> before_largest) const override;
+  // Without states, every step is a call with a number of steps of its own.
+  int MostSteps() const override { return traits_.states ? ContactBench::MostSteps() : kMostCalls; }
 
   // Whether the force that gives the first disc its acceleration does not change its velocity in free flight.
   bool IgnoresForce() const;
@@ -51,6 +53,7 @@ class HeadOnImpact final : public ContactBench {
 
  private:
   static constexpr double kApproach = 12.37;  // steps from the start of the first run to the impact
+  static constexpr int kMostCalls = 500;
 
   struct Motion {
     double position = 0, velocity = 0;  // of the first disc to the other, m, m/s

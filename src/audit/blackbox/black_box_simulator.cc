@@ -82,7 +82,8 @@ std::vector<double> BlackBoxSimulator::ForceIn(int k) const {
   return force;
 }
 
-// Those in between are asked for when they are needed, all at once: by steps, or as final states of shorter runs.
+// Those in between are asked for when they are needed: all at once or by steps, or else as the final state of a shorter
+// run.
 const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
   if (!states_[k].empty()) return states_[k];
   const std::vector<double> unknown(state_size(), kNan);
@@ -104,18 +105,8 @@ const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
     }
     return states_[k];
   }
-  std::vector<Question> questions;
-  std::vector<int> places;
-  for (int i = 0; i <= num_steps_; ++i) {
-    if (!states_[i].empty()) continue;
-    questions.push_back(Ask(Kind::kSimulate, i));
-    places.push_back(i);
-  }
-  const std::vector<Answer> answers = AnswersTo(questions);
-  for (std::size_t i = 0; i < answers.size(); ++i) {
-    states_[places[i]] = answers[i].error.empty() ? answers[i].final : unknown;
-  }
-  return states_[k];
+  const Answer answer = AnswersTo({Ask(Kind::kSimulate, k)}).front();
+  return states_[k] = answer.error.empty() ? answer.final : unknown;
 }
 
 void BlackBoxSimulator::GetState(int k, std::span<double> x) const {

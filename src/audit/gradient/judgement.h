@@ -15,6 +15,8 @@ struct QuantityLevels {
   double scale = 1;                // that errors are relative to
   std::vector<double> coarsest = {};
 
+  // The distance of entries that are judged from the exact ones, relative to the scale.
+  double ErrorOf(const std::vector<double>& entries, const QuantityStudy& study) const;
   // Adds a level of so many steps (the mean), given the entries at each of its samples, and judges what there is.
   // Precondition: study->exact and study->one_sided are set.
   void Add(double steps, const std::vector<std::vector<double>>& samples, const RefinementOptions& options,

@@ -105,10 +105,10 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
 }
 
 // What moves in a step, m.
-double LengthOfStep(const Scene& scene, const Simulator& simulator) {
+double LengthOfStep(const Scene& scene, const Simulator& simulator, int most_states = 0) {
   double smallest_radius = scene.bodies[0].radius;
   for (const Body& body : scene.bodies) smallest_radius = std::min(smallest_radius, body.radius);
-  return std::max(LargestSpeed(simulator) * simulator.step(), 1e-3 * smallest_radius);
+  return std::max(LargestSpeed(simulator, most_states) * simulator.step(), 1e-3 * smallest_radius);
 }
 
 // What a small change of a parameter is; `length` is what moves in a step.
@@ -178,7 +178,7 @@ OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
 }  // namespace
 
 OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop,
-                                         int threads) {
+                                         int threads, int most_states) {
   OwnDifferences worst;
   if (!WhyNotApplicable(contact, scene).empty()) return worst;
   LossesOfThreads losses(contact, scene, stop, threads);
@@ -188,7 +188,7 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
   const Simulator& simulator = by_state.shooting().simulator();
   double smallest_mass = std::numeric_limits<double>::infinity();
   for (int body : scene.control.bodies) smallest_mass = std::min(smallest_mass, scene.bodies[body].mass);
-  const double length = LengthOfStep(scene, simulator);
+  const double length = LengthOfStep(scene, simulator, most_states);
 
   std::mt19937 random(1);
   const auto sign = [&] { return random() % 2 == 0 ? 1.0 : -1.0; };
@@ -277,10 +277,11 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
   return audits;
 }
 
-double LargestSpeed(const Simulator& simulator) {
+double LargestSpeed(const Simulator& simulator, int most_states) {
   double largest = 0;
   std::vector<double> x(simulator.state_size());
-  for (int k = 0; k <= simulator.num_steps(); ++k) {
+  const int steps = simulator.num_steps(), stride = most_states > 0 ? std::max(1, steps / most_states) : 1;
+  for (int k = steps; k >= 0; k -= stride) {
     simulator.GetState(k, x);
     for (int i = 0; i < simulator.num_bodies(); ++i) {
       const double* v = &x[i * simulator.body_size() + 2];

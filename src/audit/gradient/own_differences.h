@@ -15,9 +15,9 @@
 namespace saltus {
 
 // Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
-// more than one needs a contact model whose simulators may run at the same time.
+// more than one needs a contact model whose simulators may run at the same time. `most_states`: as of LargestSpeed.
 OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
-                                         int threads = 1);
+                                         int threads = 1, int most_states = 0);
 
 // The same of parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out are those
 // that neither gradient nor differences depend on. Empty where the model cannot take the scene, or has derivatives by
@@ -27,7 +27,8 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
 // Those of `contact`, gravity, the masses, and those that the scene optimizes; empty of scenes with many discs.
 std::vector<std::string> ParametersToCompare(const Scene& scene);
 
-// The largest speed of a disc in the simulator's last rollout, m/s.
-double LargestSpeed(const Simulator& simulator);
+// The largest speed of a disc in the simulator's last rollout, m/s: of all states, or if `most_states` is positive and
+// there are more, of about as many at even distances.
+double LargestSpeed(const Simulator& simulator, int most_states = 0);
 
 }  // namespace saltus

@@ -120,6 +120,11 @@ constexpr double kWorkOfATouch = 24;
 constexpr double kSettled = 0.01;
 // Roundings of the exact gradient, of which a few were measured, by which a model may miss it.
 constexpr double kRoundings = 10;
+// Up to so many of those at the scene's own steps, roundings are measured at all levels: more steps round more.
+constexpr double kRoundingsOfLevels = 1e4;
+constexpr int kSamplesOfLevels = 3;
+// Relative: a gradient that rounding changes by more has no correct digit, and no other can be compared with it.
+constexpr double kNoDigit = 0.1;
 // Orders are fitted over this many of the finest levels.
 constexpr size_t kTail = 4;
 
@@ -164,18 +169,6 @@ Verdict Overall(const RefinementStudy& study) {
     }
   }
   return judged ? worst : Verdict::kOneSided;
-}
-
-// Errors that are no larger than what rounding does to the exact gradient are nobody's.
-void ExcuseRounding(const Scene& scene, const StopRequest& stop, RefinementStudy* study) {
-  for (QuantityStudy& quantity : study->quantities) {
-    if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
-    if (!study->conditioning) study->conditioning = MeasureConditioning(scene, stop);
-    if (!study->conditioning) return;
-    if (quantity.decisive <= kRoundings * study->conditioning->rounding) {
-      quantity.verdict = Verdict::kIllConditioned;
-    }
-  }
 }
 
 // Adds one level after the other to a study.
@@ -223,26 +216,24 @@ class Study {
 
   // False, with the reason in the study, if a rollout is not finite.
   bool AddLevel(int level) {
-    const int base = std::max(1, scene_.steps / unit_) << level;
-    const auto steps_of = [&](int sample) { return unit_ * (base + sample); };
     std::vector<ModelGradient> gradients(options_.samples);
     const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
     ParallelFor(threads, options_.samples, [&](int, int sample) {
       // Of many steps the arrays alone take long.
       if (gradients[sample].reason = stop_ && stop_() ? kStopped : ""; !gradients[sample].ok()) return;
       Scene refined = scene_;
-      refined.steps = steps_of(sample);
+      refined.steps = StepsOf(level, sample);
       gradients[sample] = ComputeGradient(contact_, refined, Precision::kDouble, stop_);
     });
     for (int sample = 0; sample < options_.samples; ++sample) {
       if (gradients[sample].ok()) continue;
-      out_.reason = "with " + std::to_string(steps_of(sample)) + " steps, " + gradients[sample].reason;
+      out_.reason = "with " + std::to_string(StepsOf(level, sample)) + " steps, " + gradients[sample].reason;
       return false;
     }
     std::vector<std::vector<std::vector<double>>> entries(out_.quantities.size());  // by quantity and sample
     double log_steps = 0;
     for (int sample = 0; sample < options_.samples; ++sample) {
-      log_steps += std::log(steps_of(sample)) / options_.samples;
+      log_steps += std::log(StepsOf(level, sample)) / options_.samples;
       const ModelGradient& gradient = gradients[sample];
       if (level == 0) touches_ = std::max(touches_, gradient.num_touches);
       for (size_t q = 0; q < entries.size(); ++q) {
@@ -255,7 +246,47 @@ class Study {
     return true;
   }
 
+  // Errors that are no larger than what rounding does to the exact gradient are nobody's.
+  void ExcuseRounding() {
+    std::vector<double> of_levels;  // by quantity
+    for (size_t q = 0; q < out_.quantities.size(); ++q) {
+      QuantityStudy& quantity = out_.quantities[q];
+      if (!IsWrong(quantity.verdict) && quantity.verdict != Verdict::kUnknown) continue;
+      if (!out_.conditioning) out_.conditioning = MeasureConditioning(scene_, stop_);
+      if (!out_.conditioning) return;
+      double& rounding = out_.conditioning->rounding;
+      const auto excused = [&] { return rounding >= kNoDigit || quantity.decisive <= kRoundings * rounding; };
+      if (!excused() && quantity.decisive <= kRoundingsOfLevels * rounding) {
+        if (of_levels.empty()) of_levels = RoundingOfLevels();
+        rounding = std::max(rounding, of_levels[q]);
+      }
+      if (excused()) quantity.verdict = Verdict::kIllConditioned;
+    }
+  }
+
  private:
+  int StepsOf(int level, int sample) const { return unit_ * ((std::max(1, scene_.steps / unit_) << level) + sample); }
+
+  // The largest relative distance of exact gradients with the step counts of the levels from the exact one, by
+  // quantity.
+  std::vector<double> RoundingOfLevels() const {
+    std::vector<double> largest(out_.quantities.size(), 0.0);
+    for (size_t level = 0; level < out_.quantities.front().levels.size(); ++level) {
+      for (int sample = 0; sample < std::min(options_.samples, kSamplesOfLevels); ++sample) {
+        Scene refined = scene_;
+        refined.steps = StepsOf(static_cast<int>(level), sample);
+        const ModelGradient exact = ComputeGradient(ExactModel()->name, refined, Precision::kDouble, stop_);
+        for (size_t q = 0; q < largest.size(); ++q) {
+          const QuantityStudy& study = out_.quantities[q];
+          largest[q] = std::max(
+              largest[q],
+              exact.ok() ? levels_[q].ErrorOf(EntriesOf(scene_, exact, study.quantity, out_.intervals), study) : 1.0);
+        }
+      }
+    }
+    return largest;
+  }
+
   Contact contact_;
   const Scene& scene_;
   const RefinementOptions& options_;
@@ -268,13 +299,15 @@ class Study {
 
 }  // namespace
 
+double QuantityLevels::ErrorOf(const std::vector<double>& entries, const QuantityStudy& study) const {
+  return Distance(Without(study.one_sided, names, entries), Without(study.one_sided, names, study.exact)) / scale;
+}
+
 void QuantityLevels::Add(double steps, const std::vector<std::vector<double>>& samples,
                          const RefinementOptions& options, QuantityStudy* study) {
   const auto judged = [&](const std::vector<double>& entries) { return Without(study->one_sided, names, entries); };
   std::vector<double> errors;
-  for (const std::vector<double>& entries : samples) {
-    errors.push_back(Distance(judged(entries), judged(study->exact)) / scale);
-  }
+  for (const std::vector<double>& entries : samples) errors.push_back(ErrorOf(entries, *study));
   const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
   study->levels.push_back({steps, Median(errors), *smallest, *largest});
   study->finest.clear();
@@ -321,6 +354,8 @@ std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRe
   }
   return found;
 }
+
+double Conditioning::DigitsLost() const { return std::log10(std::clamp(rounding, kEpsilon, 1.0) / kEpsilon); }
 
 const char* VerdictToString(Verdict verdict) {
   constexpr const char* kNames[] = {"right",
@@ -371,7 +406,7 @@ RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, cons
   for (QuantityStudy& quantity : study.quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
-  ExcuseRounding(scene, stop, &study);
+  run.ExcuseRounding();
   study.verdict = Overall(study);
   return study;
 }

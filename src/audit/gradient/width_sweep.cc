@@ -66,7 +66,9 @@ class Line {
   }
 
   // Of the rollout from the scene's own start; 0 if it fails.
-  double LargestSpeed() { return simulator_->Rollout(initial_, control_) ? saltus::LargestSpeed(*simulator_) : 0.0; }
+  double LargestSpeed(int most_states) {
+    return simulator_->Rollout(initial_, control_) ? saltus::LargestSpeed(*simulator_, most_states) : 0.0;
+  }
 
  private:
   std::unique_ptr<Simulator> simulator_;
@@ -289,7 +291,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     return study;
   }
   Line line(MakeSimulator(contact, refined, Precision::kDouble), stop);
-  const double speed = std::max(line.LargestSpeed(), 1e-9);
+  const double speed = std::max(line.LargestSpeed(options.most_states), 1e-9);
   for (const Direction& direction : DirectionsOf(scene, speed, line.simulator().step())) {
     WidthSweep& sweep = study.sweeps.emplace_back();
     sweep.quantity = direction.quantity;
