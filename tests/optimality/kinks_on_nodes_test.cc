@@ -13,7 +13,6 @@
 namespace saltus {
 namespace {
 
-using testing::HasSubstr;
 using Verdict = Certificate::Verdict;
 
 Body Disc(const char* name, double radius, double mass, const Vec2d& position, const Vec2d& velocity = {0, 0}) {
@@ -107,15 +106,6 @@ TEST(KinksOnNodes, AStationaryVerdictIsThatOfTheControlOnItsIntervals) {
   }
   EXPECT_GT(certified, 0);
   EXPECT_GT(refused, 0);
-}
-
-TEST(KinksOnNodes, TheReasonNamesTheImpactThatLeavesItsNode) {
-  const Scene scene = OverTheWall();
-  const SolveReport report = Solve("ceres_event", {scene, "event"}, {});
-  EXPECT_NE(report.termination, Termination::kConverged);
-  const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
-  EXPECT_EQ(certificate.verdict, Verdict::kNotStationary);
-  EXPECT_THAT(certificate.reason, HasSubstr("leaves its node"));
 }
 
 // A certificate is not about the optimum in continuous time, whose conditions hmp reports beside it.

@@ -51,7 +51,7 @@ TEST(EventCounting, ManyImpactsInOneStepStayElastic) {
 }
 
 TEST(EventCounting, TheirDerivativesAreThoseOfTheClosedForm) {
-  for (const double mass : {1e6, 1e8, 2279733867.6}) {
+  for (const double mass : {1e4, 1e6}) {
     EventRun run(Counting(mass, 1));
     const Sensitivity gradient = run.GradientOf(4);
     const double d = 1e-3;
