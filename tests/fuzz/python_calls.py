@@ -369,8 +369,9 @@ def of_results(rng):
     def use(path, data):
         if isinstance(path, int):  # a file that is open, such as standard output
             raise TypeError("path")
-        if isinstance(path, str):
-            path = os.path.join(tempfile.gettempdir(), f"saltus_fuzz_{os.getpid()}_{os.path.basename(path)}")
+        if isinstance(path, (str, bytes)):
+            name = os.path.basename(os.fsdecode(path))
+            path = os.path.join(tempfile.gettempdir(), f"saltus_fuzz_{os.getpid()}_{name}")
         type(result)(data).save(path)
         saltus.load_result(path)
         os.remove(path)
