@@ -1,5 +1,6 @@
 #include <gflags/gflags.h>
 
+#include <algorithm>
 #include <iostream>
 #include <optional>
 
@@ -68,7 +69,11 @@ IdentifyOptions OptionsFromFlags(const Request& request) {
 std::vector<Recording> ReadRecordings(const Scene& scene) {
   if (FLAGS_recording.empty()) throw InputError("--recording=FILE is needed; -h lists all flags");
   std::vector<Recording> recordings;
-  for (const std::string& path : SplitAtCommas(FLAGS_recording)) {
+  const std::vector<std::string> paths = SplitAtCommas(FLAGS_recording);
+  for (const std::string& path : paths) {
+    if (std::ranges::count(paths, path) > 1) {
+      throw InputError("--recording: found " + path + " twice, whose samples would count twice; expected it once");
+    }
     auto loaded = LoadAnyRecording(path, scene);
     if (const auto* error = std::get_if<RecordingError>(&loaded)) throw InputError(error->ToString());
     recordings.push_back(std::get<Recording>(std::move(loaded)));

@@ -179,7 +179,8 @@ void CheckFlagNames(int argc, char** argv, const Program& program) {
   if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
 }
 
-// Whatever way a flag was given: what the program would ignore is an error. To be called once flags are read.
+// Whatever way a flag was given: one that the program would ignore, or a text that is empty, is an error. To be called
+// once flags are read.
 void RefuseFlagsOfOthers(const Program& program) {
   for (const Program& other : AllPrograms()) {
     for (const std::string& name : FlagNames(other)) {
@@ -187,6 +188,8 @@ void RefuseFlagsOfOthers(const Program& program) {
       if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
       const std::string why = WhyNoFlagOf(program, name);
       if (!why.empty()) throw InputError(why);
+      if (info.type == "string" && info.current_value.empty())
+        throw InputError("--" + name + " is empty, expected a value");
     }
   }
 }
@@ -219,6 +222,8 @@ std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& f
     }
     const std::optional<double> value = FromText<double>(text);
     if (!value) throw InputError(place + "found '" + text + "', expected a finite number");
+    const auto same = [&](const auto& pair) { return pair.first == name; };
+    if (std::ranges::any_of(pairs, same)) throw InputError(place + "found '" + name + "' twice, expected it once");
     pairs.emplace_back(name, *value);
   }
   return pairs;
@@ -267,6 +272,13 @@ std::vector<std::string> ReadContacts(const std::string& value) {
       const bool known = FindContactModel(name) != nullptr;
       throw InputError("--contact=" + value + ": " + wrong +
                        (known ? "" : Suggestion(name, NameList(AllContactModels()))));
+    }
+    std::vector<std::string> set;
+    std::stringstream options(contact);
+    for (std::string option; std::getline(options, option, ':');) {
+      set.push_back(option.substr(0, option.find('=')));
+      if (std::ranges::count(set, set.back()) < 2) continue;
+      throw InputError("--contact=" + value + ": found '" + set.back() + "' twice, expected it once");
     }
     if (std::ranges::find(contacts, contact) == contacts.end()) contacts.push_back(contact);
   }
