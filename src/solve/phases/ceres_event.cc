@@ -13,7 +13,7 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   const Scene& scene = run->scene();
   PhaseMinimumOptions options;
   options.callback = [&](double loss) { return run->Record(loss); };
-  options.iterations = run->options().iterations;
+  options.iterations = run->iterations_left();
   const ContactSequence sequence = plan.Sequence();
   PhaseSolution solution =
       SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, start.trial), sequence), options);

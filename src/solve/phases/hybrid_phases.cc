@@ -113,18 +113,20 @@ class HybridPhaseRun::Transcriber {
   double duration_;
 };
 
+HybridMotion MotionOf(const HybridInput& input) {
+  HybridMotion motion{input.control, {}, input.initial, input.parameters, {}};
+  const std::vector<double> times = input.Times();
+  for (int k = 0; k < input.num_intervals; ++k) motion.durations.push_back(times[k + 1] - times[k]);
+  return motion;
+}
+
 HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options,
                                std::optional<HybridMotion> start, std::optional<std::vector<ModeEvent>> sequence)
     : SequenceRun(solver, options),
       problem_(WithIntervals(problem)),
       shooting_(std::make_unique<HybridShooting>(problem_)),
       sequence_(std::move(sequence)) {
-  const HybridInput& guess = problem_.guess;
-  guess_.control = guess.control;
-  const std::vector<double> times = guess.Times();
-  for (int k = 0; k < guess.num_intervals; ++k) guess_.durations.push_back(times[k + 1] - times[k]);
-  guess_.initial = guess.initial;
-  guess_.parameters = guess.parameters;
+  guess_ = MotionOf(problem_.guess);
   MoveWithin(&guess_);
   Simulate(&guess_);
   FindScales();
@@ -292,6 +294,16 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
     k = end;
   }
+}
+
+std::string HybridPhaseRun::WhyNoDerivative(const HybridMotion& motion) const {
+  HybridShooting::Outcome outcome;
+  if (!motion.exact.ok || !shooting_->Simulate(InputOf(motion), &outcome)) return "";
+  std::vector<HybridShooting::TermAt> terms;
+  if (!shooting_->EvaluateTerms(&terms)) return shooting_->WhyFailed();
+  HybridSimulator& simulator = shooting_->simulator();
+  simulator.Adjoint(std::vector<double>(simulator.final_state().size(), 1.0));
+  return simulator.WhyNotFinite();
 }
 
 std::string HybridPhaseRun::NameOf(const ModeEvent& event) const {

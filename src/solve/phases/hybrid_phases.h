@@ -32,6 +32,9 @@ struct HybridMotion {
   } exact;
 };
 
+// The motion of an input, not simulated.
+HybridMotion MotionOf(const HybridInput& input);
+
 class HybridPhaseRun final : public SequenceRun {
  public:
   using Event = ModeEvent;
@@ -55,6 +58,8 @@ class HybridPhaseRun final : public SequenceRun {
   // Why there is nothing to start from, as a report; otherwise nothing.
   std::optional<SolveReport> WhyNotStart();
 
+  // What the motion depends on.
+  HybridInput InputOf(const HybridMotion& motion) const;
   void Simulate(HybridMotion* motion) const;
   double ViolationOf(const HybridMotion& motion) const;
   double MeritOf(const HybridMotion& motion) const;
@@ -76,6 +81,9 @@ class HybridPhaseRun final : public SequenceRun {
   Certificate Certify(const HybridMotion& motion) const;
   std::vector<HybridMotion> LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const;
 
+  // Why a motion, or a term at it, has no finite derivative; empty if it has, or if there is no motion.
+  std::string WhyNoDerivative(const HybridMotion& motion) const;
+
   std::string NameOf(const ModeEvent& event) const;
   std::string NameOf(const std::vector<ModeEvent>& sequence) const;
   std::string NameOf(const PlanOf<ModeEvent>& plan) const;
@@ -87,7 +95,6 @@ class HybridPhaseRun final : public SequenceRun {
   SolveReport Finish(const HybridMotion& motion, double loss, Termination termination, std::string reason = {});
 
  private:
-  HybridInput InputOf(const HybridMotion& motion) const;
   void FindScales();
 
   HybridProblem problem_;

@@ -91,6 +91,9 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
     return saltus::LeaveSaddle(scene_, trial, curvature);
   }
 
+  // Why a motion has no finite derivative; those of discs have one.
+  std::string WhyNoDerivative(const Trial&) const { return ""; }
+
   // In words: a sequence; a plan; several in their order; the kinks of the loss that it holds on to; what the trial
   // misses most; where the exact run departs from the sequence.
   std::string NameOf(const ContactSequence& sequence) const { return ContactSequenceToString(scene_, sequence); }

@@ -348,9 +348,13 @@ class SequenceUpdate {
     task.plan.only_violation = true;
     const PlanAttempt attempt = try_(task.plan, task.start, [](const auto&, const auto&) { return true; });
     interrupted_ = attempt.interrupted;
-    if (!attempt.valid || !(attempt.violation < run_.ViolationOf(lowest_))) return;
-    lowest_ = attempt.trial;
-    if (attempt.violation > kHardlyAny) return;
+    if (!attempt.valid) return;
+    Trial trial = attempt.trial;  // whose loss and violation are those of another objective
+    run_.Simulate(&trial);
+    const double violation = run_.ViolationOf(trial);
+    if (!(violation < run_.ViolationOf(lowest_))) return;
+    lowest_ = std::move(trial);
+    if (violation > kHardlyAny) return;
     tried_.clear();
     Add(TaskAlong(lowest_.exact.contacts, lowest_));
   }
@@ -388,14 +392,15 @@ class SequenceUpdate {
 
   Termination Judge(std::string* reason) {
     if (interrupted_) return Termination::kInterrupted;
-    if (tried_.empty()) {
-      *reason = "no motion along " + run_.NameOf(passed_.front()) + " was found to start from";
+    if (tried_.empty() && !run_.IsOutOfIterations()) {
+      *reason = WhyNothingTried();
       return Termination::kFailed;
     }
     if (EndsWithBest()) {
       Certify();
       return Termination::kConverged;
     }
+    if (*reason = run_.WhyNoDerivative(lowest_); !reason->empty()) return Termination::kFailed;
     if (HasOptimum()) {
       *reason = "no optimum found is better than a motion that is none";
     } else if (IsOpen(lowest_)) {
@@ -403,9 +408,23 @@ class SequenceUpdate {
                 " that meets all constraints was found; the least violation is " + run_.DescribeMiss(lowest_);
     } else if (!best_ && last_ && !last_->realized) {
       *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
+      const Sequence& returned = lowest_.exact.contacts;
+      if (last_->trial.exact.contacts != returned) *reason += "; the motion returned has " + run_.NameOf(returned);
     }
     if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
     return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
+  }
+
+  std::string WhyNothingTried() const {
+    if (passed_.empty()) return "the events to solve along cannot follow one another, or cannot end the motion";
+    const PhasePlan& plan = passed_.front();
+    const auto phases = std::count(plan.tied.begin(), plan.tied.end(), false) + 1;
+    if (phases > run_.num_steps()) {
+      return "the control has " + std::to_string(run_.num_steps()) +
+             (run_.num_steps() == 1 ? " interval" : " intervals") + ", and a motion along " + run_.NameOf(plan) +
+             " has " + std::to_string(phases) + " phases: expected an interval for each phase, or more";
+    }
+    return "no motion along " + run_.NameOf(plan) + " was found to start from";
   }
 
   // Beside the conditions of events at different times in between, whose gaps close: where the loss has a kink.

@@ -25,7 +25,11 @@ class SequenceRun {
   // Appends the loss after another iteration. False if the callback wants to stop.
   bool Record(double loss);
   bool interrupted() const { return interrupted_; }
-  bool IsOutOfIterations() const { return static_cast<int>(report_.losses.size()) > std::max(1, options_.iterations); }
+  // How many more iterations are allowed.
+  int iterations_left() const {
+    return std::max(0, options_.iterations - std::max(0, static_cast<int>(report_.losses.size()) - 1));
+  }
+  bool IsOutOfIterations() const { return iterations_left() == 0; }
   SolveReport& report() { return report_; }
   // How problems along a sequence are minimized.
   AugmentedLagrangian::Algorithm algorithm() const { return algorithm_; }
