@@ -92,7 +92,7 @@ HybridTerm ReadTerm(const TermTuple& tuple) {
 
 HybridOptions ReadIntegration(double tolerance, int steps, bool wait, int most_events, int most_repeats) {
   HybridOptions options;
-  if (!(tolerance > 0)) throw py::value_error("tolerance: expected a number > 0");
+  if (!(tolerance > 0) || std::isinf(tolerance)) throw py::value_error("tolerance: expected a finite number > 0");
   if (steps < 0) throw py::value_error("steps_per_interval: expected a number of at least 0");
   options.tolerance = tolerance;
   options.steps_per_interval = steps;
@@ -209,7 +209,7 @@ class Problem {
     Computation().RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
       const bool ok = simulator.Rollout(problem.guess);
-      motion = HybridMotionToJson(simulator, problem.guess, ok, true);
+      motion = HybridMotionToJson(simulator, problem.guess, ok, /*states=*/ok);
       if (ok) AddIntegrationError(problem, &simulator, &motion);
     });
     return ToPython(motion);
@@ -233,7 +233,8 @@ class Problem {
     return py::make_tuple(ToArray(found.final_state, {rows, columns}), ToArray(times, {events, columns}), remark);
   }
 
-  // The number of steps of the integration is kept as long as the mode, the intervals and the duration are the same.
+  // The number of steps of the integration is kept, while it suffices, as long as the mode, the intervals and the
+  // duration are the same.
   py::tuple LossAndGradient(const Guess& guess) {
     const HybridProblem problem = At(guess);
     std::vector<double> gradient;
@@ -250,6 +251,7 @@ class Problem {
       };
       if (shooting_ == nullptr || !same(shooting_->problem().guess)) {
         shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem));
+        shooting_->set_accurate(true);
       }
       std::vector<double> z = input.control;
       z.resize(static_cast<std::size_t>(input.num_intervals) * problem.system.num_controls());
@@ -322,9 +324,11 @@ class Problem {
     Computation().RunOrThrow([&] {
       const auto simulator = std::make_shared<HybridSimulator>(problem.system, problem.integration);
       if (!simulator->Rollout(problem.guess)) throw std::runtime_error(simulator->WhyFailed());
+      LinearMotion linear = Linearize(*simulator, problem.guess);
+      if (!simulator->WhyNotFinite().empty()) throw std::runtime_error(simulator->WhyNotFinite());
       planned = {
           .plan = MakePlan(*simulator, problem.guess),
-          .linear = Linearize(*simulator, problem.guess),
+          .linear = std::move(linear),
           .what_is_wrong_with = [simulator](const TrackingCost& cost) { return WhatIsWrongWith(cost, *simulator); },
           .make_plant = [system = problem.system,
                          input = problem.guess,

@@ -236,7 +236,7 @@ class Cost(Closed):
             return self.function.of_cost
         parameters = parameters_of(self.function)
         if parameters is None:
-            raise ValueError(f"{self.name}: found a function whose arguments Python does not know, expected a def or lambda")
+            raise ValueError(f"{self.name}: found a function without a signature, expected a def or a lambda")
         names = []
         for name, parameter in parameters.items():
             if parameter.default is not parameter.empty:
@@ -626,7 +626,8 @@ def rollout(problem: HybridProblem) -> HybridRollout:
 def final_derivatives(problem: HybridProblem) -> Result:
     """The derivatives of the final state (n,) of a hybrid problem: ``by_initial`` (n, n0), ``by_control`` (n, K, m),
     ``by_parameters`` (n, P), ``by_duration`` (n,); and those of the times of the events: ``times_by_initial`` (E, n0)
-    and so on. ``remark`` gives the reason why there is no derivative, or only a one-sided one; empty if there is.
+    and so on. ``remark`` gives the reason why there is no derivative, or only a one-sided one; empty if there is. Where
+    derivatives are not finite it names function, mode, time and variable.
 
     The control is held on K equal parts of the duration, which grow with it. Raises RuntimeError for a motion that
     fails, with mode, guard and time.

@@ -198,8 +198,9 @@ def loss_and_gradient(
     also supports path costs, constraints and a free final time, which this function refuses.
 
     Of a HybridProblem it computes the loss and its gradient with respect to the initial state, the control, the parameters
-    and the duration; there are no other arguments. The number of integration steps is chosen in the first call, and stays
-    the same as long as mode, intervals and duration do.
+    and the duration; there are no other arguments. The number of integration steps is kept from call to call while it gives
+    the accuracy that ``tolerance`` asks for, which each call checks at the price of about half a rollout. It raises
+    RuntimeError where a derivative is not finite, with function, mode, time and variable.
 
     Returns:
         A Gradient, or a HybridGradient.

@@ -49,7 +49,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def parameters_of(function: Callable[..., Any]) -> dict[str, inspect.Parameter] | None:
-    """Returns the parameters of a function by name; None where Python does not know them."""
+    """Returns the parameters of a function by name; None for one without a signature."""
     try:
         return dict(inspect.signature(function).parameters)
     except (TypeError, ValueError):

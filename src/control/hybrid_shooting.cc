@@ -6,12 +6,19 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
+
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+bool AllFinite(std::span<const double> numbers) {
+  return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+}
 
 }  // namespace
 
@@ -68,7 +75,8 @@ bool HybridShooting::Rollout(std::span<const double> z) {
 bool HybridShooting::RolloutOf(HybridInput input) {
   input_ = std::move(input);
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
-  return simulator_.Rollout(input_) ? FindPlaces() : Fail(simulator_.WhyFailed());
+  const bool ok = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
+  return ok ? FindPlaces() : Fail(simulator_.WhyFailed());
 }
 
 bool HybridShooting::Fail(std::string why) {
@@ -142,7 +150,36 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
   for (const int size : term.function->parameter_block_sizes()) {
     if (with_jacobians) jacobians.push_back(values->jacobians.emplace_back(rows * size).data());
   }
-  return term.function->Evaluate(blocks.data(), values->residuals.data(), with_jacobians ? jacobians.data() : nullptr);
+  return term.function->Evaluate(
+             blocks.data(), values->residuals.data(), with_jacobians ? jacobians.data() : nullptr) &&
+         AllFinite(values->residuals);
+}
+
+// "at t = 1 in mode 'flight'".
+std::string HybridShooting::WhereIs(const Place& place) const {
+  const HybridEvent* event = place.event >= 0 ? &simulator_.events()[place.event] : nullptr;
+  const int mode = event == nullptr     ? simulator_.ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
+                   : place.term->before ? event->mode
+                                        : event->next_mode;
+  return "at t = " + ToText(place.time, 10) + " in mode '" + problem_.system.ModeName(mode) + "'";
+}
+
+bool HybridShooting::FailAt(const Place& place) {
+  return Fail(place.term->name + ": the function has no finite value " + WhereIs(place));
+}
+
+// Of terms first, whose derivatives may be all that is wrong, then of the motion.
+bool HybridShooting::FailAtDerivatives() {
+  Values values;
+  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
+    for (const Place& place : *places) {
+      if (!ValuesAt(place, true, &values)) return FailAt(place);
+      if (std::ranges::all_of(values.jacobians, AllFinite)) continue;
+      return Fail(place.term->name + ": the function has no finite derivative " + WhereIs(place));
+    }
+  }
+  const std::string& why = simulator_.WhyNotFinite();
+  return Fail(why.empty() ? "the derivatives of the loss overflow" : why);
 }
 
 bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
@@ -169,12 +206,13 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
   return (std::isfinite(outcome->loss) && !std::isnan(outcome->violation)) || Fail("the loss is not finite");
 }
 
-bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) const {
+bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) {
   terms->clear();
   Values values;
   for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
     for (const Place& place : *places) {
-      if (!ValuesAt(place, true, &values)) return false;
+      if (!ValuesAt(place, true, &values)) return FailAt(place);
+      if (!std::ranges::all_of(values.jacobians, AllFinite)) return FailAtDerivatives();
       TermAt& at =
           terms->emplace_back(TermAt{place.term, place.interval, place.event, values.residuals, values.jacobians, {}});
       const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
@@ -259,8 +297,8 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
     by.initial = of_motion.initial;
     by.duration += of_motion.duration;
   }
-  for (const FreeVariable& variable : variables_) *gradient++ = variable.In(by);
-  return true;
+  for (std::size_t i = 0; i < variables_.size(); ++i) gradient[i] = variables_[i].In(by);
+  return AllFinite({gradient, variables_.size()}) || FailAtDerivatives();
 }
 
 bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) {
@@ -272,11 +310,8 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
     if (!ValuesAt(place, false, &values)) return FailAt(place);
     std::copy(values.residuals.begin(), values.residuals.end(), residuals + place.first_row);
   }
-  if (!std::all_of(residuals, residuals + num_residuals_, [](double number) { return std::isfinite(number); })) {
-    return Fail("the loss is not finite");
-  }
   if (jacobian != nullptr) ResidualJacobian(jacobian);
-  return true;
+  return why_.empty();
 }
 
 void HybridShooting::ResidualJacobian(double* jacobian) {
@@ -292,7 +327,11 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
   Values values;
   for (const Place& place : places_) {
     if (place.first_row < 0) continue;
-    CHECK(ValuesAt(place, true, &values));
+    if (!ValuesAt(place, true, &values)) {
+      out.setConstant(std::numeric_limits<double>::quiet_NaN());
+      FailAt(place);
+      return;
+    }
     const HybridTerm& term = *place.term;
     const auto rows = static_cast<int>(values.residuals.size());
     Matrix all = Matrix::Zero(rows, motion.columns);
@@ -316,6 +355,7 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       out.block(place.first_row, j, rows, 1) = all.col(column);
     }
   }
+  if (!out.allFinite()) FailAtDerivatives();
 }
 
 }  // namespace saltus

@@ -24,6 +24,9 @@ class HybridShooting final : public ShootingFunction {
 
   const HybridProblem& problem() const { return problem_; }
   HybridSimulator& simulator() { return simulator_; }
+  // Whether every motion is as accurate as the integration's options ask, and not only the first one. The number of
+  // steps may then change from one evaluation to the next, and the loss with it, by its error.
+  void set_accurate(bool accurate) { accurate_ = accurate; }
   void set_stop(std::function<bool()> stop) { stop_ = std::move(stop); }
 
   int num_variables() const override { return static_cast<int>(guess_.size()); }
@@ -63,8 +66,8 @@ class HybridShooting final : public ShootingFunction {
     std::vector<std::vector<double>> jacobians;  // of the function's blocks, row-major
     std::vector<std::vector<double>> blocks;     // what it reads
   };
-  // False if a function has no value there.
-  bool EvaluateTerms(std::vector<TermAt>* terms) const;
+  // False if a function has no finite value or derivative there; WhyFailed() says why.
+  bool EvaluateTerms(std::vector<TermAt>* terms);
   const std::vector<FreeVariable>& variables() const { return variables_; }
 
  private:
@@ -87,15 +90,18 @@ class HybridShooting final : public ShootingFunction {
   // Every place of a term. False if one has no meaning in this motion.
   bool FindPlaces();
   std::vector<const double*> BlocksOf(const Place& place) const;
+  // False if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
-  // Keep the reason why there is no loss, and return false.
+  std::string WhereIs(const Place& place) const;
+  // Keep the reason why there is no loss, or no derivative of it, and return false.
   bool Fail(std::string why);
-  bool FailAt(const Place& place) { return Fail(place.term->name + ": the function has no value"); }
+  bool FailAt(const Place& place);
+  bool FailAtDerivatives();
 
   const HybridProblem problem_;
   HybridSimulator simulator_;
   std::function<bool()> stop_;
-  bool stopped_ = false;
+  bool stopped_ = false, accurate_ = false;
   HybridInput start_;  // the guess of the problem; without a control that of zeros
   std::vector<FreeVariable> variables_;
   std::vector<double> guess_;

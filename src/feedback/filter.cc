@@ -65,10 +65,9 @@ class HybridMotion final : public internal::FilterMotion {
     }
     input.mode = *mode;
     input.initial.assign(x->data(), x->data() + x->size());
-    if (duration > longest_) simulator_.ChooseStepsAnew();
-    longest_ = std::max(longest_, duration);
-    if (!simulator_.Rollout(input)) return simulator_.WhyFailed();
+    if (!simulator_.RolloutAccurately(input)) return simulator_.WhyFailed();
     const HybridSensitivity by = simulator_.IntervalSensitivities()[0];
+    if (!simulator_.WhyNotFinite().empty()) return "the mean has no derivative: " + simulator_.WhyNotFinite();
     const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
     *F = Multiply(end.leftCols(x->size()), *F);
     const std::span<const double> final_state = simulator_.final_state();
@@ -80,7 +79,6 @@ class HybridMotion final : public internal::FilterMotion {
  private:
   HybridSimulator simulator_;
   std::vector<double> parameters_;
-  double longest_ = 0;
 };
 
 class SceneMotion final : public internal::FilterMotion {

@@ -19,6 +19,11 @@ constexpr int kMostSteps = 1 << 20;         // of a motion
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
 constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
 constexpr double kRoundingOfFlow = 1e-12;   // likewise, of the largest state
+constexpr int kSameFailures = 4;            // doublings of the steps
+constexpr double kSameTime = 6;             // steps: failures at the same time
+constexpr double kLater = 16;               // steps: not a failure of steps that are too long
+constexpr double kSameAccuracy = 10;        // times the error that was reached
+constexpr double kHalving = 256;            // of steps: how much the error of a method of order 8 grows
 constexpr double kRoundingOfMotion = 1e-7;  // below this, an error that more steps do not lower is rounding
 
 }  // namespace
@@ -33,9 +38,12 @@ class HybridSimulator::Impl {
         derivatives(system) {}
 
   // As IntegrationError, of `run` with as many steps.
-  double ErrorOf(int of_steps) {
+  double ErrorOf(int of_steps) { return DifferenceTo(2 * of_steps); }
+
+  // Of `run`, to a rollout with another number of steps.
+  double DifferenceTo(int other_steps) {
     RolloutRun finer(system, options);
-    const RolloutEnd end = finer.Run(input, 2 * of_steps);
+    const RolloutEnd end = finer.Run(input, other_steps);
     const std::vector<HybridEvent>&events = run.events(), &others = finer.events();
     const auto same = [](const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; };
     if (end != RolloutEnd::kDone || run.tape().final_mode != finer.tape().final_mode ||
@@ -66,10 +74,20 @@ class HybridSimulator::Impl {
   // Doubles the number of steps until the error is below the tolerance, or no longer falls.
   bool ChooseSteps() {
     int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals;
-    double last = std::numeric_limits<double>::infinity();
+    double last = std::numeric_limits<double>::infinity(), last_failure = last;
+    int same_failures = 0;
     for (;; n *= 2) {
       const RolloutEnd end = run.Run(input, n);
       if (end == RolloutEnd::kRefused) break;
+      if (end == RolloutEnd::kNotFinite) {
+        // A failure that stays at its time is one of the system. Steps that are too long for the flow fail earlier the
+        // shorter they are, after some steps.
+        const double h = input.duration / n / input.num_intervals, failure = run.failure_time();
+        const bool stays = std::abs(failure - last_failure) <= kSameTime * h;
+        same_failures = stays && (run.flow_fails() || failure - input.begin > kLater * h) ? same_failures + 1 : 0;
+        last_failure = failure;
+        if (run.flow_fails() && same_failures >= kSameFailures) break;
+      }
       const bool most = 2.0 * n * input.num_intervals > kMostSteps;
       if (end == RolloutEnd::kDone) {
         why = WrongFlight();
@@ -77,6 +95,7 @@ class HybridSimulator::Impl {
         const double error = ErrorOf(n);
         if (error <= options.tolerance || (error < kRoundingOfMotion && error > 0.1 * last)) {
           steps = n;
+          reached = error;
           return true;
         }
         last = error;
@@ -86,8 +105,10 @@ class HybridSimulator::Impl {
         return false;
       }
       if (most) {
-        why = run.why() + " with " + std::to_string(n * input.num_intervals) +
-              " steps of an explicit method: the flow may be stiff or have no solution";
+        why = run.why() + (same_failures >= kSameFailures
+                               ? ", however short the steps are: there is no solution after that"
+                               : " with " + std::to_string(n * input.num_intervals) +
+                                     " steps of an explicit method: the flow may be stiff or have no solution");
         return false;
       }
     }
@@ -95,10 +116,19 @@ class HybridSimulator::Impl {
     return false;
   }
 
-  // Compares each mode's closed form of the flow, at its first step, with the integration over a short part of it.
-  std::string WrongFlight() const {
+  // Whether the motion of `run`, with the steps chosen for another one, is as accurate as that. Most often a rollout
+  // with half the steps tells.
+  bool KeepsAccuracy() {
+    const double most = std::max(options.tolerance, kSameAccuracy * reached);
+    if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most) return true;
+    return ErrorOf(steps) <= most;
+  }
+
+  // Compares each mode's closed form of the flow, at the first step in it that this simulator takes, with the
+  // integration over a short part of it.
+  std::string WrongFlight() {
     const HybridFunctions& f = system.functions();
-    std::vector<char> seen(system.num_modes());
+    seen.resize(system.num_modes());
     const std::size_t most = f.most_states();
     std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most);
     for (const TapeEntry& entry : run.tape().entries) {
@@ -142,12 +172,30 @@ class HybridSimulator::Impl {
     return ties;
   }
 
+  static bool IsFinite(const std::vector<double>& numbers) {
+    return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+  }
+  static bool IsFinite(const std::vector<std::vector<double>>& rows) {
+    return std::ranges::all_of(rows, [](const auto& row) { return IsFinite(row); });
+  }
+  static bool IsFinite(const HybridSensitivity& by) {
+    return IsFinite(by.final_state) && IsFinite(by.nodes) && IsFinite(by.after) && IsFinite(by.times);
+  }
+  // Keeps why derivatives are not finite; returns them.
+  template <typename Derivatives>
+  Derivatives Checked(Derivatives found, bool finite) {
+    why_not_finite = finite ? "" : derivatives.WhyNotFinite(input, run.tape());
+    return found;
+  }
+
   const HybridSystem system;
   const HybridOptions options;
-  int steps;          // in a control interval; 0: to be chosen
-  HybridInput input;  // of the last rollout, with zeros where it has no control
+  int steps;           // in a control interval; 0: to be chosen
+  double reached = 0;  // the error when they were chosen
+  HybridInput input;   // of the last rollout, with zeros where it has no control
   bool done = false;
-  std::string why;
+  std::vector<char> seen;  // modes in which the closed form has been compared
+  std::string why, why_not_finite;
   RolloutRun run;
   MotionDerivatives derivatives;
   // Of the last rollout, once asked for.
@@ -171,13 +219,23 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
   at.one_sided.clear();
   at.ties.clear();
+  at.why_not_finite.clear();
   if (at.steps == 0) {
     at.done = at.ChooseSteps();
   } else {
-    at.done = at.run.Run(at.input, at.steps) == RolloutEnd::kDone;
-    at.why = at.run.why();
+    const bool moves = at.run.Run(at.input, at.steps) == RolloutEnd::kDone;
+    at.why = moves ? at.WrongFlight() : at.run.why();
+    at.done = at.why.empty();
   }
   return at.done;
+}
+
+bool HybridSimulator::RolloutAccurately(const HybridInput& input) {
+  const bool keeps = impl_->steps > 0 && impl_->options.steps_per_interval <= 0;
+  if (!keeps) return Rollout(input);
+  if (Rollout(input) && impl_->KeepsAccuracy()) return true;
+  ChooseStepsAnew();
+  return Rollout(input);
 }
 
 const std::string& HybridSimulator::WhyFailed() const { return impl_->why; }
@@ -224,6 +282,7 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
   const RolloutRun& run = impl_->run;
   std::string why = run.remark();
   const auto add = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + what; };
+  if (!impl_->why_not_finite.empty()) add(impl_->why_not_finite);
   for (const HybridGrazing& grazing : run.grazings()) {
     add("guard '" + impl_->system.GuardName(grazing.mode, grazing.guard) +
         "' grazes zero at t = " + std::to_string(grazing.time));
@@ -246,6 +305,8 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
   return why;
 }
 
+const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not_finite; }
+
 int HybridSimulator::steps_per_interval() const { return impl_->steps; }
 void HybridSimulator::ChooseStepsAnew() { impl_->steps = std::max(impl_->options.steps_per_interval, 0); }
 
@@ -256,7 +317,9 @@ double HybridSimulator::IntegrationError() {
 
 HybridGradient HybridSimulator::Adjoint(const HybridCotangent& cotangent) {
   CHECK(impl_->done) << "the rollout failed";
-  return impl_->derivatives.Adjoint(impl_->input, impl_->run.tape(), impl_->run.events(), cotangent);
+  HybridGradient found = impl_->derivatives.Adjoint(impl_->input, impl_->run.tape(), impl_->run.events(), cotangent);
+  const bool finite = Impl::IsFinite({found.initial, found.control, found.parameters}) && std::isfinite(found.duration);
+  return impl_->Checked(std::move(found), finite);
 }
 
 HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent) {
@@ -267,12 +330,16 @@ HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent)
 
 HybridSensitivity HybridSimulator::Sensitivity() {
   CHECK(impl_->done) << "the rollout failed";
-  return impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
+  HybridSensitivity found = impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
+  const bool finite = Impl::IsFinite(found);
+  return impl_->Checked(std::move(found), finite);
 }
 
 std::vector<HybridSensitivity> HybridSimulator::IntervalSensitivities() {
   CHECK(impl_->done) << "the rollout failed";
-  return impl_->derivatives.Intervals(impl_->input, impl_->run.tape());
+  std::vector<HybridSensitivity> found = impl_->derivatives.Intervals(impl_->input, impl_->run.tape());
+  const bool finite = std::ranges::all_of(found, [](const HybridSensitivity& by) { return Impl::IsFinite(by); });
+  return impl_->Checked(std::move(found), finite);
 }
 
 std::vector<double> HybridInput::Times() const {

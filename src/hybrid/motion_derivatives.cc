@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "base/normal_stream.h"
+#include "base/number_text.h"
 
 namespace saltus {
 namespace {
@@ -311,6 +312,66 @@ std::vector<HybridSensitivity> MotionDerivatives::Intervals(const HybridInput& i
     out[k].final_state.assign(at.x.data(), at.x.data() + at.x.size());
   }
   return out;
+}
+
+// The name of a column of [x t p u].
+std::string MotionDerivatives::VariableName(int mode, int column) const {
+  const int n = system_.state_size(mode), num_parameters = system_.num_parameters();
+  if (column < n) return system_.StateName(mode, column);
+  if (column == n) return "t";
+  column -= n + 1;
+  return column < num_parameters ? system_.ParameterName(column) : system_.ControlName(column - num_parameters);
+}
+
+std::string MotionDerivatives::WhyNotFinite(const HybridInput& input, const MotionTape& tape) {
+  const HybridFunctions& f = system_.functions();
+  const auto at = [&](int mode, double t) {
+    return " in mode '" + system_.ModeName(mode) + "' at t = " + ToText(t, 10) + " has no finite derivative ";
+  };
+  // The first of the numbers that is not finite, or -1; beside an infinite one in its row Jets have none by others.
+  const auto not_finite = [](const std::vector<double>& numbers, int count, int width) {
+    for (int i = 0; i < count; ++i) {
+      if (std::isfinite(numbers[i])) continue;
+      for (int j = i - i % width; j < i - i % width + width; ++j) {
+        if (std::isinf(numbers[j])) return j;
+      }
+      return i;
+    }
+    return -1;
+  };
+  for (const TapeEntry& entry : tape.entries) {
+    const FlowStep step = StepOf(input, tape, entry);
+    const int n = system_.state_size(entry.mode), columns = n + 1 + system_.num_parameters();
+    const auto guard = [&] { return " '" + system_.GuardName(entry.mode, entry.guard) + "'"; };
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      const int next = f.ResetJacobian(step, entry.guard, state_.data(), reset_.data());
+      const int place = not_finite(reset_, system_.state_size(next) * columns, columns);
+      if (place < 0) continue;
+      return "the reset of guard" + guard() + at(entry.mode, entry.t) + "of " +
+             system_.StateName(next, place / columns) + " by " + VariableName(entry.mode, place % columns);
+    }
+    integrator_.Linearize(step);
+    int stage = 0, component = 0, column = 0;
+    if (!integrator_.IsFinite(&stage, &component, &column)) {
+      if (component < 0) return "the projection of the state" + at(entry.mode, entry.t) + "by it";
+      return "the flow" + at(entry.mode, entry.t + cooper_verner::kC[stage] * entry.h) + "of " +
+             system_.StateName(entry.mode, component) + " by " + VariableName(entry.mode, column);
+    }
+    if (entry.kind != TapeEntry::Kind::kToEvent) continue;
+    const TapeEntry& event = (&entry)[1];
+    f.GuardGradient({event.mode, event.t, &tape.numbers[event.x], step.u, step.p}, entry.guard, guard_.data());
+    const int place = not_finite(guard_, columns + system_.num_controls(), columns + system_.num_controls());
+    if (place >= 0) return "the guard" + guard() + at(entry.mode, event.t) + "by " + VariableName(entry.mode, place);
+    integrator_.ByLength(by_length_.data());
+    double rate = guard_[n];
+    for (int j = 0; j < n; ++j) rate += guard_[j] * by_length_[j];
+    if (rate == 0) {
+      return "the guard" + guard() + " in mode '" + system_.ModeName(entry.mode) +
+             "' is zero at t = " + ToText(event.t, 10) +
+             " without a rate: the time of its event has no finite derivative";
+    }
+  }
+  return "the derivatives of the motion overflow";
 }
 
 }  // namespace saltus

@@ -11,6 +11,7 @@
 // Precondition: an input has all numbers of its control.
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "hybrid/motion_tape.h"
@@ -37,12 +38,17 @@ class MotionDerivatives {
   // As HybridSimulator::IntervalSensitivities.
   std::vector<HybridSensitivity> Intervals(const HybridInput& input, const MotionTape& tape);
 
+  // Which derivative of the system's functions along the motion is the first that is not finite, with function, mode,
+  // time and variables; or that derivatives overflow, if all are finite.
+  std::string WhyNotFinite(const HybridInput& input, const MotionTape& tape);
+
  private:
   void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry,
                    const Eigen::RowVectorXd& of_duration, RungeKutta::Tangent* at);
   bool IsOneSided(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
                   const RungeKutta::Tangent& before, const RungeKutta::Tangent& after, const Eigen::MatrixXd& controls,
                   const Eigen::RowVectorXd& of_duration, TiedEvents* tied);
+  std::string VariableName(int mode, int column) const;
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 
   const HybridSystem& system_;

@@ -13,6 +13,7 @@ namespace {
 constexpr double kNear = 1e-6;         // of the duration: guards that are examined for a tie
 constexpr double kAccumulated = 1e-9;  // of the duration: intervals between events that shrink to a point
 constexpr int kShrinking = 8;          // intervals that tell
+constexpr double kSmallChange = 1e-3;  // of the state: a change of it within a step that is short enough
 constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
 
 constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
@@ -73,6 +74,50 @@ TapeEntry& RolloutRun::Record(TapeEntry::Kind kind, double h) {
   const std::size_t x = tape_.Keep(at_.x.data(), system_.state_size(at_.mode));
   return tape_.entries.emplace_back(
       TapeEntry{.kind = kind, .mode = at_.mode, .interval = interval_, .t = at_.t, .h = h, .x = x});
+}
+
+// A step from at_ leads to numbers that are not finite. Finds out whether the flow is the reason, at a finite state.
+bool RolloutRun::FailAt(const FlowStep& step) {
+  using cooper_verner::kStages;
+  const auto not_finite = [](double number) { return !std::isfinite(number); };
+  end_ = RolloutEnd::kNotFinite;
+  failure_time_ = at_.t;
+  flow_fails_ = false;
+  const int n = system_.state_size(at_.mode);
+  std::vector<double> slopes(kStages * n + n), stage(n);
+  if (functions_.Fly(step, stage.data(), nullptr)) {
+    const auto found = std::ranges::find_if(stage, not_finite);
+    if (found != stage.end()) {
+      why_ = "the closed form of the flow of " + Where() + " gives no finite " +
+             system_.StateName(at_.mode, static_cast<int>(found - stage.begin()));
+      return false;
+    }
+  }
+  std::copy_n(at_.slope.begin(), n, slopes.begin());
+  double size = 0, change = 0;
+  for (int i = 0; i < n; ++i) size = std::max(size, std::abs(step.x[i]));
+  for (int i = 1; i <= kStages; ++i) {
+    cooper_verner::Combine(i, n, step.h, step.x, slopes.data(), stage.data());
+    if (std::ranges::any_of(stage, not_finite)) break;
+    double* slope = &slopes[i * n];
+    const double t = step.t + (i < kStages ? cooper_verner::kC[i] : 1) * step.h;
+    functions_.Flow({step.mode, t, stage.data(), step.u, step.p}, slope);
+    const double* found = std::find_if(slope, slope + n, not_finite);
+    if (found == slope + n) continue;
+    for (int j = 0; j < n; ++j) change = std::max(change, std::abs(stage[j] - step.x[j]));
+    flow_fails_ = change <= kSmallChange * size || size == 0;
+    failure_time_ = t;
+    why_ = "the flow of mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(t) +
+           " gives no finite derivative of " + system_.StateName(at_.mode, static_cast<int>(found - slope));
+    return false;
+  }
+  why_ = "the state of " + Where() + " does not stay finite: it overflows";
+  for (int i = n; i-- > 0;) {
+    if (not_finite(next_state_[i]) || not_finite(next_slope_[i])) {
+      why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
+    }
+  }
+  return false;
 }
 
 // The slope at at_, and whether it is finite.
@@ -300,12 +345,7 @@ bool RolloutRun::StepTo(int node) {
     const FlowStep end{{step.mode, target, next_state_.data(), step.u, step.p}, 0};
     double zero = 0;  // unless a number is not finite
     for (int i = 0; i < n; ++i) zero += 0 * next_state_[i] + 0 * next_slope_[i];
-    for (int i = 0; i < n && zero != 0; ++i) {
-      if (std::isfinite(next_state_[i]) && std::isfinite(next_slope_[i])) continue;
-      why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
-      end_ = RolloutEnd::kNotFinite;
-      return false;
-    }
+    if (zero != 0) return FailAt(step);
     functions_.GuardRates(end, next_slope_.data(), next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
       if (std::isfinite(next_guards_[guard].value)) continue;

@@ -38,6 +38,9 @@ class RolloutRun {
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }
   const std::string& remark() const { return remark_; }
+  // Of a run that ended as kNotFinite: where it did, and whether that is the flow, at a state near the motion.
+  double failure_time() const { return failure_time_; }
+  bool flow_fails() const { return flow_fails_; }
 
  private:
   // A mode and its state, with all guards as they stand. One that is at zero needs not rise before it falls.
@@ -71,6 +74,7 @@ class RolloutRun {
   FlowStep StepFrom(double h) const;
   TapeEntry& Record(TapeEntry::Kind kind, double h);
   bool Refuse(const std::string& what);
+  bool FailAt(const FlowStep& step);
   std::string Where() const;
   void Remark(const std::string& what);
   void Finish();
@@ -93,6 +97,8 @@ class RolloutRun {
   std::string why_, remark_;
   std::optional<double> accumulation_;
   RolloutEnd end_ = RolloutEnd::kDone;
+  double failure_time_ = 0;
+  bool flow_fails_ = false;
 };
 
 }  // namespace saltus

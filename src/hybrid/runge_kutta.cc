@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 namespace saltus {
 
@@ -89,6 +90,25 @@ void RungeKutta::ByLength(double* derivative) const {
   std::copy_n(by_length.data(), size_, derivative);
 }
 
+bool RungeKutta::IsFinite(int* stage, int* component, int* column) const {
+  const int columns = size_ + 1 + num_parameters_ + num_controls_;
+  const auto not_finite = [](double number) { return !std::isfinite(number); };
+  const auto end = jacobians_.begin() + static_cast<std::ptrdiff_t>(flies_ ? 1 : kStages) * size_ * columns;
+  if (const auto found = std::find_if(jacobians_.begin(), end, not_finite); found != end) {
+    // Beside the infinite derivative by one variable Jets have none by the others.
+    const auto row = found - (found - jacobians_.begin()) % columns;
+    const auto infinite = std::find_if(row, row + columns, [](double number) { return std::isinf(number); });
+    const auto place = static_cast<int>((infinite == row + columns ? found : infinite) - jacobians_.begin());
+    *stage = place / (size_ * columns);
+    *component = place / columns % size_;
+    *column = place % columns;
+    return false;
+  }
+  *stage = 0;
+  *component = -1;
+  return !projects_ || std::none_of(projection_.begin(), projection_.end(), not_finite);
+}
+
 void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotangent* out) {
   if (!step.projects && functions_.PullBackStep(step, after, out)) return;
   Linearize(step);
@@ -133,10 +153,19 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
   const int n = size_;
   std::array<Matrix, kStages> total;  // (k_i dh + h dk_i)
   // The derivative by what a stage, or the closed form, depends on.
-  const auto multiply = [&](int stage, const Matrix& x, const Eigen::RowVectorXd& t) -> Matrix {
+  const auto multiply = [&](int stage, const Matrix& x, const Eigen::RowVectorXd& t) {
     const ConstMatrixMap jacobian = JacobianOfStage(stage);
-    return jacobian.leftCols(n) * x + jacobian.col(n) * t + jacobian.middleCols(n + 1, num_parameters_) * in.p +
-           jacobian.rightCols(num_controls_) * in.u;
+    Matrix out = jacobian.leftCols(n) * x;
+    // A direction in which a variable does not change takes nothing from the derivative by it, even an infinite one.
+    const auto add = [&](int column, const auto& change) {
+      for (Eigen::Index direction = 0; direction < change.size(); ++direction) {
+        if (change[direction] != 0) out.col(direction) += change[direction] * jacobian.col(column);
+      }
+    };
+    add(n, t);
+    for (int j = 0; j < num_parameters_; ++j) add(n + 1 + j, in.p.row(j));
+    for (int j = 0; j < num_controls_; ++j) add(n + 1 + num_parameters_ + j, in.u.row(j));
+    return out;
   };
   const auto combine = [&](const Row& row) {
     Matrix out = in.x;

@@ -104,7 +104,7 @@ void PullBackThroughStages(int size, int num_parameters, int num_controls, doubl
       if (i > 0) of_rows[(i - 1) * n + j] = of_stage[j];
     }
     by_t += of_stage[n];
-    by_h += kC[i] * of_stage[n];
+    if (kC[i] != 0) by_h += kC[i] * of_stage[n];  // which may be infinite at the start
     for (int j = 0; j < num_parameters; ++j) out->p[j] += of_stage[n + 1 + j];
     for (int j = 0; j < num_controls; ++j) out->u[j] += of_stage[n + 1 + num_parameters + j];
   }
@@ -130,6 +130,9 @@ class RungeKutta {
   void Linearize(const FlowStep& step);
   // The derivative of x' by h, of a step that is not projected.
   void ByLength(double* derivative) const;
+  // Whether all derivatives that Linearize has evaluated are finite. If not, finds the first of a stage (0 for a closed
+  // form) that is none: of a component by [x t p u]; the component is -1 for one of the projection.
+  bool IsFinite(int* stage, int* component, int* column) const;
 
   // The derivative of x' in D directions, given those of what it depends on: x, p, u have a column each direction, t
   // and h are rows.

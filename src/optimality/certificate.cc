@@ -185,6 +185,11 @@ void Judge(Certificate* certificate) {
   certificate->reason.clear();
   double worst = kCertificateTolerance;
   for (const auto& [residual, name] : residuals) {
+    if (!std::isfinite(residual)) {
+      certificate->verdict = kNotApplicable;
+      certificate->reason = std::string("the residual of ") + name + " is not a finite number";
+      return;
+    }
     if (residual <= worst) continue;
     certificate->verdict = kNotStationary;
     certificate->reason = std::string("the largest residual is that of ") + name;

@@ -8,6 +8,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <optional>
@@ -59,6 +60,12 @@ struct Sweep {
   // Sizes of what cancels: of controls by component, of states at the start, of the Hamiltonian.
   VectorXd control_size, initial_size, parameters_size;
   double hamiltonian_size = 0;
+
+  bool IsFinite() const {
+    const auto finite = [](const VectorXd& numbers) { return numbers.allFinite(); };
+    return std::ranges::all_of(std::array{control, initial, parameters, times, event_early, event_late}, finite) &&
+           std::isfinite(scale);
+  }
 };
 
 class HybridConditions {
@@ -89,7 +96,7 @@ class HybridConditions {
       return result;
     }
     if (!shooting_.EvaluateTerms(&terms_)) {
-      result.reason = "a term has no derivative";
+      result.reason = shooting_.WhyFailed();
       return result;
     }
     if (outcome.violation <= kAtBound && IsZero()) {
@@ -104,7 +111,12 @@ class HybridConditions {
       result.reason = "more than " + std::to_string(kMostMultipliers) + " multipliers";
       return result;
     }
-    for (int j = -1; j < num_multipliers(); ++j) sweeps_.push_back(SweepOf(WeightsOf(j)));
+    for (int j = -1; j < num_multipliers(); ++j) {
+      sweeps_.push_back(SweepOf(WeightsOf(j)));
+      if (sweeps_.back().IsFinite()) continue;
+      result.reason = "there are no finite costates: " + WhyNotFinite();
+      return result;
+    }
     weights_.assign(sweeps_.size(), 1.0);
     for (size_t k = 0; k < events().size(); ++k) {
       ImpactCertificate& impact = result.impacts.emplace_back();
@@ -148,6 +160,13 @@ class HybridConditions {
              "; the conditions are those of events that cross it";
     }
     return "";
+  }
+
+  // Which derivative along the motion is not finite.
+  std::string WhyNotFinite() {
+    shooting_.simulator().Adjoint(std::vector<double>(simulator().final_state().size(), 1.0));
+    const std::string& why = simulator().WhyNotFinite();
+    return why.empty() ? "they overflow" : why;
   }
 
   // Whether all costs are squares whose residuals are of the size of rounding errors of the motion.

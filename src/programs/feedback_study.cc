@@ -261,6 +261,7 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   none.reason = WhyTooLarge(input.num_intervals, system.functions().most_states());
   if (!none.reason.empty()) return none;
   Study study{options, threads, MakePlan(motion, input), Linearize(motion, input)};
+  if (none.reason = motion.WhyNotFinite(); !none.reason.empty()) return none;
   for (int mode = 0; mode < system.num_modes(); ++mode) {
     study.Q.push_back(Eigen::MatrixXd::Identity(system.state_size(mode), system.state_size(mode)));
   }

@@ -140,24 +140,15 @@ Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {
     *motion = HybridMotionToJson(simulator, input, moved, states);
     if (moved) AddIntegrationError(problem, &simulator, motion);
   }
-  if (!ok) return {{"failed", shooting.WhyFailed()}};
+  if (!ok) {
+    Json failed = {{"failed", shooting.WhyFailed()}};
+    if (shooting.Evaluate(z, &loss, nullptr)) failed["loss"] = loss;  // it has no gradient
+    return failed;
+  }
   const HybridInput by = shooting.InputAt(derivative);
   return {
       {"loss", loss},
       {"gradient", HybridGradientToJson(input, problem.system, {by.initial, by.control, by.parameters, by.duration})}};
-}
-
-HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report) {
-  HybridInput input = problem.guess;
-  if (!report.initial_state.empty()) input.initial = report.initial_state;
-  if (!report.parameters.empty()) input.parameters = report.parameters;
-  if (!report.control.empty()) input.control = report.control;
-  if (!report.durations.empty()) {
-    input.duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
-    input.num_intervals = static_cast<int>(report.durations.size());
-    input.lengths = report.durations;
-  }
-  return input;
 }
 
 Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bool states) {

@@ -30,8 +30,6 @@ void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulato
 // the reason. `motion`, if given, becomes that of the guess.
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion = nullptr);
 
-// The input that a solution stands for.
-HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report);
 // {"solver", "termination", "reason", "initial_loss", "final_loss", "losses", "iterations", "evaluations", "seconds",
 // "integration_error", "solution", "durations", "motion", "certificate"}; of what is not applicable, the first three.
 Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bool states);

@@ -345,7 +345,10 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
     PrintTableIfAny(request.name + ": loss " + CellOf(document["loss"]).Display(12) + ", and its gradient",
                     GradientTable(request.problem, document["gradient"]));
   } else {
-    std::cout << Paragraph("No loss: " + document["failed"].get<std::string>(), layout.width) << "\n";
+    const std::string what = document.contains("loss")
+                                 ? "Loss " + CellOf(document["loss"]).Display(12) + ", without a gradient: "
+                                 : "No loss: ";
+    std::cout << Paragraph(what + document["failed"].get<std::string>(), layout.width) << "\n";
   }
   PrintTableIfAny(request.name + ": solvers", RunsTable(results.reports));
   PrintTableIfAny(request.name + ": solutions", SolutionTable(request.problem, results.reports));

@@ -1,8 +1,10 @@
 #include "solve/solve_run.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
+#include "base/number_text.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/registry.h"
@@ -32,6 +34,10 @@ std::vector<double> DecisionsOf(const ControlGuess& guess, const SingleShooting&
   const std::vector<double> design = shooting.ParametersAt(shooting.initial_guess());
   z.insert(z.end(), design.begin(), design.end());
   return z;
+}
+
+void AddReason(const std::string& why, std::string* words) {
+  if (!why.empty() && words->find(why) == std::string::npos) *words += (words->empty() ? "" : ": ") + why;
 }
 
 bool GradientVanished(std::span<const ceres::IterationSummary> iterations) {
@@ -71,6 +77,15 @@ std::string Describe(Termination termination, const CeresOutcome& outcome) {
 
 }  // namespace
 
+std::string WhatIsWrongWith(const SolverOptions& options) {
+  if (options.iterations < 0) return "iterations: found " + std::to_string(options.iterations) + ", expected 0 or more";
+  if (!(options.learning_rate > 0) || !std::isfinite(options.learning_rate)) {
+    return "learning_rate: found " + ToText(options.learning_rate) + ", expected a finite number > 0";
+  }
+  if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
+  return WhyNotValid(options.search_options);
+}
+
 ShootingRun::ShootingRun(std::string_view solver, const SolverOptions& options)
     : options_(options), start_(std::chrono::steady_clock::now()) {
   report_.solver = solver;
@@ -102,7 +117,7 @@ SolveReport ShootingRun::Finish(std::span<const double> z, Termination terminati
   }
   report_.termination = termination;
   report_.reason = std::move(reason);
-  if (!why.empty()) report_.reason += (report_.reason.empty() ? "" : ": ") + why;
+  AddReason(why, &report_.reason);
   if (!report_.losses.empty()) {
     report_.initial_loss = report_.losses.front();
     report_.final_loss = final_loss.value_or(report_.losses.back());
@@ -207,10 +222,12 @@ End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double>
   if (termination != Termination::kInterrupted) {
     for (size_t i = run->num_recorded(); i < outcome.iterations.size(); ++i) record->Record(outcome.iterations[i]);
   }
+  std::string words = Describe(termination, outcome);
+  if (termination == Termination::kFailed) AddReason(run->function().WhyFailed(), &words);
   // Where the gradient vanishes at the initial guess, the line search solver reports no iteration at all.
   double loss = 0;
   if (run->num_recorded() == 0 && run->function().Evaluate(z, &loss, nullptr)) run->Record(loss, z);
-  return {termination, Describe(termination, outcome)};
+  return {termination, std::move(words)};
 }
 
 SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z,

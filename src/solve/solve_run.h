@@ -18,6 +18,9 @@
 
 namespace saltus {
 
+// Which option is wrong for every solver, as "found x, expected y"; empty if none is.
+std::string WhatIsWrongWith(const SolverOptions& options);
+
 // Around an algorithm that minimises any function by shooting.
 class ShootingRun {
  public:

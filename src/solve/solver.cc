@@ -53,13 +53,10 @@ std::string UnknownSolver(std::string_view name) {
 }
 
 std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
-  if (options.iterations < 0) return "iterations: found " + std::to_string(options.iterations) + ", expected 0 or more";
-  if (!std::isfinite(options.learning_rate)) return "learning_rate: expected a finite number";
+  if (std::string wrong = WhatIsWrongWith(options); !wrong.empty()) return wrong;
   if (options.rate_per_time && scene.optimize != Optimize::kControl) {
     return "rate_per_time: expected a scene in which a control is optimized";
   }
-  if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
-  if (std::string wrong = WhyNotValid(options.search_options); !wrong.empty()) return wrong;
   if (options.guess) {
     if (scene.optimize != Optimize::kControl) return "guess: expected a scene in which a control is optimized";
     if (std::string wrong = WhatIsWrongWith(*options.guess, scene); !wrong.empty()) return wrong;

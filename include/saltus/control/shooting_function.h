@@ -23,7 +23,8 @@ class ShootingFunction {
   virtual bool stopped() const = 0;
 
   // The loss as a sum of squares (without a half) of num_residuals() numbers, to which a solver may add others that it
-  // knows; and their Jacobian by z where the last evaluation has been, which returned true (row-major).
+  // knows; and their Jacobian by z where the last evaluation has been, which returned true (row-major). A
+  // Jacobian may be not finite even so; WhyFailed() may then say why.
   virtual int num_residuals() const = 0;
   virtual bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) = 0;
   virtual void ResidualJacobian(double* jacobian) = 0;

@@ -51,7 +51,7 @@ struct HybridInput {
 
 struct HybridOptions {
   // Relative error of the final state and of the event times, of the integration. The number of steps is chosen for it
-  // in the first rollout, and kept.
+  // in the first rollout, and kept; RolloutAccurately checks it again.
   double tolerance = 1e-12;
   int steps_per_interval = 0;  // of the integration; 0: chosen
   // A guard below zero at the start is armed once it is above zero, in the place of an error.
@@ -124,6 +124,9 @@ class HybridSimulator {
   // Simulates. Returns false if there is no motion, and for an input that WhatIsWrongWith(input, system) refuses, which
   // is not simulated; WhyFailed() then gives the reason, with mode, guard and time.
   bool Rollout(const HybridInput& input);
+  // Does so with the accuracy that the options ask for, whatever was simulated before: where the number of steps is
+  // kept from an earlier rollout and is not enough, it is chosen anew. The check costs about half a rollout.
+  bool RolloutAccurately(const HybridInput& input);
   const std::string& WhyFailed() const;
   // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then, unless
   // the system names a mode in which the motion goes on.
@@ -151,8 +154,13 @@ class HybridSimulator {
 
   // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, an event
   // at the start or at the final time; ties, events where the control jumps, and resets onto another guard, if the
-  // states or their derivatives differ from side to side. Costs about two gradients if there are any of the latter.
+  // states or their derivatives differ from side to side. Costs about two gradients if there are any of the latter. And
+  // WhyNotFinite().
   std::string WhyNotDifferentiable() const;
+  // Why numbers of the derivatives computed last are not finite: the first function of the system along the motion
+  // whose derivative is not, with its mode, time and variables. Empty if all are finite, or none were computed since
+  // the last rollout. A caller must not use derivatives that are not finite.
+  const std::string& WhyNotFinite() const;
 
   // Steps in a control interval, after the first rollout.
   int steps_per_interval() const;

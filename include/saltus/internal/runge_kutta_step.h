@@ -216,7 +216,7 @@ void PullBackStages(double h, const Jet* slopes, const double* after, StepCotang
       of_stage += (h * of_slope[row]) * slope[row].v;
       by_h += of_slope[row] * slope[row].a;
     }
-    by_h += kC[kStage] * of_stage[kSize];
+    if constexpr (kC[kStage] != 0) by_h += kC[kStage] * of_stage[kSize];  // which may be infinite at the start
     sum += of_stage;
     ForTerms<kStage>(add(of_stage));
   };

@@ -43,4 +43,7 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               SolveReport::optima an event stands in a sequence as {mode, guard}.
 SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options);
 
+// The input that the solution of a report stands for. Precondition: the report has losses.
+HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report);
+
 }  // namespace saltus

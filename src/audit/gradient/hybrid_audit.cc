@@ -496,7 +496,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   HybridShooting shooting(problem);
   std::vector<double> derivative(shooting.num_variables());
   if (!shooting.Evaluate(shooting.initial_guess(), &audit.exact_loss, derivative.data())) {
-    return fail("there is no exact motion: " + shooting.WhyFailed());
+    const bool moves = !shooting.simulator().WhyNotFinite().empty();
+    return fail((moves ? "there is no exact gradient: " : "there is no exact motion: ") + shooting.WhyFailed());
   }
   const HybridInput by = shooting.InputAt(derivative);
   audit.exact = {.initial = by.initial, .control = by.control, .parameters = by.parameters};

@@ -48,7 +48,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    if (!function_->Evaluate(parameters, residuals, jacobians)) return false;
+    if (!function_->Evaluate(parameters, residuals, jacobians) || !IsFinite(residuals, jacobians)) return false;
     for (int i = 0; i < roles_.values; ++i) {
       double& row = residuals[num_constraints() + i];
       row += 0.5 - (std::isnan(references_[i]) ? row : references_[i]);
@@ -123,6 +123,18 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
 
  private:
   double CostOf(int row, double value) const { return row < num_constraints() + roles_.values ? value : value * value; }
+
+  // Ceres would write all numbers of a function to standard error.
+  bool IsFinite(const double* residuals, double** jacobians) const {
+    const auto finite = [](const double* numbers, int count) {
+      return std::all_of(numbers, numbers + count, [](double number) { return std::isfinite(number); });
+    };
+    bool all = finite(residuals, num_residuals());
+    for (size_t block = 0; all && jacobians != nullptr && block < parameter_block_sizes().size(); ++block) {
+      all = jacobians[block] == nullptr || finite(jacobians[block], num_residuals() * parameter_block_sizes()[block]);
+    }
+    return all;
+  }
 
   std::unique_ptr<ceres::CostFunction> function_;
   RowRoles roles_;

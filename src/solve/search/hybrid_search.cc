@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "base/random.h"
 #include "saltus/solve/hybrid_solver.h"
+#include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
 #include "solve/search/sequence_search.h"
 
@@ -97,16 +99,22 @@ class HybridSearch {
 
   Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, const SolverOptions& options) const {
     Finding finding;
-    HybridPhaseRun run("mode_search", problem_, options, std::move(from), sequence);
-    if (auto refused = run.WhyNotStart()) {
-      finding.report = std::move(*refused);
-      return finding;
-    }
-    finding.report = MendHybrid(&run);
-    HybridMotion& motion = finding.trial;
-    motion = {
-        finding.report.control, finding.report.durations, finding.report.initial_state, finding.report.parameters, {}};
-    run.Simulate(&motion);
+    HybridProblem problem = problem_;
+    problem.guess = run_.InputOf(from);
+    bool first = true;
+    finding.report = SolveWithEnoughSteps(problem, options, [&](const HybridInput& start, const SolverOptions& own) {
+      HybridProblem at = problem_;
+      if (!std::exchange(first, false)) {
+        at.guess = start;
+        from = MotionOf(start);
+      }
+      HybridPhaseRun run("mode_search", at, own, from, sequence);
+      if (auto refused = run.WhyNotStart()) return *refused;
+      SolveReport report = MendHybrid(&run);
+      finding.trial = {report.control, report.durations, report.initial_state, report.parameters, {}};
+      run.Simulate(&finding.trial);
+      return report;
+    });
     return finding;
   }
 
@@ -243,7 +251,12 @@ class HybridSearch {
 SolveReport SolveHybridByModeSearch(const HybridProblem& problem, const SolverOptions& options) {
   HybridPhaseRun run("mode_search", problem, options);
   if (auto refused = run.WhyNotStart()) return *refused;
-  return SequenceSearch(&run, HybridSearch(run, problem)).Search();
+  SolveReport report = SequenceSearch(&run, HybridSearch(run, problem)).Search();
+  HybridSimulator simulator(problem.system, problem.integration);
+  if (!report.losses.empty() && simulator.Rollout(SolutionOf(problem, report))) {
+    report.integration_error = simulator.IntegrationError();
+  }
+  return report;
 }
 
 }  // namespace saltus

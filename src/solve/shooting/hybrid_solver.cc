@@ -9,6 +9,7 @@
 
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
+#include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
 #include "solve/search/hybrid_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
@@ -230,10 +231,18 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
     return report;
   }
   report.reason = WhatIsWrongWith(problem);
-  if (report.reason.empty() && options.iterations < 0) report.reason = "iterations: expected 0 or more";
+  if (report.reason.empty()) report.reason = WhatIsWrongWith(options);
   if (report.reason.empty()) report.reason = entry->why_not(problem);
   if (!report.reason.empty()) return report;
-  report = entry->solve(problem, options);
+  if (entry->solve == SolveHybridByModeSearch) {
+    report = entry->solve(problem, options);  // whose solves have enough steps each
+  } else {
+    report = SolveWithEnoughSteps(problem, options, [&](const HybridInput& start, const SolverOptions& own) {
+      HybridProblem from = problem;
+      from.guess = start;
+      return entry->solve(from, own);
+    });
+  }
   JudgeByCertificate(&report);
   return report;
 }

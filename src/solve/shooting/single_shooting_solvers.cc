@@ -129,12 +129,34 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
   return smoothed;
 }
 
+// At rest the gradient has fallen to this part of the largest one met; less in single precision would be rounding.
+constexpr double kRestReduction = 1e-3;
+
+double MaxNorm(std::span<const double> values) {
+  double norm = 0;
+  for (const double value : values) norm = std::max(norm, std::abs(value));
+  return norm;
+}
+
+// Whether every component of the gradient above `most` points out of the bounds.
+bool IsBlocked(const DescentRule& rule, const std::vector<double>& z, const std::vector<double>& gradient,
+               double most) {
+  constexpr double kStep = 1e-6;  // of the largest variable, or of 1
+  const double step = kStep * std::max(1.0, MaxNorm(z)), rate = step / MaxNorm(gradient);
+  std::vector<double> moved = z;
+  for (size_t i = 0; i < z.size(); ++i) moved[i] -= std::abs(gradient[i]) > most ? rate * gradient[i] : 0;
+  rule.move_within(&moved);
+  for (size_t i = 0; i < z.size(); ++i) moved[i] -= z[i];
+  return MaxNorm(moved) <= 1e-3 * step;
+}
+
 SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
   ShootingFunction& function = run->function();
   const int iterations = run->options().iterations;
   std::vector<double> z = run->initial_guess();
   rule.move_within(&z);
   std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
+  double largest = 0;
   for (int k = 0;; ++k) {
     const bool more = k < iterations;
     double loss = 0;
@@ -149,11 +171,15 @@ SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
       run->RecordEstimate(standard_error);
     }
     if (!AllFinite(gradient)) return Fail(run, "gradient", k, z);
+    largest = std::max(largest, MaxNorm(gradient));
     last = z;
     rule.step(gradient, &z);
   }
-  const bool rests = iterations > 0 && z == last;
-  return run->Finish(z, rests ? Termination::kConverged : Termination::kIterationLimit);
+  if (iterations == 0 || z != last) return run->Finish(z, Termination::kIterationLimit);
+  if (IsBlocked(rule, z, gradient, std::max(kGradientTolerance, kRestReduction * largest))) {
+    return run->Finish(z, Termination::kConverged);
+  }
+  return run->Finish(z, Termination::kNoProgress, "steps at this learning rate are below rounding");
 }
 
 class Loss final : public ceres::FirstOrderFunction {
@@ -229,8 +255,7 @@ class ShootingCost final : public ceres::CostFunction {
     Rollout(parameters);
     if (!finite_) return false;
     std::copy(residuals_.begin(), residuals_.end(), residuals);
-    if (jacobians != nullptr) EvaluateJacobians(jacobians);
-    return !shooting_->stopped();
+    return (jacobians == nullptr || EvaluateJacobians(jacobians)) && !shooting_->stopped();
   }
 
   int num_jacobians() const { return num_jacobians_; }
@@ -251,9 +276,11 @@ class ShootingCost final : public ceres::CostFunction {
     evaluated_ = true;
   }
 
-  void EvaluateJacobians(double** jacobians) const {
+  // False if they are not finite.
+  bool EvaluateJacobians(double** jacobians) const {
     shooting_->ResidualJacobian(jacobian_.data());
     ++num_jacobians_;
+    if (!AllFinite(jacobian_)) return false;
     int first = 0;
     for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
       const int size = parameter_block_sizes()[i];
@@ -262,6 +289,7 @@ class ShootingCost final : public ceres::CostFunction {
       }
       first += size;
     }
+    return true;
   }
 
   ShootingFunction* shooting_;

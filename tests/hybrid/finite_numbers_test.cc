@@ -1,0 +1,223 @@
+// Numbers that are not finite, and steps that do not suffice: no verdict, no convergence and no derivative from them.
+#include <ceres/autodiff_cost_function.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "control/hybrid_shooting.h"
+#include "saltus/feedback/filter.h"
+#include "saltus/feedback/regulator.h"
+#include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/optimality/hybrid_certificate.h"
+#include "saltus/solve/hybrid_solver.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+// Motions whose values are finite and whose derivatives are not; u = [f], p = [c], 0 each.
+struct Kinked {
+  enum Kind { kHypot, kRoot, kOfParameter, kOfControl, kOfTime, kReset, kGuard } kind = kHypot;
+
+  static constexpr int kNumControls = 1;
+  static constexpr int kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {1};
+  static constexpr std::array<const char*, 1> kModeNames = {"m"};
+  static constexpr std::array<const char*, 1> kGuardNames = {"g"};
+  static constexpr std::array<const char*, 2> kStateNames = {"y", "v"};
+  static constexpr std::array<const char*, 1> kControlNames = {"f"};
+  static constexpr std::array<const char*, 1> kParameterNames = {"c"};
+
+  template <typename T>
+  void Flow(int, const T& t, const T* x, const T* u, const T* p, T* xdot) const {
+    using std::sqrt;
+    xdot[0] = kind == kReset || kind == kGuard ? T(2.0) : x[1];
+    xdot[1] = u[0];
+    if (kind == kHypot) xdot[1] = -sqrt(x[0] * x[0] + x[1] * x[1]);
+    if (kind == kRoot) xdot[1] = sqrt(x[0]);
+    if (kind == kOfParameter) xdot[1] += sqrt(p[0]);
+    if (kind == kOfControl) xdot[1] = sqrt(u[0]);
+    if (kind == kOfTime) xdot[1] += sqrt(t);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T* p) const {
+    using std::sqrt;
+    if (kind == kGuard) return 1.0 - x[0] + sqrt(p[0]);
+    return kind == kReset ? T(1.0 - x[0]) : T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T* p, T* x_plus) const {
+    using std::sqrt;
+    x_plus[0] = 0.0 * x[0];
+    x_plus[1] = kind == kReset ? T(sqrt(p[0])) : x[1];
+    return 0;
+  }
+};
+
+HybridProblem ProblemOf(Kinked::Kind kind) {
+  HybridProblem problem{.system = HybridSystem(Kinked{kind}),
+                        .guess = {.initial = {0, 0}, .parameters = {0}, .duration = 1, .num_intervals = 4}};
+  problem.terms = {MakeTerminalCost(0, 1.0, 1.0, 2), MakeTerminalCost(1, 0.5, 1.0, 2)};
+  problem.free = {.control = true, .initial = {0, 1}, .parameters = {0}};
+  return problem;
+}
+
+struct Case {
+  Kinked::Kind kind;
+  std::string message;
+};
+const Case kCases[] = {
+    {Kinked::kHypot, "the flow in mode 'm' at t = 0 has no finite derivative of v by y"},
+    {Kinked::kRoot, "the flow in mode 'm' at t = 0 has no finite derivative of v by y"},
+    {Kinked::kOfParameter, "the flow in mode 'm' at t = 0 has no finite derivative of v by c"},
+    {Kinked::kOfControl, "the flow in mode 'm' at t = 0 has no finite derivative of v by f"},
+    {Kinked::kOfTime, "the flow in mode 'm' at t = 0 has no finite derivative of v by t"},
+    {Kinked::kReset, "the reset of guard 'g' in mode 'm' at t = 0.5 has no finite derivative of v by c"},
+    {Kinked::kGuard, "the guard 'g' in mode 'm' at t = 0.5 has no finite derivative by c"},
+};
+
+TEST(FiniteNumbers, EverySolverAndCertificateNamesTheDerivativeThatIsNone) {
+  for (const auto& [kind, message] : kCases) {
+    const HybridProblem problem = ProblemOf(kind);
+    for (const HybridSolverEntry& solver : HybridSolvers()) {
+      if (!solver.why_not(problem).empty()) continue;
+      if (solver.name == "mode_search") continue;  // other starts have derivatives
+      SolverOptions options;
+      options.iterations = 10;
+      const SolveReport report = Solve(solver.name, problem, options);
+      EXPECT_EQ(report.termination, Termination::kFailed) << solver.name << ": " << report.reason;
+      EXPECT_THAT(report.reason, HasSubstr(message)) << solver.name;
+    }
+    HybridInput input = problem.guess;
+    input.control.assign(4, 0.0);
+    const Certificate certificate = Certify(problem, input);
+    EXPECT_EQ(certificate.verdict, Certificate::Verdict::kNotApplicable);
+    EXPECT_THAT(certificate.reason, HasSubstr(message));
+    HybridShooting shooting(problem);
+    double loss = 0;
+    std::vector<double> gradient(shooting.num_variables());
+    EXPECT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr)) << shooting.WhyFailed();
+    EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
+    EXPECT_THAT(shooting.WhyFailed(), HasSubstr(message));
+  }
+}
+
+TEST(FiniteNumbers, MotionsAndFiltersSayWhichDerivativeIsNone) {
+  for (const auto& [kind, message] : kCases) {
+    const HybridProblem problem = ProblemOf(kind);
+    HybridSimulator simulator(problem.system);
+    ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
+    EXPECT_EQ(simulator.WhyNotFinite(), "");
+    simulator.Sensitivity();
+    EXPECT_EQ(simulator.WhyNotFinite(), message);
+    EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr(message));
+    if (kind != Kinked::kHypot && kind != Kinked::kRoot) continue;
+    Linearize(simulator, problem.guess);
+    EXPECT_EQ(simulator.WhyNotFinite(), message);
+    SaltedKalmanFilter filter(problem.system, {0.0}, 0, 0, Eigen::Vector2d::Zero(), Eigen::Matrix2d::Identity());
+    EXPECT_FALSE(filter.Predict(1));
+    EXPECT_THAT(filter.WhyFailed(), HasSubstr(message));
+  }
+}
+
+// x'' = -w^2 x, p = [w].
+struct Oscillator {
+  static constexpr int kNumControls = 0;
+  static constexpr int kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {0};
+
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T*, const T* p, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = -p[0] * p[0] * x[0];
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+TEST(EnoughSteps, AreTakenForEveryMotionThatAsksForAccuracy) {
+  HybridSimulator simulator{HybridSystem(Oscillator())};
+  for (const double w : {1.0, 60.0, 2.0, 300.0}) {
+    ASSERT_TRUE(simulator.RolloutAccurately({.initial = {1, 0}, .parameters = {w}, .duration = 2}));
+    EXPECT_NEAR(simulator.final_state()[0], std::cos(2 * w), 1e-9);
+  }
+}
+
+// The price of w holds it near 60, where the loss has its minima; the guess has the steps of w = 3.
+struct Price {
+  template <typename T>
+  bool operator()(const T* p, T* residual) const {
+    residual[0] = 3.0 * (p[0] - 60.0);
+    return true;
+  }
+};
+
+TEST(EnoughSteps, AreTakenAtASolution) {
+  HybridProblem problem{.system = HybridSystem(Oscillator()),
+                        .guess = {.initial = {1, 0}, .parameters = {3}, .duration = 2}};
+  HybridTerm price{.name = "price", .with_parameters = true};
+  price.function = std::make_shared<ceres::AutoDiffCostFunction<Price, 1, 1>>(new Price);
+  problem.terms = {price, MakeTerminalCost(0, 0.3, 1.0, 2)};
+  problem.free = {.parameters = {0}};
+  for (const char* solver : {"ceres_lm", "ceres_lbfgs", "ceres_phases"}) {
+    SolverOptions options;
+    options.iterations = 200;
+    const SolveReport report = Solve(solver, problem, options);
+    const double w = report.parameters[0];
+    EXPECT_NEAR(report.final_loss,
+                9 * std::pow(w - 60, 2) + std::pow(std::cos(2 * w) - 0.3, 2),
+                1e-9 * std::max(1.0, report.final_loss))
+        << solver;
+    if (report.termination == Termination::kConverged) {
+      EXPECT_NEAR(18 * (w - 60) - 4 * (std::cos(2 * w) - 0.3) * std::sin(2 * w), 0, 1e-5) << solver;
+    }
+    EXPECT_LT(report.integration_error, 1e-10) << solver;
+    EXPECT_LE(report.iterations, 200);
+    EXPECT_EQ(report.losses.size(), report.iterations + 1u);
+  }
+}
+
+TEST(Options, ThatAreNoneAreRefused) {
+  HybridProblem problem{.system = HybridSystem(Oscillator()),
+                        .guess = {.initial = {1, 0}, .parameters = {3}, .duration = 2}};
+  problem.terms = {MakeTerminalCost(0, 0.3, 1.0, 2)};
+  problem.free = {.parameters = {0}};
+  for (const double rate : {0.0, -1.0, double{NAN}, double{INFINITY}}) {
+    SolverOptions options;
+    options.learning_rate = rate;
+    const SolveReport report = Solve("gd", problem, options);
+    EXPECT_EQ(report.termination, Termination::kNotApplicable);
+    EXPECT_THAT(report.reason, HasSubstr("learning_rate: found "));
+  }
+  SolverOptions tiny;
+  tiny.learning_rate = 1e-300;
+  EXPECT_EQ(Solve("gd", problem, tiny).termination, Termination::kNoProgress);
+  for (const HybridSolverEntry& solver : HybridSolvers()) {
+    if (!solver.why_not(problem).empty() || solver.name == "mode_search") continue;
+    for (const int iterations : {0, 1, 2, 5}) {
+      SolverOptions options;
+      options.iterations = iterations;
+      const SolveReport report = Solve(solver.name, problem, options);
+      EXPECT_LE(report.iterations, iterations) << solver.name;
+      EXPECT_EQ(report.losses.size(), report.iterations + 1u) << solver.name;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace saltus
