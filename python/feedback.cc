@@ -71,7 +71,10 @@ PlannedMotion PlanMotion(Scene scene, const py::object& control, const py::objec
   });
   scene.steps *= FindContactModel(contact)->grid_steps;
   CheckTakes(contact, scene);
-  PlannedMotion planned{.plan = std::move(found.plan), .linear = std::move(found.linear), .remark = found.remark};
+  PlannedMotion planned;
+  planned.plan = std::move(found.plan);
+  planned.linear = std::move(found.linear);
+  planned.remark = found.remark;
   const Eigen::Index n = planned.plan.states.front().size();
   planned.what_is_wrong_with = [n, m = planned.plan.num_controls](const TrackingCost& cost) {
     if (cost.Q.size() != 1) return std::string("Q: expected one matrix");
