@@ -40,7 +40,7 @@ inline constexpr double kAtBound = 1e-12;        // of the bound of friction: a 
 inline constexpr double kOverlapOfOpen = 0.1;    // of kContactGap: the overlap from which open contacts are closed
 
 // Numbers of events in a step.
-inline constexpr int kMaxEvents = 200000;    // after which a step fails [exact]
+inline constexpr int kMaxEvents = 200000;    // after which a step fails [counting]
 inline constexpr int kManyImpacts = 2000;    // after which slow speeds grow within piles without friction [piles]
 inline constexpr int kRepeatedImpacts = 32;  // of a pair and of its discs with others, likewise [piles]
 inline constexpr int kMostSubStepCuts = 8;   // in succession, at the ends of contact modes [rolling]
