@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _Array = NDArray[np.float64]
-_Guess = tuple[int, Any, Any, float, Any]  # mode, initial, parameters, duration, control
+_Guess = tuple[int, Any, Any, float, Any, Any]  # mode, initial, parameters, duration, control, durations
 
 __version__: str
 
