@@ -5,6 +5,7 @@
 #include <limits>
 #include <numeric>
 
+#include "base/interrupt.h"
 #include "base/number_text.h"
 
 namespace saltus {
@@ -15,6 +16,8 @@ constexpr double kAccumulated = 1e-9;  // of the duration: intervals between eve
 constexpr int kShrinking = 8;          // intervals that tell
 constexpr double kSmallChange = 1e-3;  // of the state: a change of it within a step that is short enough
 constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
+constexpr int kShortSteps = 1 << 13;   // of a motion: what depends on longer ones is refused with these
+constexpr std::size_t kAsks = 64;      // steps and events after which an interrupt is asked for
 
 constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
 constexpr const char* kNameAMode =
@@ -155,6 +158,7 @@ bool RolloutRun::SwitchControl() {
   if (std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero)) {
     return Enter(Entry::kControlJump);
   }
+  Remark(functions_.WhyNoDerivative(here, -1));
   if (!UpdateSlope()) return false;
   UpdateGuards();
   return true;
@@ -222,6 +226,7 @@ bool RolloutRun::Enter(Entry entry) {
   using Standing = EventSearch::Standing;
   for (;;) {
     if (!UpdateSlope()) return false;
+    if (entry == Entry::kStart) Remark(functions_.WhyNoDerivative(StepFrom(0), -1));
     const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
     const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
     int due = -1;
@@ -317,7 +322,9 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
   if (next < 0 || next >= system_.num_modes()) {
     befores_.pop_back();
     if (const std::string why = functions_.WhyNoMode(here, guard); !why.empty()) {
-      return Refuse(what() + "leads to no mode: " + why);
+      Refuse(what() + "leads to no mode: " + why);
+      if (next < -1 && tape_.num_nodes < kShortSteps) end_ = RolloutEnd::kNotFinite;
+      return false;
     }
     return Refuse(what() + "leads to mode " + std::to_string(next) + ", expected 0 to " +
                   std::to_string(system_.num_modes() - 1));
@@ -339,6 +346,9 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
+    if (tape_.entries.size() % kAsks == kAsks - 1 && InterruptGuard::GraceIsOver()) {
+      return Refuse("interrupted in " + Where());
+    }
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());

@@ -444,7 +444,7 @@ TEST(MechanicalModes, HaveALetterForEachContact) {
   EXPECT_EQ(system.hybrid().GuardName(mode, 1), "A break-");
   EXPECT_EQ(system.hybrid().GuardName(mode, 4), "B stop");
   EXPECT_EQ(system.hybrid().GuardName(mode, 6), "C hit");
-  EXPECT_DEATH(system.Mode("nooo"), "no contacts of this system have the status");
+  EXPECT_DEATH(system.Mode("xooo"), "no contacts of this system have the status");
 }
 
 }  // namespace

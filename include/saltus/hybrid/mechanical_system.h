@@ -36,7 +36,7 @@
 //
 // The hybrid system has the state [q v]. Its modes are created as a motion meets them; the name of a mode has a letter
 // for each contact: 'o' open, 'n' closed without friction, '+' or '-' closed and sliding with v_t > 0 or < 0, 's'
-// sticking. Events:
+// sticking. A contact whose friction is zero never sticks: it is 'n' while nothing moves it along its tangent. Events:
 //
 //   hit    the gap of an open contact reaches zero       impact, and what stays closed by the accelerations after it
 //   off    the normal force reaches zero                 the contact opens
@@ -44,6 +44,7 @@
 //   end    Reach falls through zero                      the contact opens
 //   break  the tangential force reaches mu f_n           slides against the force that friction gave
 //   jam    N M^-1 (N^T -+ mu T^T) reaches zero           none: see below
+//   grip   the friction of a contact that is 'n' is not zero   as after an impact
 //
 // Impacts. Newton's law with Coulomb's law at the end of the impact (Moreau 1988; Glocker, Set-Valued Force Laws):
 //
@@ -54,10 +55,18 @@
 // v_n+ = -e v_n and p_n >= 0. A contact with v_n+ = 0 is closed or opens by the complementarity problem of the
 // accelerations, 0 <= f_n _|_ a_n >= 0 with Coulomb's law, which is solved at the start, after impacts, at jumps of the
 // control and where sliding stops. If it has no solution or several that differ (Painleve; Genot and Brogliato 1999),
-// or an impact has, the motion ends there with a reason.
+// or an impact has, the motion ends there with a reason. Of accelerations that several modes have, the mode counts in
+// which most contacts are closed and stick. Up to four coupled contacts all possibilities are tried; of more, one
+// solution is found by Lemke's method, whether or not there are others.
 //
-// Bounces that accumulate: a contact that is pressed on and rebounds with less than `rest_speed` closes in that
-// impact, whose restitution is zero. The state then has an error of the third order in this speed.
+// Forces that are not unique, as those of two corners of a box that stick, are those farthest from the limits of all
+// contacts: the mode lasts while any forces hold it. Internal stresses count only where nothing else holds the
+// contacts. Forces at a limit, within 1e-12 of their size, are within it; a motion that starts there has one-sided
+// derivatives.
+//
+// Bounces that accumulate, and contacts that open and hit in turn as where a body rocks: contacts that are pressed on
+// and part with less than `rest_speed` close in that impact, whose restitution is zero. The state then has an error of
+// the third order in this speed.
 //
 // Closed contacts are put back onto their equations after each step of the integration.
 #pragma once

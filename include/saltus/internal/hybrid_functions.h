@@ -94,15 +94,15 @@ class HybridFunctions {
     }
   }
 
-  // Returns the next mode, which may depend on the control; the state after the reset does not. A negative number:
-  // there is none, and WhyNoMode says why. x_plus has room for the largest state of any mode; what a reset into a mode
-  // with a smaller state leaves is not read.
+  // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
+  // none, and WhyNoMode says why; below -1 there may be with shorter steps. x_plus has room for the largest state of
+  // any mode; what a reset into a mode with a smaller state leaves is not read.
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // And by [x t p]: (size of the next mode's state) x (n + 1 + P), with room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
   // Why a reset returns a negative number, or with guard -1 ModeUnder.
   virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
-  // Why a reset has no derivative there, or only one-sided ones; empty if it has one.
+  // Why a reset (-1: the mode in which a motion goes on) has no derivative, or one-sided ones; empty if it has one.
   virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
   // The mode in which a motion goes on from the state x when its control jumps to u, which the point has; a negative

@@ -1,34 +1,63 @@
 #include "hybrid/mechanical/contact_problem.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
 
 #include "base/linear_algebra.h"
 #include "contact/solvers/complementarity.h"
+#include "contact/thresholds.h"
 
 namespace saltus {
 namespace {
 
 constexpr double kRedundant = 1e-10;  // pivots of rows that depend on others, of the largest
-constexpr double kTolerance = 1e-10;  // of inequalities, of the largest term
+constexpr double kAtLimit = 1e-12;    // of forces: the distance to a limit that is none
+constexpr double kTolerance = 1e-10;  // of accelerations that are zero, of the largest term
+constexpr double kOfTerms = 1e-14;    // rounding errors of what is given, of its terms
 constexpr double kDiffers = 1e-7;     // accelerations of two solutions, of the largest term
+// Accelerations of a solution of Lemke's method that are zero, likewise: the first that gives a solution counts.
+constexpr std::array kStands = {1e-10, 1e-8, 1e-6};
+constexpr double kCoupled = 1e-12;     // |matrix_ij| / sqrt(matrix_ii matrix_jj) that is not rounding
+constexpr double kMovesNothing = 0.5;  // eigenvalues of a projection are 0 or 1
 
 double FloorOf(const ContactProblem& problem, int contact) {
   return problem.floor.empty() ? 0.0 : problem.floor[contact];
 }
 
-// The forces if the contacts have this status, whether or not they satisfy the inequalities; nothing if there are none.
-std::optional<Eigen::VectorXd> ForcesOf(const ContactProblem& problem, const std::string& status) {
+Eigen::VectorXd TermsOf(const ContactProblem& problem) {
+  return problem.terms.size() > 0 ? problem.terms : Eigen::VectorXd(problem.given.cwiseAbs());
+}
+
+bool HasStick(const ContactProblem& problem, int contact) {
+  return problem.has_friction[contact] && problem.friction[contact] > 0;
+}
+
+// The forces if the contacts have a status, whether or not they satisfy the inequalities.
+struct TriedForces {
+  Eigen::VectorXd force, tolerance;  // of each contact, normal and tangential in turn
+  bool stressed = false;             // the forces of least norm are past a limit
+};
+
+double SmallestLimit(const ForceLimits& limits, const Eigen::VectorXd& force) {
+  return limits.rows.rows() == 0 ? 0.0 : (limits.rows * force + limits.constants).minCoeff();
+}
+
+// Nothing if there are none.
+std::optional<TriedForces> ForcesOf(const ContactProblem& problem, const std::string& status) {
   const int k = problem.size();
   // Unknowns are normal forces of closed contacts and tangential ones of those that stick, with a row that vanishes
   // each.
   std::vector<int> rows;
+  std::vector<UnknownForces> unknown;
   Eigen::MatrixXd span = Eigen::MatrixXd::Zero(2 * k, 2 * k);
-  Eigen::VectorXd fixed = Eigen::VectorXd::Zero(2 * k);
+  TriedForces tried{.force = Eigen::VectorXd::Zero(2 * k), .tolerance = Eigen::VectorXd::Zero(2 * k)};
+  Eigen::VectorXd& fixed = tried.force;
   for (int i = 0; i < k; ++i) {
     const char is = status[i];
     const double slip = -problem.friction[i] * TangentSign(is);
+    UnknownForces of{.friction = problem.friction[i], .known = FloorOf(problem, i)};
     const auto column = static_cast<Eigen::Index>(rows.size());
     if (IsAtFloor(is)) {
       fixed[2 * i] = FloorOf(problem, i);
@@ -36,38 +65,65 @@ std::optional<Eigen::VectorXd> ForcesOf(const ContactProblem& problem, const std
     } else {
       span(2 * i, column) = 1;
       span(2 * i + 1, column) = slip;
+      of.normal = column;
       rows.push_back(2 * i);
     }
-    if (is != 's' && is != 'S') continue;
-    span(2 * i + 1, static_cast<Eigen::Index>(rows.size())) = 1;
-    rows.push_back(2 * i + 1);
+    if (is == 's' || is == 'S') {
+      of.tangent = static_cast<Eigen::Index>(rows.size());
+      span(2 * i + 1, of.tangent) = 1;
+      rows.push_back(2 * i + 1);
+    }
+    unknown.push_back(of);
   }
   const auto r = static_cast<Eigen::Index>(rows.size());
-  if (r == 0) return fixed;
+  if (r == 0) return tried;
   const Eigen::MatrixXd forces = span.leftCols(r), responses = Multiply(problem.W, forces);
-  const Eigen::VectorXd before = problem.W * fixed + problem.given;
+  const Eigen::VectorXd before = problem.W * fixed + problem.given, all_terms = TermsOf(problem);
   Eigen::MatrixXd matrix(r, r);
-  Eigen::VectorXd right(r);
+  Eigen::VectorXd right(r), terms(r);
   for (Eigen::Index i = 0; i < r; ++i) {
     matrix.row(i) = responses.row(rows[i]);
     right[i] = -before[rows[i]];
+    terms[i] = all_terms[rows[i]];
   }
   Eigen::VectorXd solution(r);
   LeastNormSolver(matrix, kRedundant).Solve(right, solution);
   const double size = right.cwiseAbs().maxCoeff();
-  if (!((matrix * solution - right).cwiseAbs().maxCoeff() <= 1e-8 * size)) return std::nullopt;
-  return fixed + forces * solution;
+  if (!((matrix * solution - right).cwiseAbs().maxCoeff() <= 1e-8 * size + kOfTerms * terms.maxCoeff())) {
+    return std::nullopt;
+  }
+  Eigen::VectorXd tolerance = ForceTolerances(matrix, solution, terms);
+  if (rows.size() > 1) {
+    const Eigen::MatrixXd stresses = InternalStresses(matrix);
+    if (stresses.cols() > 0 && (responses * stresses).cwiseAbs().maxCoeff() <= 1e-8 * responses.cwiseAbs().maxCoeff()) {
+      const ForceLimits limits = LimitsOf(unknown, r);
+      tried.stressed = SmallestLimit(limits, solution) < -tolerance.maxCoeff();
+      solution = SplitForces(solution, stresses, limits, unknown).force;
+      tolerance = ForceTolerances(matrix, solution, terms);
+    }
+  }
+  for (Eigen::Index i = 0; i < r; ++i) tried.tolerance[rows[i]] = tolerance[i];
+  tried.force += forces * solution;
+  return tried;
+}
+
+// The largest terms that add up to w.
+double LargestTerm(const ContactProblem& problem, const Eigen::VectorXd& force) {
+  return problem.given.cwiseAbs().maxCoeff() + (problem.W.cwiseAbs() * force.cwiseAbs()).maxCoeff();
 }
 
 // Whether forces satisfy the inequalities of a status.
-bool Holds(const ContactProblem& problem, const std::string& status, const Eigen::VectorXd& force,
-           const Eigen::VectorXd& w, double most_force, double most_w) {
-  const double f_zero = kTolerance * most_force, w_zero = kTolerance * most_w;
+bool Holds(const ContactProblem& problem, const std::string& status, const TriedForces& tried, const Eigen::VectorXd& w,
+           double w_zero) {
+  const Eigen::VectorXd& force = tried.force;
   for (int i = 0; i < problem.size(); ++i) {
+    const double f_zero = std::max(tried.tolerance[2 * i], tried.tolerance[2 * i + 1]);
     if (IsAtFloor(status[i]) ? w[2 * i] < -w_zero : force[2 * i] - FloorOf(problem, i) < -f_zero) return false;
     const bool sticks = status[i] == 's' || status[i] == 'S';
-    if (sticks && std::abs(force[2 * i + 1]) > problem.friction[i] * force[2 * i] + f_zero) return false;
-    if (problem.sliding[i] == 0 && TangentSign(status[i]) * w[2 * i + 1] < -w_zero) return false;
+    if (sticks && problem.friction[i] * force[2 * i] - std::abs(force[2 * i + 1]) < -f_zero) return false;
+    if (problem.sliding[i] != 0) continue;
+    if (TangentSign(status[i]) * w[2 * i + 1] < -w_zero) return false;
+    if (status[i] == 'n' && problem.has_friction[i] && std::abs(w[2 * i + 1]) > w_zero) return false;
   }
   return true;
 }
@@ -76,55 +132,194 @@ bool Holds(const ContactProblem& problem, const std::string& status, const Eigen
 std::string PossibilitiesOf(const ContactProblem& problem, int contact) {
   if (!problem.has_friction[contact]) return "no";
   if (problem.sliding[contact] != 0) return problem.sliding[contact] > 0 ? "+o" : "-o";
-  return FloorOf(problem, contact) > 0 ? "s+-SPM" : "s+-o";
+  const std::string closed = HasStick(problem, contact) ? "s+-" : "n+-";
+  return closed + (FloorOf(problem, contact) > 0 ? (HasStick(problem, contact) ? "SPM" : "PM") : "o");
 }
 
-// The status that the forces of Lemke's method have.
-std::string StatusOf(const ContactProblem& problem, const Eigen::VectorXd& force) {
-  const double most_force = force.cwiseAbs().maxCoeff();
+// The status with as many contacts closed and sticking as accelerations w allow, of which those up to w_zero are zero.
+std::string StatusOfMotion(const ContactProblem& problem, const Eigen::VectorXd& w, double w_zero) {
   std::string status;
   for (int i = 0; i < problem.size(); ++i) {
-    const double f_n = force[2 * i], f_t = force[2 * i + 1], bound = problem.friction[i] * f_n;
-    if (!(f_n > kTolerance * most_force)) {
+    const double w_n = w[2 * i], w_t = w[2 * i + 1];
+    if (w_n > w_zero) {
       status += 'o';
     } else if (!problem.has_friction[i]) {
       status += 'n';
     } else if (problem.sliding[i] != 0) {
       status += problem.sliding[i] > 0 ? '+' : '-';
     } else {
-      status += std::abs(f_t) < bound * (1 - 1e-9) ? 's' : f_t < 0 ? '+' : '-';
+      status += std::abs(w_t) > w_zero ? (w_t > 0 ? '+' : '-') : HasStick(problem, i) ? 's' : 'n';
     }
   }
   return status;
 }
 
+// Maximizes the smallest number of constants + slopes y by the dual simplex method. Returns y and the rows that are the
+// smallest, one more than y has components. The first of these rows enclose y, so that the method can begin with them.
+Eigen::VectorXd MaximizeSmallest(const Eigen::MatrixXd& slopes, const Eigen::VectorXd& constants,
+                                 std::vector<Eigen::Index>* tight) {
+  const Eigen::Index d = slopes.cols(), m = slopes.rows();
+  tight->resize(d + 1);
+  for (Eigen::Index i = 0; i <= d; ++i) (*tight)[i] = i;
+  Eigen::MatrixXd matrix(d + 1, d + 1);
+  Eigen::VectorXd right(d + 1), solution(d + 1);
+  const double rounding = 1e-14 * constants.cwiseAbs().maxCoeff();
+  const int patience = static_cast<int>(4 * m);
+  for (int count = 0; count < 4 * patience; ++count) {
+    for (Eigen::Index i = 0; i <= d; ++i) {
+      matrix.row(i) << slopes.row((*tight)[i]), -1;
+      right[i] = -constants[(*tight)[i]];
+    }
+    solution = SolveLu(matrix, right);
+    const Eigen::VectorXd left = slopes * solution.head(d) + constants - Eigen::VectorXd::Constant(m, solution[d]);
+    // The row that is smallest, or after many steps the first of those that are too small, which cannot cycle.
+    Eigen::Index entering = 0;
+    if (!(left.minCoeff(&entering) < -rounding)) break;
+    for (Eigen::Index i = 0; count >= patience && i < entering; ++i) {
+      if (left[i] < -rounding) entering = i;
+    }
+    Eigen::MatrixXd sides = Eigen::MatrixXd::Zero(d + 1, 2);
+    sides(d, 0) = -1;
+    sides.col(1) << slopes.row(entering).transpose(), -1;
+    const Eigen::MatrixXd shares = SolveLuColumns(matrix.transpose(), sides);
+    Eigen::Index leaving = -1;
+    for (Eigen::Index i = 0; i <= d; ++i) {
+      if (!(shares(i, 1) > 1e-12)) continue;
+      if (leaving < 0 || shares(i, 0) * shares(leaving, 1) < shares(leaving, 0) * shares(i, 1)) leaving = i;
+    }
+    if (leaving < 0) break;
+    (*tight)[leaving] = entering;
+  }
+  return solution.head(d);
+}
+
 }  // namespace
 
-ContactSolution HoldContacts(const ContactProblem& problem) {
-  ContactProblem smooth = problem;
-  std::fill(smooth.friction.begin(), smooth.friction.end(), 0.0);
-  const std::string status(problem.friction.size(), 'n');
-  return {status, ForcesOf(smooth, status).value_or(Eigen::VectorXd::Zero(problem.given.size()))};
+ForceLimits LimitsOf(const std::vector<UnknownForces>& contacts, Eigen::Index num_forces) {
+  ForceLimits limits{Eigen::MatrixXd::Zero(3 * static_cast<Eigen::Index>(contacts.size()), num_forces),
+                     Eigen::VectorXd::Zero(3 * static_cast<Eigen::Index>(contacts.size()))};
+  Eigen::Index row = 0;
+  for (const UnknownForces& of : contacts) {
+    if (of.normal >= 0) {
+      limits.rows(row, of.normal) = 1;
+      limits.constants[row++] = -of.known;
+    }
+    for (const double side : {-1.0, 1.0}) {
+      if (of.tangent < 0) break;
+      limits.rows(row, of.tangent) = side;
+      if (of.normal >= 0) {
+        limits.rows(row, of.normal) = of.friction;
+      } else {
+        limits.constants[row] = of.friction * of.known;
+      }
+      ++row;
+    }
+  }
+  limits.rows.conservativeResize(row, num_forces);
+  limits.constants.conservativeResize(row);
+  return limits;
+}
+
+Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& force,
+                                const Eigen::VectorXd& terms) {
+  const Eigen::VectorXd diagonal = matrix.diagonal().cwiseAbs();
+  Eigen::VectorXd tolerances(force.size());
+  for (Eigen::Index i = 0; i < force.size(); ++i) {
+    double most = 0;
+    for (Eigen::Index j = 0; j < force.size(); ++j) {
+      if (i != j && std::abs(matrix(i, j)) <= kCoupled * std::sqrt(diagonal[i] * diagonal[j])) continue;
+      most = std::max(most, kAtLimit * std::abs(force[j]));
+      if (diagonal[j] > 0) most = std::max(most, kOfTerms * terms[j] / diagonal[j]);
+    }
+    tolerances[i] = most;
+  }
+  return tolerances;
+}
+
+Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix) {
+  const Eigen::Index r = matrix.rows();
+  Eigen::MatrixXd inverse(r, r);
+  PseudoInvert(matrix, kRedundant, inverse);
+  // The projection onto the forces that the matrix maps to zero.
+  const Eigen::MatrixXd projection = Eigen::MatrixXd::Identity(r, r) - Multiply(inverse, matrix);
+  const auto count = static_cast<Eigen::Index>(std::lround(projection.trace()));
+  if (count <= 0) return Eigen::MatrixXd(r, 0);
+  const SymmetricEigen eigen = EigenOf(0.5 * (projection + projection.transpose()));
+  return eigen.vectors.rightCols((eigen.values.array() > kMovesNothing).count());
+}
+
+ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses, const ForceLimits& limits,
+                       const std::vector<UnknownForces>& contacts) {
+  const Eigen::Index d = stresses.cols(), m = limits.rows.rows();
+  double normals = 0, friction = 0;
+  Eigen::RowVectorXd sum = Eigen::RowVectorXd::Zero(force.size());
+  for (const UnknownForces& of : contacts) {
+    friction = std::max(friction, of.friction);
+    normals += std::abs(of.known);
+    if (of.normal < 0) continue;
+    normals += std::abs(force[of.normal]);
+    sum[of.normal] = -1;
+  }
+  ForceSplit split{.force = force, .tight = {}, .by_stress = {}};
+  // No solution is as far from x as the bounds that enclose it.
+  const double bound = 10 * static_cast<double>(force.size()) * (1 + friction) * (force.cwiseAbs().sum() + normals);
+  if (!(bound > 0) || !std::isfinite(bound)) return split;
+  Eigen::MatrixXd slopes(d + 2 + m, d);
+  Eigen::VectorXd constants(d + 2 + m);
+  slopes << Eigen::MatrixXd::Identity(d, d), Eigen::RowVectorXd::Constant(d, -1), sum * stresses,
+      Multiply(limits.rows, stresses);
+  constants << Eigen::VectorXd::Constant(d + 1, bound), 2 * normals + sum * force,
+      limits.rows * force + limits.constants;
+  std::vector<Eigen::Index> tight;
+  const Eigen::VectorXd stress = MaximizeSmallest(slopes, constants, &tight);
+  split.force += stresses * stress;
+  split.by_stress.resize(d + 1, d + 1);
+  for (Eigen::Index i = 0; i <= d; ++i) {
+    split.by_stress.row(i) << slopes.row(tight[i]), -1;
+    split.tight.push_back(std::max<Eigen::Index>(tight[i] - (d + 2), -1));
+  }
+  return split;
+}
+
+ContactSolution HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks) {
+  ContactProblem held = problem;
+  std::fill(held.friction.begin(), held.friction.end(), 0.0);
+  std::string status;
+  for (const char stick : sticks) status += stick != 0 ? 's' : 'n';
+  const std::optional<TriedForces> tried = ForcesOf(held, status);
+  return {status, tried ? tried->force : Eigen::VectorXd::Zero(problem.given.size())};
+}
+
+bool IsTooLarge(const ContactProblem& problem) {
+  int rows = problem.size();
+  for (int i = 0; i < problem.size(); ++i) rows += HasStick(problem, i) && problem.sliding[i] == 0 ? 3 : 0;
+  return rows > internal::kMostComplementaryRows;
 }
 
 std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) {
-  std::vector<ContactSolution> solutions;
+  struct Found {
+    ContactSolution solution;
+    bool stressed = false;
+  };
+  std::vector<Found> all;
   const int k = problem.size();
+  const double terms = kOfTerms * TermsOf(problem).maxCoeff();
   const auto accelerations = [&](const Eigen::VectorXd& force) -> Eigen::VectorXd {
     return problem.W * force + problem.given;
   };
-  // The largest terms: of w those that add up to it.
   const auto try_status = [&](const std::string& status) {
-    const std::optional<Eigen::VectorXd> force = ForcesOf(problem, status);
-    if (!force || !force->allFinite()) return;
-    const Eigen::VectorXd w = accelerations(*force);
-    const double most_force = force->cwiseAbs().maxCoeff();
-    const double most_w = problem.given.cwiseAbs().maxCoeff() + (problem.W.cwiseAbs() * force->cwiseAbs()).maxCoeff();
-    if (!Holds(problem, status, *force, w, most_force, most_w)) return;
-    for (const ContactSolution& known : solutions) {
-      if ((accelerations(known.force) - w).cwiseAbs().maxCoeff() <= kDiffers * most_w) return;
+    const std::optional<TriedForces> tried = ForcesOf(problem, status);
+    if (!tried || !tried->force.allFinite()) return;
+    const Eigen::VectorXd w = accelerations(tried->force);
+    const double most_w = LargestTerm(problem, tried->force);
+    if (!Holds(problem, status, *tried, w, kTolerance * most_w + terms)) return;
+    for (Found& known : all) {
+      const double differs = (accelerations(known.solution.force) - w).cwiseAbs().maxCoeff();
+      if (differs > kDiffers * most_w + terms) continue;
+      known.stressed = known.stressed && tried->stressed;
+      return;
     }
-    solutions.push_back({status, *force});
+    all.push_back({{status, tried->force}, tried->stressed});
   };
   if (k <= kMostTriedContacts) {
     std::vector<std::string> possible;
@@ -140,17 +335,24 @@ std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) 
         if (!more) at[i] = 0;
       }
     }
-    return solutions;
+  } else if (!IsTooLarge(problem)) {
+    std::vector<double> friction = problem.friction;
+    for (int i = 0; i < k; ++i) {
+      if (!problem.has_friction[i]) friction[i] = 0;
+    }
+    // That all contacts stay closed, and stick unless they slide, needs no search: as of bodies that rest.
+    try_status(StatusOfMotion(problem, Eigen::VectorXd::Zero(2 * k), 0));
+    std::optional<Eigen::VectorXd> found;
+    if (all.empty()) found = SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding);
+    for (std::size_t i = 0; found && all.empty() && i < kStands.size(); ++i) {
+      try_status(StatusOfMotion(problem, accelerations(*found), kStands[i] * LargestTerm(problem, *found) + terms));
+    }
   }
-  std::vector<double> friction = problem.friction;
-  for (int i = 0; i < k; ++i) {
-    if (!problem.has_friction[i]) friction[i] = 0;
+  const bool needs_stress = std::ranges::all_of(all, &Found::stressed);
+  std::vector<ContactSolution> solutions;
+  for (Found& found : all) {
+    if (needs_stress || !found.stressed) solutions.push_back(std::move(found.solution));
   }
-  const std::optional<Eigen::VectorXd> found = SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding);
-  if (!found) return solutions;
-  const std::string status = StatusOf(problem, *found);
-  try_status(status);
-  if (solutions.empty()) solutions.push_back({status, *found});
   return solutions;
 }
 

@@ -23,13 +23,14 @@ struct ContactProblem {
   std::vector<char> has_friction;  // of each contact; false: 'n' in the place of 's', '+' and '-'
   std::vector<int> sliding;
   std::vector<double> floor = {};  // of each normal force; none: zeros
+  Eigen::VectorXd terms = {};      // sizes of the terms that add up to `given`; none: |given|
 
   int size() const { return static_cast<int>(friction.size()); }
 };
 
 // A letter for each contact: 'o' open, 'n' closed without friction, '+' and '-' sliding with w_t (or v_t) > 0 and < 0,
-// 's' sticking. With a floor above zero, a normal force at the floor is 'o' without friction, and with it 'P', 'M' or
-// 'S' where the tangent is as in '+', '-' or 's'.
+// 's' sticking. A contact with friction is 'n' if its mu is zero and w_t too. With a floor above zero, a normal force
+// at the floor is 'o' without friction, and with it 'P', 'M' or 'S' where the tangent is as in '+', '-' or 's'.
 struct ContactSolution {
   std::string status;
   Eigen::VectorXd force;
@@ -44,12 +45,55 @@ inline int TangentSign(char status) {
 // The largest problem whose possibilities are all tried.
 inline constexpr int kMostTriedContacts = 4;
 
-// All solutions that differ in w, of problems of up to kMostTriedContacts contacts; of larger ones that which Lemke's
-// method finds, if it finds one. Forces that are not unique are those of least norm. Precondition: larger problems have
-// no floors.
+// All solutions that differ in w, of problems of up to kMostTriedContacts contacts; of larger ones that in which all
+// stay closed and stick, or else that which Lemke's method finds. The status has as many contacts closed, and of these
+// as many sticking, as w allows. Forces that are not unique are those of SplitForces. A solution that needs internal
+// stresses counts only if there is none without. Precondition: larger problems have no floors.
 std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem);
 
-// The forces under which no contact accelerates along its normal, whatever their signs; without friction.
-ContactSolution HoldContacts(const ContactProblem& problem);
+// Whether a problem is too large for SolveContactProblem.
+bool IsTooLarge(const ContactProblem& problem);
+
+// The forces under which no contact accelerates along its normal, and those that stick not along their tangents either,
+// whatever their signs; without friction at the others.
+ContactSolution HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks);
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Forces that are not unique.
+
+// Where the unknown forces of a contact are among all that are unknown; -1: its force is known, or it has none.
+struct UnknownForces {
+  Eigen::Index normal = -1, tangent = -1;
+  double friction = 0;
+  double known = 0;  // the normal force, or the floor of one that is unknown
+};
+// The limits of forces x, rows x + constants >= 0: no normal force is below its floor, and tangential forces are within
+// the cone of friction.
+struct ForceLimits {
+  Eigen::MatrixXd rows;
+  Eigen::VectorXd constants;
+};
+ForceLimits LimitsOf(const std::vector<UnknownForces>& contacts, Eigen::Index num_forces);
+
+// Rounding errors of forces f with matrix f = right: of each, by its own size and those of the forces that depend on
+// it. `terms`: sizes of the terms that add up to `right`. A force that is past a limit by less is at the limit.
+Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& force,
+                                const Eigen::VectorXd& terms);
+
+// Internal stresses of contacts, an orthonormal basis: forces that move nothing, as where two corners of a body stick.
+// `matrix`: accelerations along the rows of the contacts by their forces.
+Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix);
+
+// The forces x + stresses y that are farthest from their limits: the smallest of the limits is as large as possible.
+// Normal forces add up to no more than twice what they do in x.
+struct ForceSplit {
+  Eigen::VectorXd force;
+  // The limits that are the smallest, one more than there are stresses, and their derivatives by [y, -smallest]; -1: a
+  // bound that is none of the limits.
+  std::vector<Eigen::Index> tight;
+  Eigen::MatrixXd by_stress;
+};
+ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses, const ForceLimits& limits,
+                       const std::vector<UnknownForces>& contacts);
 
 }  // namespace saltus

@@ -15,6 +15,7 @@ using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>
 constexpr double kDependentRow = 1e-10;  // pivots of rows that depend on others, of the largest
 constexpr int kMostCorrections = 10;     // of a projection
 constexpr double kRounding = 1e-13;      // of the terms of a gap: corrections below it do not change derivatives
+constexpr double kCancels = 1e-13;       // of the terms of an acceleration or velocity: what is left is rounding
 
 template <typename S>
 std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
@@ -41,6 +42,14 @@ void SolveColumns(const LeastNormSolver& solver, Block* right) {
 }
 
 }  // namespace
+
+void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, VectorRef sum) {
+  for (Eigen::Index i = 0; i < sum.size(); ++i) {
+    const double before = sum[i];
+    sum[i] += change[i];
+    if (std::abs(sum[i]) <= kCancels * (std::abs(before) + terms[i])) sum[i] = 0;
+  }
+}
 
 void MassMatrix::Factorize(const Eigen::MatrixXd& mass) {
   is_diagonal_ = mass.isDiagonal(0);
@@ -254,8 +263,8 @@ Eigen::VectorXd MechanicalEquations::Force(const Point& at) const {
   return h;
 }
 
-void MechanicalEquations::Accelerate(const System& system, const Point& at, Eigen::VectorXd* a,
-                                     Eigen::VectorXd* force) const {
+void MechanicalEquations::Accelerate(const System& system, const Point& at, Eigen::VectorXd* a, Eigen::VectorXd* force,
+                                     Eigen::VectorXd* terms) const {
   *a = system.mass.Solve(Force(at));
   const auto r = static_cast<Eigen::Index>(system.rows.size());
   force->resize(r);
@@ -264,7 +273,8 @@ void MechanicalEquations::Accelerate(const System& system, const Point& at, Eige
   const TimePath<double> path{Path(n_, at.q, at.v, static_cast<const double*>(a->data())), Constant(num_p_, at.p)};
   for (Eigen::Index i = 0; i < r; ++i) right[i] = -Along<double>(system.rows[i], path, at.v, a->data()).second;
   system.contact->Solve(right, *force);
-  *a += system.mobile_F * *force;
+  if (terms != nullptr) *terms = system.G.cwiseAbs() * a->cwiseAbs();
+  AddChange(system.mobile_F * *force, system.mobile_F.cwiseAbs() * force->cwiseAbs(), *a);
 }
 
 std::vector<MechanicalEquations::Seeds> MechanicalEquations::SeedColumns(const Point& at, int columns) const {
@@ -468,7 +478,7 @@ void MechanicalEquations::Project(const std::vector<ClosedContact>& closed, doub
   Eigen::Map<Eigen::VectorXd> velocity(v, n_);
   Eigen::VectorXd rates = -(system.G * velocity);
   system.contact->Solve(rates, rates);
-  velocity += system.mobile_F * rates;
+  AddChange(system.mobile_F * rates, system.mobile_F.cwiseAbs() * rates.cwiseAbs(), velocity);
   for (Seeds& seeds : passes) {
     Jets rows;
     for (const Row& row : system.rows) {

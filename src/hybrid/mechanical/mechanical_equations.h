@@ -35,6 +35,10 @@ struct ClosedContact {
 // The sign of v_t of a sliding contact, else 0.
 inline int SlidingSign(char status) { return status == '+' ? 1 : status == '-' ? -1 : 0; }
 
+// Adds `change` to `sum`. Entries that are rounding errors of their terms, of which those of the change add up to
+// `terms`, become zero: what contacts hold rests exactly, wherever it is.
+void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, VectorRef sum);
+
 // A mass matrix, factorized. That of free bodies is diagonal.
 class MassMatrix {
  public:
@@ -117,8 +121,10 @@ class MechanicalEquations {
   double GapScale(int contact, const Point& at) const;
 
   Eigen::VectorXd Force(const Point& at) const;
-  // Accelerations and forces.
-  void Accelerate(const System& system, const Point& at, Eigen::VectorXd* a, Eigen::VectorXd* force) const;
+  // Accelerations and forces; unless `terms` is null, also the sizes of the terms of the accelerations along the rows
+  // without forces of contacts.
+  void Accelerate(const System& system, const Point& at, Eigen::VectorXd* a, Eigen::VectorXd* force,
+                  Eigen::VectorXd* terms = nullptr) const;
 
   // Jets of all that a point consists of, seeded with some of the columns of [q v t p u], or with one direction.
   struct Seeds {

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <utility>
 
+#include "base/linear_algebra.h"
 #include "base/number_text.h"
 
 namespace saltus {
@@ -19,6 +20,7 @@ constexpr double kUncoupled = 1e-12;  // |W_ij| / sqrt(W_ii W_jj) that is roundi
 constexpr double kRests = 1e-10;      // speeds that are zero, of the size of their terms
 constexpr double kMostHeld = 10;      // speeds of contacts that close together, of rest_speed
 constexpr double kNearly = 1e-9;      // distance to another branch of an impact that is none, relative
+constexpr double kPast = 1e6;         // of the tolerance of a force: where it is looked at past its limit
 
 using What = MechanicalHybrid::Guarded::What;
 
@@ -34,6 +36,12 @@ HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
 }
 
 std::string Text(double value) { return ToText(value, 6); }
+
+std::string TooLarge(std::size_t contacts) {
+  return "too many contacts: the forces of " + std::to_string(contacts) +
+         " that touch at once are a complementarity problem beyond the largest that is solved; use fewer bodies, or "
+         "let them touch less";
+}
 
 // Groups of contacts that are coupled by W.
 std::vector<std::vector<int>> GroupsOf(const Eigen::MatrixXd& W) {
@@ -70,11 +78,13 @@ ContactProblem Restricted(const ContactProblem& problem, const std::vector<int>&
   ContactProblem out;
   out.W.resize(2 * k, 2 * k);
   out.given.resize(2 * k);
+  out.terms.resize(2 * k);
   for (Eigen::Index i = 0; i < k; ++i) {
     for (Eigen::Index j = 0; j < k; ++j) {
       out.W.block<2, 2>(2 * i, 2 * j) = problem.W.block<2, 2>(2 * members[i], 2 * members[j]);
     }
     out.given.segment<2>(2 * i) = problem.given.segment<2>(2 * members[i]);
+    out.terms.segment<2>(2 * i) = problem.terms.segment<2>(2 * members[i]);
     out.friction.push_back(problem.friction[members[i]]);
     out.has_friction.push_back(problem.has_friction[members[i]]);
     out.sliding.push_back(problem.sliding[members[i]]);
@@ -118,7 +128,7 @@ const MechanicalHybrid::Mode& MechanicalHybrid::ModeAt(int mode) const {
 bool MechanicalHybrid::IsStatus(const std::string& status) const {
   if (static_cast<int>(status.size()) != functions_->layout().num_contacts) return false;
   for (std::size_t i = 0; i < status.size(); ++i) {
-    const std::string can = HasFriction(static_cast<int>(i)) ? "o+-s" : "on";
+    const std::string can = HasFriction(static_cast<int>(i)) ? "on+-s" : "on";
     if (can.find(status[i]) == std::string::npos) return false;
   }
   return true;
@@ -145,7 +155,10 @@ int MechanicalHybrid::ModeOf(const std::string& status) const {
         break;
       default:
         mode.guards.push_back({What::kOff, i});
-        if (status[i] == 'n') break;
+        if (status[i] == 'n') {
+          if (HasFriction(i)) mode.guards.push_back({What::kGrip, i});
+          break;
+        }
         mode.guards.push_back({What::kStop, i});
         mode.guards.push_back({What::kJam, i});
     }
@@ -162,7 +175,7 @@ std::string MechanicalHybrid::ContactName(int contact) const {
 }
 
 std::string MechanicalHybrid::GuardName(int mode, int guard) const {
-  constexpr const char* kNames[] = {"hit", "off", "stop", "break-", "break+", "end", "jam"};
+  constexpr const char* kNames[] = {"hit", "off", "stop", "break-", "break+", "end", "jam", "grip"};
   const Guarded& guarded = ModeAt(mode).guards[guard];
   return ContactName(guarded.contact) + " " + kNames[static_cast<int>(guarded.what)];
 }
@@ -185,7 +198,9 @@ ContactProblem MechanicalHybrid::ProblemOf(const std::vector<int>& contacts, con
   }
   const MechanicalEquations::System system = equations_.Assemble({}, at);
   problem.W = Multiply(rows, system.mass.Solve(rows.transpose()));
-  problem.given = rows * Eigen::Map<const Eigen::VectorXd>(at.v, n);
+  const Eigen::Map<const Eigen::VectorXd> v(at.v, n);
+  problem.given = rows * v;
+  problem.terms = rows.cwiseAbs() * v.cwiseAbs();
   return problem;
 }
 
@@ -195,10 +210,11 @@ std::vector<ContactSolution> MechanicalHybrid::SolveAccelerations(const Closing&
   problem.sliding = closing.sliding;
   const MechanicalEquations::System system = equations_.Assemble({}, at);
   const Eigen::VectorXd a = system.mass.Solve(equations_.Force(at));
-  for (Eigen::Index i = 0; i < k; ++i) {
-    problem.given[2 * i] = equations_.SecondAlong({closing.contacts[i], false}, at.q, at.v, a.data(), at.p);
-    if (!problem.has_friction[i]) continue;
-    problem.given[2 * i + 1] = equations_.SecondAlong({closing.contacts[i], true}, at.q, at.v, a.data(), at.p);
+  for (Eigen::Index i = 0; i < 2 * k; ++i) {
+    const MechanicalEquations::Row row{closing.contacts[i / 2], i % 2 == 1};
+    if (row.tangential && !problem.has_friction[i / 2]) continue;
+    problem.given[i] = equations_.SecondAlong(row, at.q, at.v, a.data(), at.p);
+    problem.terms[i] = equations_.RowAt(row, at).cwiseAbs().dot(a.cwiseAbs());
   }
   std::vector<ContactSolution> all = {{std::string(closing.contacts.size(), 'o'), Eigen::VectorXd::Zero(2 * k)}};
   for (const std::vector<int>& group : GroupsOf(problem.W)) {
@@ -225,6 +241,10 @@ std::string MechanicalHybrid::Close(const std::string& before, const Closing& cl
   if (all.size() == 1) {
     for (std::size_t i = 0; i < closing.contacts.size(); ++i) status[closing.contacts[i]] = all[0].status[i];
     return status;
+  }
+  if (all.empty() && IsTooLarge(ProblemOf(closing.contacts, at))) {
+    *why = TooLarge(closing.contacts.size());
+    return "";
   }
   *why = all.empty() ? "painleve_inconsistent: no accelerations satisfy the conditions of "
                      : "painleve_indeterminate: " + std::to_string(all.size()) + " accelerations satisfy those of ";
@@ -257,23 +277,26 @@ MechanicalHybrid::Closing MechanicalHybrid::Touching(const Point& at, std::strin
     }
     const Eigen::RowVectorXd normal = equations_.RowAt({i, false}, at);
     if (std::abs(normal.dot(v)) > kTouches * normal.cwiseAbs().dot(v.cwiseAbs())) continue;
-    int sign = 0;
-    if (HasFriction(i)) {
-      const Eigen::RowVectorXd tangent = equations_.RowAt({i, true}, at);
-      const double speed = tangent.dot(v);
-      if (std::abs(speed) > kTouches * tangent.cwiseAbs().dot(v.cwiseAbs())) sign = speed > 0 ? 1 : -1;
-    }
     closing.contacts.push_back(i);
-    closing.sliding.push_back(sign);
+    closing.sliding.push_back(HasFriction(i) ? SlipSign(i, at, kTouches) : 0);
   }
   return closing;
 }
 
-MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode) const {
+int MechanicalHybrid::SlipSign(int contact, const Point& at, double zero) const {
+  const Eigen::Map<const Eigen::RowVectorXd> v(at.v, equations_.n());
+  const Eigen::RowVectorXd tangent = equations_.RowAt({contact, true}, at);
+  const double speed = tangent.dot(v);
+  if (std::abs(speed) <= zero * tangent.cwiseAbs().dot(v.cwiseAbs())) return 0;
+  return speed > 0 ? 1 : -1;
+}
+
+MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode, const Point& at) const {
   Closing closing;
-  for (const ClosedContact& contact : mode.closed) {
-    closing.contacts.push_back(contact.contact);
-    closing.sliding.push_back(SlidingSign(contact.status));
+  for (const auto& [contact, status] : mode.closed) {
+    closing.contacts.push_back(contact);
+    closing.sliding.push_back(status == 'n' && HasFriction(contact) ? SlipSign(contact, at, kTouches)
+                                                                    : SlidingSign(status));
   }
   return closing;
 }
@@ -285,20 +308,24 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
   Impact impact = HitWith(mode, contact, at, Restitution::kOwn);
   if (!impact.why.empty()) return impact;
   // Bounces that accumulate.
-  bool slow = false, fast = false;
+  bool fast = false;
+  std::vector<char> slow(impact.contacts.size());
   const Eigen::VectorXd after = impact.After();
   for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
-    if (!impact.rebounds[i]) continue;
-    (after[2 * static_cast<Eigen::Index>(i)] < options_.rest_speed ? slow : fast) = true;
+    // One that the impact of another opens, as where a body rocks, is slow as well.
+    if (impact.next[impact.contacts[i]] != 'o') continue;
+    const double speed = after[2 * static_cast<Eigen::Index>(i)];
+    slow[i] = speed > 0 && speed < options_.rest_speed;
+    fast = fast || (impact.rebounds[i] && !slow[i]);
   }
-  if (!slow || fast) return impact;
+  if (fast || std::ranges::count(slow, 1) == 0) return impact;
   // Where contacts are hit in turn, an impact of one parts the others: all of them close together.
   for (const Restitution restitution : {Restitution::kNone, Restitution::kNoneAndHeld}) {
     Impact plastic = HitWith(mode, contact, at, restitution);
     if (!plastic.why.empty()) continue;
     bool closes = true;
     for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
-      if (impact.rebounds[i]) closes = plastic.next[impact.contacts[i]] != 'o';
+      if (slow[i]) closes = plastic.next[impact.contacts[i]] != 'o';
     }
     // None is left that parts too slowly.
     const Eigen::VectorXd then = plastic.After();
@@ -324,7 +351,10 @@ Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const 
       momentum += impulse[row + 1] * equations_.RowAt({contacts[i], true}, at).transpose();
     }
   }
-  return Eigen::Map<const Eigen::VectorXd>(at.v, n) + equations_.Assemble({}, at).mass.Solve(momentum);
+  const Eigen::VectorXd change = equations_.Assemble({}, at).mass.Solve(momentum);
+  Eigen::VectorXd v = Eigen::Map<const Eigen::VectorXd>(at.v, n);
+  AddChange(change, change.cwiseAbs(), v);
+  return v;
 }
 
 MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
@@ -367,15 +397,24 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
   }
   std::vector<ContactSolution> solutions;
   if (law == Restitution::kNoneAndHeld) {
-    if (!(impact.before(Eigen::seq(0, Eigen::last, 2)).cwiseAbs().maxCoeff() < kMostHeld * options_.rest_speed)) {
+    const double slow = kMostHeld * options_.rest_speed;
+    if (!(impact.before(Eigen::seq(0, Eigen::last, 2)).cwiseAbs().maxCoeff() < slow)) {
       impact.why = "faster than what is held";
       return impact;
     }
-    solutions.push_back(HoldContacts(problem));
+    std::vector<char> sticks;
+    for (Eigen::Index i = 0; i < k; ++i) {
+      sticks.push_back(CanStick(impact.contacts[i], at.p) && std::abs(impact.before[2 * i + 1]) < slow);
+    }
+    solutions.push_back(HoldContacts(problem, sticks));
   } else {
     solutions = SolveContactProblem(problem);
   }
   const auto refuse = [&]() {
+    if (solutions.empty() && IsTooLarge(problem)) {
+      impact.why = TooLarge(impact.contacts.size());
+      return impact;
+    }
     impact.why = solutions.empty() ? "no_solution: no impulses satisfy the law of impact of"
                                    : "several_solutions: impulses that differ satisfy the law of impact of";
     for (const int i : impact.contacts) impact.why += " '" + ContactName(i) + "'";
@@ -422,15 +461,16 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     int sign = SlidingSign(impact.status[i]);
     if ((impact.status[i] == 'o' || impact.status[i] == 'n') && problem.has_friction[i]) {
       const double slip = after[2 * i + 1];
-      const double size = impact.W.row(2 * i + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
-      if (mode.status[number] != 's' || std::abs(slip) > kRests * size) sign = slip > 0 ? 1 : -1;
+      const double size = impact.W.row(2 * i + 1).cwiseAbs().dot(impact.impulse.cwiseAbs()) + problem.terms[2 * i + 1];
+      sign = std::abs(slip) <= kRests * size ? 0 : slip > 0 ? 1 : -1;
     }
     closing.sliding.push_back(sign);
   }
-  for (const ClosedContact& other : mode.closed) {
-    if (takes_part[other.contact] != 0) continue;
-    closing.contacts.push_back(other.contact);
-    closing.sliding.push_back(SlidingSign(other.status));
+  const Closing closed = ClosedOf(mode, at);
+  for (std::size_t i = 0; i < closed.contacts.size(); ++i) {
+    if (takes_part[closed.contacts[i]] != 0) continue;
+    closing.contacts.push_back(closed.contacts[i]);
+    closing.sliding.push_back(closed.sliding[i]);
   }
   Point then = at;
   then.v = impact.v_plus.data();
@@ -483,6 +523,56 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::MotionOf(const Mode& mode, cons
   return motion;
 }
 
+MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
+    const Mode& mode, const Point& at, std::span<const MechanicalEquations::Seeds> passes) const {
+  const MechanicalEquations::System system = equations_.Assemble(mode.closed, at, !passes.empty());
+  ClosedMotion motion;
+  Eigen::VectorXd terms;
+  equations_.Accelerate(system, at, &motion.a, &motion.force, &terms);
+  const Eigen::Index size = motion.force.size();
+  motion.stresses.resize(size, 0);
+  const Eigen::MatrixXd matrix = Multiply(system.G, system.mobile_F);
+  ForceLimits limits;
+  ForceSplit split;
+  // Limits of the forces, and their derivatives by the seeds while the forces are held.
+  std::vector<UnknownForces> unknown;
+  Eigen::Index sticking = static_cast<Eigen::Index>(mode.closed.size());
+  for (const ClosedContact& contact : mode.closed) {
+    const bool sticks = contact.status == 's';
+    unknown.push_back({.normal = static_cast<Eigen::Index>(unknown.size()),
+                       .tangent = sticks ? sticking++ : -1,
+                       .friction = sticks ? functions_->Friction(contact.contact, at.p) : 0.0});
+  }
+  if (mode.closed.size() > 1) motion.stresses = InternalStresses(matrix);
+  if (motion.stresses.cols() > 0) {
+    limits = LimitsOf(unknown, size);
+    split = SplitForces(motion.force, motion.stresses, limits, unknown);
+    motion.force = split.force;
+  }
+  motion.tolerance = ForceTolerances(matrix, motion.force, terms);
+  for (const MechanicalEquations::Seeds& seeds : passes) {
+    motion.derivatives.push_back(equations_.AccelerationDerivative(system, mode.closed, seeds, motion.a, motion.force));
+    if (split.tight.empty()) continue;
+    Block by_limits = limits.rows * motion.derivatives.back().force;
+    Eigen::Index row = 0;
+    for (std::size_t i = 0; i < unknown.size(); ++i) {
+      ++row;
+      if (unknown[i].tangent < 0) continue;
+      const Jet friction = functions_->Friction(mode.closed[i].contact, seeds.p.data());
+      for (int side = 0; side < 2; ++side) {
+        by_limits.row(row++) += motion.force[unknown[i].normal] * friction.v.transpose();
+      }
+    }
+    Eigen::MatrixXd right = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(split.tight.size()), by_limits.cols());
+    for (std::size_t i = 0; i < split.tight.size(); ++i) {
+      if (split.tight[i] >= 0) right.row(static_cast<Eigen::Index>(i)) = -by_limits.row(split.tight[i]);
+    }
+    motion.derivatives.back().force +=
+        motion.stresses * SolveLuColumns(split.by_stress, right).topRows(motion.stresses.cols());
+  }
+  return motion;
+}
+
 MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded& guarded, const Point& at,
                                                  const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion,
                                                  std::size_t pass) const {
@@ -502,20 +592,31 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
     }
     if (mode.closed[i].status == 's') ++tangential;
   }
+  // A force that is at its limit but for rounding is at it, on both sides.
+  const auto limit = [&](Jet left) {
+    double tolerance = motion.tolerance[static_cast<Eigen::Index>(normal)];
+    if (mode.status[contact] == 's') {
+      tolerance = std::max(tolerance, motion.tolerance[static_cast<Eigen::Index>(tangential)]);
+    }
+    if (std::abs(left.a) <= tolerance) left.a = 0;
+    return left;
+  };
   switch (guarded.what) {
     case What::kHit:
       return functions_->Gap(contact, seeds.q.data(), seeds.p.data());
     case What::kOff:
-      return force(normal);
+      return limit(force(normal));
     case What::kStop:
       return static_cast<double>(SlidingSign(mode.status[contact])) *
              equations_.RateAlong({contact, true}, seeds.q.data(), seeds.v.data(), seeds.p.data());
     case What::kEnd:
       return functions_->Reach(contact, seeds.q.data(), seeds.p.data());
     case What::kBreakBack:
-      return functions_->Friction(contact, seeds.p.data()) * force(normal) - force(tangential);
+      return limit(functions_->Friction(contact, seeds.p.data()) * force(normal) - force(tangential));
     case What::kBreakOn:
-      return functions_->Friction(contact, seeds.p.data()) * force(normal) + force(tangential);
+      return limit(functions_->Friction(contact, seeds.p.data()) * force(normal) + force(tangential));
+    case What::kGrip:
+      return -functions_->Friction(contact, seeds.p.data());
     default:
       return equations_.Pressability(mode.closed[normal], seeds, at);
   }
@@ -540,7 +641,7 @@ double MechanicalHybrid::Guard(const ModePoint& from, int guard) const {
   const OnMode on = Projected(of, PointAt(from));
   if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
   ClosedMotion motion;
-  if (NeedsForces(guarded)) motion = MotionOf(of, on.at);
+  if (NeedsForces(guarded)) motion = ForcedMotion(of, on.at);
   return GuardJet(of, guarded, on.at, equations_.SeedColumns(on.at, 1)[0], motion, 0).a;
 }
 
@@ -561,7 +662,7 @@ double MechanicalHybrid::GuardRate(const ModePoint& from, int guard, const doubl
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
   if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
-  if (NeedsForces(guarded)) motion = MotionOf(of, on.at, {&seeds, 1});
+  if (NeedsForces(guarded)) motion = ForcedMotion(of, on.at, {&seeds, 1});
   const GuardValue found = GuardAlong(of, guarded, on.at, equations_.PathAlong(on.at.q, xdot, on.at.p), seeds, motion);
   *rate = found.rate;
   return found.value;
@@ -574,7 +675,7 @@ void MechanicalHybrid::GuardRates(const ModePoint& from, const double* xdot, Gua
   ClosedMotion motion;
   if (!of.closed.empty()) {
     seeds = equations_.SeedDirection(on.at, xdot);
-    motion = MotionOf(of, on.at, {&seeds, 1});
+    motion = ForcedMotion(of, on.at, {&seeds, 1});
   }
   const MechanicalEquations::TimePath<double> path = equations_.PathAlong(on.at.q, xdot, on.at.p);
   for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
@@ -606,7 +707,7 @@ void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded>
   }
   const OnMode on = Projected(mode, from, columns);
   ClosedMotion motion;
-  if (std::any_of(guards.begin(), guards.end(), NeedsForces)) motion = MotionOf(mode, on.at, on.passes);
+  if (std::any_of(guards.begin(), guards.end(), NeedsForces)) motion = ForcedMotion(mode, on.at, on.passes);
   for (std::size_t pass = 0; pass < on.passes.size(); ++pass) {
     const int first = static_cast<int>(pass) * MechanicalEquations::kWidth;
     for (std::size_t guard = 0; guard < guards.size(); ++guard) {
@@ -627,19 +728,18 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
       *impact = Hit(mode, guarded.contact, at);
       *why = impact->why;
       return impact->next;
-    case What::kOff:
     case What::kEnd:
       next[guarded.contact] = 'o';
       return next;
+    case What::kOff:
     case What::kBreakBack:
-      next[guarded.contact] = '-';
-      return next;
     case What::kBreakOn:
-      next[guarded.contact] = '+';
-      return next;
+      return StatusPastLimit(mode, guarded, at, why);
+    case What::kGrip:
+      return Close(next, ClosedOf(mode, at), at, why);
     case What::kStop: {
       // Others may stop with it: by chance, or as the corners of one body must, of which no speed is left to compare.
-      Closing closing = ClosedOf(mode);
+      Closing closing = ClosedOf(mode, at);
       std::vector<ClosedContact> stopped = mode.closed;
       for (ClosedContact& other : stopped) {
         if (other.contact == guarded.contact) {
@@ -669,6 +769,30 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
   }
 }
 
+// The status after a force has reached its limit. Where forces are unique the contact opens or slides; where they are
+// not, several reach their limits at once, and the problem of accelerations shortly after says which contacts do.
+std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at,
+                                              std::string* why) const {
+  const int n = equations_.n();
+  std::vector<double> xdot(at.v, at.v + n);
+  const ClosedMotion now = ForcedMotion(mode, at);
+  xdot.insert(xdot.end(), now.a.data(), now.a.data() + n);
+  if (now.stresses.cols() > 0) {
+    const MechanicalEquations::Seeds seeds = equations_.SeedDirection(at, xdot.data());
+    const Jet left = GuardJet(mode, guarded, at, seeds, ForcedMotion(mode, at, {&seeds, 1}), 0);
+    if (left.v[0] < 0) {
+      const double later = kPast * now.tolerance.maxCoeff() / -left.v[0];
+      std::vector<double> x(at.q, at.q + n);
+      x.insert(x.end(), at.v, at.v + n);
+      for (int i = 0; i < 2 * n; ++i) x[i] += later * xdot[i];
+      return Close(mode.status, ClosedOf(mode, at), PointAt(at.t + later, x.data(), at.u, at.p), why);
+    }
+  }
+  std::string next = mode.status;
+  next[guarded.contact] = guarded.what == What::kOff ? 'o' : guarded.what == What::kBreakBack ? '-' : '+';
+  return next;
+}
+
 int MechanicalHybrid::Reset(const ModePoint& from, int guard, double* x_plus) const {
   const Mode& of = ModeAt(from.mode);
   Impact impact;
@@ -682,7 +806,8 @@ int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Po
   std::string why;
   const std::string next = NextStatus(mode, guarded, at, impact, &why);
   const bool strikes = impact->v_plus.size() > 0;
-  if (!why.empty() && !strikes) return -1;
+  // Forces grow without bounds towards a jam, where steps that are too long find one that is none.
+  if (!why.empty() && !strikes) return guarded.what == What::kJam ? -2 : -1;
   std::copy_n(at.q, n, x_plus);
   std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
   return why.empty() ? ModeOf(next) : -1;
@@ -792,7 +917,7 @@ std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const 
   const OnMode on = Projected(of, PointAt(from));
   std::string why;
   if (guard < 0) {
-    Close(of.status, ClosedOf(of), on.at, &why);
+    Close(of.status, ClosedOf(of, on.at), on.at, &why);
   } else {
     Impact impact;
     NextStatus(of, of.guards[guard], on.at, &impact, &why);
@@ -800,8 +925,22 @@ std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const 
   return why;
 }
 
+std::string MechanicalHybrid::ForcesAtLimits(const Mode& mode, const Point& at) const {
+  if (std::ranges::none_of(mode.guards, NeedsForces)) return "";
+  const ClosedMotion motion = ForcedMotion(mode, at);
+  const MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, 1)[0];
+  std::string why;
+  for (const Guarded& guarded : mode.guards) {
+    if (!NeedsForces(guarded) || GuardJet(mode, guarded, at, seeds, motion, 0).a != 0) continue;
+    why += (why.empty() ? "the force of contact '" : "; the force of contact '") + ContactName(guarded.contact) +
+           (guarded.what == What::kOff ? "' is zero" : "' is at the limit of friction") + " at t = " + Text(at.t);
+  }
+  return why;
+}
+
 std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) const {
   const Mode& of = ModeAt(from.mode);
+  if (guard < 0) return ForcesAtLimits(of, PointAt(from));
   if (of.guards[guard].what != Guarded::What::kHit) return "";
   const OnMode on = Projected(of, PointAt(from));
   const Impact impact = Hit(of, of.guards[guard].contact, on.at);
@@ -864,20 +1003,24 @@ std::vector<int> MechanicalHybrid::NextModes(int mode, int guard, const double* 
   switch (of.guards[guard].what) {
     case What::kHit:
       if (functions_->Restitution(contact, p) > 0) return {mode};
-      add(contact, HasFriction(contact) ? "s+-" : "n");
+      add(contact, CanStick(contact, p) ? "s+-" : HasFriction(contact) ? "n+-" : "n");
       break;
     case What::kOff:
     case What::kEnd:
       add(contact, "o");
       break;
     case What::kStop:
-      add(contact, of.status[contact] == '+' ? "s-" : "s+");
+      add(contact, CanStick(contact, p) ? "s" : "n");
+      add(contact, of.status[contact] == '+' ? "-" : "+");
       break;
     case What::kBreakBack:
       add(contact, "-");
       break;
     case What::kBreakOn:
       add(contact, "+");
+      break;
+    case What::kGrip:
+      add(contact, "s+-o");
       break;
     case What::kJam:
       break;
@@ -889,7 +1032,8 @@ int MechanicalHybrid::ModeUnder(const ModePoint& from) const {
   const Mode& of = ModeAt(from.mode);
   if (of.closed.empty()) return from.mode;
   std::string why;
-  const std::string next = Close(of.status, ClosedOf(of), PointAt(from), &why);
+  const Point at = PointAt(from);
+  const std::string next = Close(of.status, ClosedOf(of, at), at, &why);
   return why.empty() ? ModeOf(next) : -1;
 }
 

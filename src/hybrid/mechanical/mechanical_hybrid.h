@@ -35,6 +35,7 @@ class MechanicalHybrid final : public HybridFunctions {
       kBreakOn,        // mu f_n + f_t, behind which it slides with v_t > 0
       kEnd,            // the end of what the gap is measured from
       kJam,            // N M^-1 (N^T - mu sigma T^T)
+      kGrip,           // -mu of a contact that is closed as without friction
     } what = What::kHit;
     int contact = 0;
   };
@@ -72,6 +73,18 @@ class MechanicalHybrid final : public HybridFunctions {
     Eigen::VectorXd After() const { return before + W * impulse; }
   };
   Impact Hit(const Mode& mode, int contact, const Point& at) const;
+
+  // Accelerations and forces of the closed contacts of a mode, and their derivatives by the seeds of each pass.
+  struct ClosedMotion {
+    Eigen::VectorXd a, force;
+    std::vector<MechanicalEquations::Derivative> derivatives;
+    // Only of ForcedMotion.
+    Eigen::VectorXd tolerance;  // of each force: ForceTolerances
+    Eigen::MatrixXd stresses;   // InternalStresses
+  };
+  // Forces as they are compared with their limits: those that are not unique are those of SplitForces.
+  ClosedMotion ForcedMotion(const Mode& mode, const Point& at,
+                            std::span<const MechanicalEquations::Seeds> passes = {}) const;
 
   // A point on the equations of a mode.
   struct OnMode {
@@ -141,22 +154,21 @@ class MechanicalHybrid final : public HybridFunctions {
   using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
 
   bool HasFriction(int contact) const { return functions_->layout().has_friction[contact] != 0; }
+  bool CanStick(int contact, const double* p) const {
+    return HasFriction(contact) && functions_->Friction(contact, p) > 0;
+  }
   // W and the velocities or accelerations of contacts, as in ContactProblem.
   ContactProblem ProblemOf(const std::vector<int>& contacts, const Point& at) const;
-  // Of contacts that hit: their own; none; none, and all contacts that take part are held closed, without friction.
+  // Of contacts that hit: their own; none; none, and all contacts that take part are held closed, and at rest where
+  // they are slow.
   enum class Restitution { kOwn, kNone, kNoneAndHeld };
   Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
-  // Accelerations and forces, and their derivatives by the seeds of each pass.
-  struct ClosedMotion {
-    Eigen::VectorXd a, force;
-    std::vector<MechanicalEquations::Derivative> derivatives;
-  };
   void CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const;
   static bool NeedsForces(const Guarded& guarded);
   ClosedMotion MotionOf(const Mode& mode, const Point& at,
                         std::span<const MechanicalEquations::Seeds> passes = {}) const;
-  // The guard and its derivatives by the seeds of a pass. `motion` is read where NeedsForces.
+  // The guard and its derivatives by the seeds of a pass. `motion` is that of ForcedMotion, and read where NeedsForces.
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion& motion, std::size_t pass) const;
   void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from, double* values,
@@ -169,7 +181,12 @@ class MechanicalHybrid final : public HybridFunctions {
   int ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact, double* x_plus) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
-  Closing ClosedOf(const Mode& mode) const;
+  // Why a mode with these forces has only one-sided derivatives.
+  std::string ForcesAtLimits(const Mode& mode, const Point& at) const;
+  std::string StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at, std::string* why) const;
+  Closing ClosedOf(const Mode& mode, const Point& at) const;
+  // The sign of v_t; zero if it is no more than this part of its terms.
+  int SlipSign(int contact, const Point& at, double zero) const;
 
   const std::shared_ptr<const MechanicalFunctions> functions_;
   const MechanicalOptions options_;

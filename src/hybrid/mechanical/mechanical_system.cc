@@ -90,9 +90,8 @@ MechanicalSystem::Motion MechanicalSystem::MotionIn(int mode, std::span<const do
                                                     std::span<const double> p, double t) const {
   const MechanicalHybrid::Point at = modes_->PointAt(t, x.data(), u.data(), p.data());
   const MechanicalHybrid::Mode& of = modes_->ModeAt(mode);
-  const MechanicalEquations::System system = modes_->equations().Assemble(of.closed, at);
-  Eigen::VectorXd a, force;
-  modes_->equations().Accelerate(system, at, &a, &force);
+  const MechanicalHybrid::ClosedMotion found = modes_->ForcedMotion(of, at);
+  const Eigen::VectorXd &a = found.a, &force = found.force;
   Motion motion;
   motion.acceleration.assign(a.data(), a.data() + a.size());
   motion.normal.assign(of.status.size(), 0.0);

@@ -1,0 +1,456 @@
+// Bodies that come to rest or rest from the start: rocking, corners, limits of friction, contacts without friction,
+// forces that are not unique, and many contacts at once.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "campaign/resting_boxes.h"
+#include "saltus/hybrid/hybrid_simulator.h"
+#include "saltus/hybrid/mechanical_system.h"
+#include "saltus/hybrid/rigid_bodies.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr double kGravity = 9.81;
+
+// ---------------------------------------------------------------------------------------------------------------------
+// A block of point mass on the ground, pushed along it by u. p = [friction].
+struct PushedBlock {
+  double mass = 1;
+  static constexpr int kNumCoordinates = 2, kNumControls = 1, kNumParameters = 1, kNumContacts = 1;
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(mass);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
+    h[0] = u[0];
+    h[1] = T(-10.0 * mass);
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[1];
+  }
+  template <typename T>
+  T Slide(int, const T* q, const T*) const {
+    return q[0];
+  }
+  template <typename T>
+  T Friction(int, const T* p) const {
+    return p[0];
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+};
+
+struct BlockMotion {
+  std::string mode, why, why_no_derivative;
+  int steps = 0;
+  double x = 0, by_push = 0, by_start = 0;
+};
+BlockMotion Push(double mass, double friction, double push, double x0) {
+  const MechanicalSystem system{PushedBlock{mass}};
+  const std::vector<double> x{x0, 0, 0, 0}, u{push}, p{friction};
+  const MechanicalSystem::Start start = system.FindMode(x, u, p);
+  BlockMotion motion;
+  motion.why = start.why;
+  if (start.mode < 0) return motion;
+  motion.mode = system.hybrid().ModeName(start.mode);
+  HybridSimulator simulator(system.hybrid());
+  if (!simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u})) {
+    motion.why = simulator.WhyFailed();
+    return motion;
+  }
+  motion.steps = simulator.steps_per_interval();
+  motion.x = simulator.final_state()[0];
+  motion.why_no_derivative = simulator.WhyNotDifferentiable();
+  const HybridGradient gradient = simulator.Adjoint(std::vector<double>{1, 0, 0, 0});
+  motion.by_push = gradient.control[0];
+  motion.by_start = gradient.initial[0];
+  return motion;
+}
+
+TEST(StuckBlock, StaysAtOnceWhereverItIs) {
+  for (const double x0 : {0.0, 1.0, -3e-9, 1e6}) {
+    for (const double push : {0.0, 1.0, 5.0, -5.0, 6.7999, -6.7999}) {
+      const BlockMotion motion = Push(1.7, 0.4, push, x0);
+      EXPECT_EQ(motion.why, "") << x0 << " " << push;
+      EXPECT_EQ(motion.mode, "s") << x0 << " " << push;
+      EXPECT_EQ(motion.x, x0) << push;
+      EXPECT_LE(motion.steps, 32) << x0 << " " << push;
+      EXPECT_EQ(motion.by_push, 0) << x0 << " " << push;
+      EXPECT_EQ(motion.by_start, 1) << x0 << " " << push;
+    }
+  }
+}
+
+// Whatever the distance from the limit, the mode that is found has a motion, and both have the same friction.
+TEST(StuckBlock, TheLimitOfFrictionIsThatOfTheMotion) {
+  for (double off = 1e-15; off < 1e-2; off *= 6.3) {
+    for (const double side : {-1.0, 1.0}) {
+      for (const double sign : {-1.0, 1.0}) {
+        const double push = sign * 5 * (1 + side * off);
+        const BlockMotion motion = Push(1, 0.5, push, 0);
+        ASSERT_EQ(motion.why, "") << push - 5;
+        const bool slides = side > 0 && off > 2e-12;
+        if (off > 2e-12 || side < 0) {
+          EXPECT_EQ(motion.mode, !slides ? "s" : sign > 0 ? "+" : "-") << off;
+        }
+        EXPECT_NEAR(motion.x, motion.mode == "s" ? 0 : 0.5 * (push - 5 * sign), 1e-15) << off;
+        EXPECT_NEAR(motion.by_push, motion.mode == "s" ? 0 : 0.5, 1e-12) << off;
+      }
+    }
+  }
+}
+
+TEST(ContactsWithoutFriction, NeverStick) {
+  for (const double push : {0.0, 1e-9, -1e-6, 1e-3, -2.0}) {
+    const BlockMotion motion = Push(1, 0, push, 0);
+    ASSERT_EQ(motion.why, "");
+    EXPECT_THAT(motion.mode, testing::Not(HasSubstr("s")));
+    EXPECT_NEAR(motion.x, 0.5 * push, 1e-14);
+    EXPECT_NEAR(motion.by_push, 0.5, 1e-13) << push;
+  }
+  // Friction that is not zero is refused in the mode without.
+  const MechanicalSystem system{PushedBlock()};
+  HybridSimulator simulator(system.hybrid());
+  EXPECT_FALSE(
+      simulator.Rollout({.mode = system.Mode("n"), .initial = {0, 0, 0, 0}, .parameters = {0.1}, .duration = 1}));
+  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("grip"));
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Point masses on rails, coupled by springs and by their mass matrix; some rails have friction. q = [x_i y_i].
+struct Sliders {
+  int count = 3;
+  std::vector<double> friction, mass, stiffness;
+  double coupling = 0;
+
+  MechanicalLayout Layout() const {
+    return {.num_coordinates = 2 * count, .num_controls = count, .num_parameters = 0, .num_contacts = count};
+  }
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    const int n = 2 * count;
+    for (int i = 0; i < n * n; ++i) M[i] = T(0.0);
+    for (int i = 0; i < count; ++i) {
+      M[2 * i * (n + 1)] = M[(2 * i + 1) * (n + 1)] = T(mass[i]);
+      if (i == 0) continue;
+      M[2 * i * n + 2 * i - 2] = M[(2 * i - 2) * n + 2 * i] = T(coupling);
+    }
+  }
+  template <typename T>
+  void Force(const T&, const T* q, const T*, const T* u, const T*, T* h) const {
+    for (int i = 0; i < count; ++i) {
+      h[2 * i] = u[i];
+      h[2 * i + 1] = T(-10.0 * mass[i]);
+      if (i > 0) h[2 * i] -= stiffness[i] * (q[2 * i] - q[2 * i - 2]);
+      if (i + 1 < count) h[2 * i] -= stiffness[i + 1] * (q[2 * i] - q[2 * i + 2]);
+    }
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return q[2 * contact + 1];
+  }
+  template <typename T>
+  T Slide(int contact, const T* q, const T*) const {
+    return q[2 * contact];
+  }
+  template <typename T>
+  T Friction(int contact, const T*) const {
+    return T(friction[contact]);
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+};
+
+// At rest without a push, masses on rails without friction move under any push, and those with friction do not: the
+// derivative is that of the free masses alone, here by differences of the motion under pushes of them.
+TEST(ContactsWithoutFriction, RandomSystemsHaveTheDerivativeOfTheirMotion) {
+  std::mt19937 random(7);
+  const auto uniform = [&](double low, double high) { return low + (high - low) * (random() / 4294967296.0); };
+  int compared = 0;
+  for (int number = 0; number < 4; ++number) {
+    Sliders sliders;
+    sliders.count = 2 + number % 5;
+    sliders.coupling = uniform(-0.2, 0.2);
+    for (int i = 0; i < sliders.count; ++i) {
+      sliders.friction.push_back(random() % 2 == 0 ? 0 : uniform(0.1, 1));
+      sliders.mass.push_back(uniform(0.6, 2));
+      sliders.stiffness.push_back(uniform(0, 30));
+    }
+    const MechanicalSystem system{sliders};
+    HybridInput input{.initial = std::vector<double>(4 * sliders.count), .duration = 0.7};
+    // Springs are at rest where all are at one place.
+    for (int i = 0; i < sliders.count; ++i) input.initial[2 * i] = 0.5;
+    std::vector<double> control(sliders.count);
+    const auto end = [&](HybridSimulator& simulator) {
+      const MechanicalSystem::Start start = system.FindMode(input.initial, control, {});
+      EXPECT_EQ(start.why, "") << number;
+      input.mode = std::max(start.mode, 0);
+      input.control = control;
+      EXPECT_TRUE(simulator.Rollout(input)) << number << simulator.WhyFailed();
+      return std::vector<double>(simulator.final_state().begin(), simulator.final_state().end());
+    };
+    HybridSimulator simulator(system.hybrid());
+    end(simulator);
+    const HybridSensitivity sensitivity = simulator.Sensitivity();
+    const int n = 4 * sliders.count;
+    for (int j = 0; j < sliders.count; ++j) {
+      HybridSimulator other(system.hybrid());
+      constexpr double kStep = 1e-4;
+      control[j] = kStep;
+      const std::vector<double> on = end(other);
+      control[j] = -kStep;
+      other.ChooseStepsAnew();
+      const std::vector<double> back = end(other);
+      control[j] = 0;
+      for (int i = 0; i < n; ++i) {
+        const double by = sensitivity.final_state[static_cast<std::size_t>(i) * sensitivity.columns + n + j];
+        EXPECT_NEAR(by, (on[i] - back[i]) / (2 * kStep), 1e-8) << number << ": " << i << " by " << j;
+        ++compared;
+      }
+    }
+  }
+  EXPECT_GT(compared, 100);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// A block of point mass in the corner of a rough floor and a wall. p = [friction of the floor].
+struct BlockInCorner {
+  double wall_friction = 0;
+  static constexpr int kNumCoordinates = 2, kNumControls = 1, kNumParameters = 1, kNumContacts = 2;
+  static constexpr std::array<const char*, 2> kContactNames = {"floor", "wall"};
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(1.7);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
+    h[0] = u[0];
+    h[1] = T(-1.7 * kGravity);
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return contact == 0 ? q[1] : q[0];
+  }
+  template <typename T>
+  T Slide(int contact, const T* q, const T*) const {
+    return contact == 0 ? q[0] : q[1];
+  }
+  template <typename T>
+  T Friction(int contact, const T* p) const {
+    return contact == 0 ? p[0] : T(wall_friction);
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0.0);
+  }
+};
+
+TEST(BlockInCorner, StaysUnderEveryPushThatFrictionOrTheWallHolds) {
+  for (const double wall_friction : {0.0, 0.2, 1.5}) {
+    const MechanicalSystem system{BlockInCorner{wall_friction}};
+    for (const double push : {0.0, 1.0, 5.0, 6.67, -1.0, -5.0, -12.0, -100.0}) {
+      const std::vector<double> x{0, 0, 0, 0}, u{push}, p{0.4};
+      const MechanicalSystem::Start start = system.FindMode(x, u, p);
+      ASSERT_EQ(start.why, "") << wall_friction << " " << push;
+      HybridSimulator simulator(system.hybrid());
+      ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u}))
+          << wall_friction << " " << push << simulator.WhyFailed();
+      EXPECT_THAT(simulator.final_state(), testing::Each(0.0)) << wall_friction << " " << push;
+      EXPECT_LE(simulator.steps_per_interval(), 32);
+      for (const double entry : simulator.Sensitivity().final_state) EXPECT_TRUE(std::isfinite(entry));
+    }
+    // Beyond the limit it leaves the wall.
+    const std::vector<double> x{0, 0, 0, 0}, u{7}, p{0.4};
+    const MechanicalSystem::Start start = system.FindMode(x, u, p);
+    ASSERT_EQ(start.why, "");
+    HybridSimulator simulator(system.hybrid());
+    ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u}))
+        << simulator.WhyFailed();
+    EXPECT_NEAR(simulator.final_state()[0], 0.5 * (7 / 1.7 - 0.4 * kGravity), 1e-13);
+  }
+}
+
+// It slides into the corner, and rests there; without friction of the floor too.
+TEST(BlockInCorner, ComesToRestInIt) {
+  for (const double wall_friction : {0.0, 0.2}) {
+    for (const double floor : {0.0, 0.4}) {
+      const MechanicalSystem system{BlockInCorner{wall_friction}};
+      HybridSimulator simulator(system.hybrid());
+      const std::vector<double> x{0.3, 0, -2, 0}, p{floor};
+      const MechanicalSystem::Start start = system.FindMode(x, std::vector<double>{0}, p);
+      ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1}))
+          << wall_friction << simulator.WhyFailed();
+      ASSERT_FALSE(simulator.events().empty());
+      const double a = floor * kGravity;
+      const double time = floor == 0 ? 0.15 : (2 - std::sqrt(4 - 2 * a * 0.3)) / a;
+      EXPECT_NEAR(simulator.events()[0].time, time, 1e-13);
+      for (const double entry : simulator.final_state()) EXPECT_NEAR(entry, 0, 1e-15);
+      for (const double entry : simulator.Sensitivity().final_state) EXPECT_TRUE(std::isfinite(entry));
+    }
+  }
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Boxes that rock, tumble and rest.
+
+// Each rocking is a quarter as fast as the last: the times add up. The values are those of the problem of Housner.
+TEST(RockingBox, LiesStillAtTheEnd) {
+  const auto box = [](double restitution) {
+    return RigidBodies2D(
+        {.bodies =
+             {{.name = "box", .polygon = BoxPolygon(0.05, 0.05), .position = {0, 0.06254283478934728}, .angle = 0.3}},
+         .planes = {{}},
+         .restitution = restitution,
+         .friction = 1});
+  };
+  for (const double restitution : {0.0, 0.3}) {
+    const RigidBodies2D scene = box(restitution);
+    const MechanicalSystem system(scene);
+    const std::vector<double> initial = scene.InitialState(), p = scene.Parameters();
+    const MechanicalSystem::Start start = system.FindMode(initial, {}, p);
+    ASSERT_EQ(start.why, "");
+    HybridSimulator simulator(system.hybrid());
+    ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = initial, .parameters = p, .duration = 1}))
+        << simulator.WhyFailed();
+    EXPECT_TRUE(Rests(simulator.final_state(), 0)) << restitution;
+    if (restitution > 0) continue;
+    EXPECT_NEAR(simulator.final_state()[0], 0.05 - 0.05 * std::cos(0.3) + 0.05 * std::sin(0.3), 1e-11);
+    EXPECT_NEAR(simulator.final_state()[1], 0.05, 1e-15);
+    EXPECT_NEAR(simulator.final_state()[2], 0, 1e-15);
+    EXPECT_NEAR(simulator.events().back().time, 0.162123749473585, 1e-5);
+    EXPECT_LT(simulator.events().size(), 60u);
+  }
+}
+
+TEST(TumblingCube, TipsAndRests) {
+  for (const double friction : {1.1, 1.2}) {
+    for (const double restitution : {0.0, 0.3}) {
+      for (const double speed : {1.0, 2.0, 3.0, 4.0, 6.0}) {
+        SCOPED_TRACE(Line("friction %g, restitution %g, speed %g", friction, restitution, speed));
+        const RigidBodies2D scene(
+            {.bodies =
+                 {{.name = "cube", .polygon = BoxPolygon(0.05, 0.05), .position = {0, 0.05}, .velocity = {speed, 0}}},
+             .planes = {{}},
+             .restitution = restitution,
+             .friction = friction});
+        const MechanicalSystem system(scene);
+        HybridInput input{.initial = scene.InitialState(), .parameters = scene.Parameters(), .duration = 2};
+        const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
+        ASSERT_EQ(start.why, "");
+        input.mode = start.mode;
+        HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 400, .most_events = 2000});
+        ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+        RestingReport report;
+        CheckMotion(scene, system, simulator, input, &report);
+        EXPECT_EQ(report.wrong, "");
+        EXPECT_TRUE(Rests(simulator.final_state(), 0));
+      }
+    }
+  }
+}
+
+TEST(RestingBoxes, TossesEndAtRest) {
+  int rests = 0, refused = 0;
+  for (int seed = 1; seed <= 20; ++seed) {
+    const RestingReport report = TossUntilRest(seed).Run(/*compare=*/false);
+    EXPECT_EQ(report.wrong, "") << seed;
+    refused += report.refused.empty() ? 0 : 1;
+    rests += report.rests ? 1 : 0;
+  }
+  EXPECT_EQ(refused, 0);
+  EXPECT_GE(rests, 14);
+}
+
+TEST(RestingBoxes, ScenesInEquilibriumRest) {
+  for (int seed = 1; seed <= 50; ++seed) {
+    const RestingReport report = RestingScene(seed).Run();
+    EXPECT_EQ(report.refused, "") << seed;
+    EXPECT_EQ(report.wrong, "") << seed;
+  }
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Columns of bodies that touch: coordinates are heights. p = [restitution].
+struct Column {
+  int count = 2;
+  double radius = 0.005;
+
+  MechanicalLayout Layout() const {
+    return {.num_coordinates = count, .num_controls = 0, .num_parameters = 1, .num_contacts = count};
+  }
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    for (int i = 0; i < count * count; ++i) M[i] = T(i % (count + 1) == 0 ? 1.0 : 0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T*, const T*, T* h) const {
+    for (int i = 0; i < count; ++i) h[i] = T(-kGravity);
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return contact == 0 ? q[0] - radius : q[contact] - q[contact - 1] - 2 * radius;
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[0];
+  }
+};
+
+// Contacts that neither open nor carry a force stay closed in free fall: the column bounces as one body.
+TEST(Columns, FallAndBounceAsOneBodyWhateverTheirNumber) {
+  for (const int count : {2, 3, 4, 5, 6, 7, 8}) {
+    SCOPED_TRACE(count);
+    const MechanicalSystem system{Column{count}};
+    HybridInput input{.initial = std::vector<double>(2 * count), .parameters = {0.8}, .duration = 0.2};
+    for (int i = 0; i < count; ++i) input.initial[i] = 0.055 + 0.01 * i;
+    const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
+    ASSERT_EQ(start.why, "");
+    EXPECT_EQ(system.hybrid().ModeName(start.mode), "o" + std::string(count - 1, 'n'));
+    input.mode = start.mode;
+    HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 32, .most_events = 200});
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    const double fall = std::sqrt(2 * 0.05 / kGravity), left = 0.2 - fall, speed = 0.8 * kGravity * fall;
+    for (int i = 0; i < count; ++i) {
+      EXPECT_NEAR(simulator.final_state()[i], 0.005 + 0.01 * i + speed * left - 0.5 * kGravity * left * left, 1e-12);
+    }
+  }
+}
+
+TEST(Columns, Rest) {
+  for (const int count : {2, 5, 6, 12, 20}) {
+    SCOPED_TRACE(count);
+    const MechanicalSystem system{Column{count}};
+    HybridInput input{.initial = std::vector<double>(2 * count), .parameters = {0.5}, .duration = 1};
+    for (int i = 0; i < count; ++i) input.initial[i] = 0.005 + 0.01 * i;
+    const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
+    ASSERT_EQ(start.why, "");
+    EXPECT_EQ(system.hybrid().ModeName(start.mode), std::string(count, 'n'));
+    input.mode = start.mode;
+    HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 16});
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    for (std::size_t i = 0; i < input.initial.size(); ++i) {
+      EXPECT_NEAR(simulator.final_state()[i], input.initial[i], 1e-15);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace saltus
