@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "saltus/audit/audit.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -58,6 +59,32 @@ TEST(WidthSweep, FindsNothingAgainstRightAndConsistentGradients) {
     }
   }
   EXPECT_EQ(SweepWidths("direct_toi", ProblemScene("bounce_once")).verdict, Verdict::kUnknown);
+}
+
+// Wide differences across another sequence of impacts may be farther from the exact value than a gradient that is
+// wrong.
+TEST(WidthSweep, DifferencesFartherFromTheExactValueAreNoEvidence) {
+  const Scene scene = ProblemScene("two_balls");
+  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  ASSERT_TRUE(exact);
+  const double value = exact->gradient.initial[0];
+  for (const auto& [wide, finding] :
+       {std::pair{value + 13, WidthFinding::kFarther}, std::pair{value + 0.1, WidthFinding::kOfNeither}}) {
+    WidthSweepStudy study;
+    study.verdict = Verdict::kWrong;
+    WidthSweep& sweep = study.sweeps.emplace_back();
+    sweep.entry = "px striker";
+    sweep.gradient = value + 1;
+    sweep.wide = wide;
+    sweep.finding = WidthFinding::kOfNeither;
+    CompareWithExact(scene, *exact, &study);
+    EXPECT_EQ(sweep.exact, value);
+    EXPECT_EQ(sweep.finding, finding);
+    const bool evidence = finding == WidthFinding::kOfNeither;
+    EXPECT_EQ(study.verdict, evidence ? Verdict::kWrong : Verdict::kUnknown);
+    EXPECT_EQ(study.Worst() != nullptr, evidence);
+    if (!evidence) EXPECT_THAT(study.Summary(), HasSubstr("farther from the exact gradient"));
+  }
 }
 
 TEST(WidthSweep, DiscsThatStartCloseLeaveItUndecided) {

@@ -119,6 +119,31 @@ TEST(SimulateOnly, TakesScenesWhoseSpinIsFree) {
   }
 }
 
+// A duration that was found stands in the table; without one there is no column.
+TEST(RunTable, ShowsDurationsThatWereFree) {
+  SolvedRuns solved;
+  SolveReport& report = solved.runs.emplace_back().report;
+  report.contact = "event";
+  report.solver = "ceres_phases";
+  report.termination = Termination::kConverged;
+  const std::size_t columns = RunTable(solved).columns().size();
+  solved.runs.back().duration = 0.488;
+  const Table table = RunTable(solved);
+  EXPECT_EQ(table.columns().size(), columns + 1);
+  EXPECT_EQ(table.columns()[5].header, "duration (s)");
+  EXPECT_EQ(table.rows()[0][5].Exact(), "0.488");
+}
+
+// A heading of curvatures stands only above curvatures.
+TEST(CertificateTable, KnowsWhetherItHasCurvatures) {
+  SolvedRuns solved;
+  Certificate& certificate = solved.runs.emplace_back().certificate.emplace();
+  certificate.verdict = Certificate::Verdict::kStationary;
+  EXPECT_FALSE(HasCurvatures(solved));
+  certificate.curvature.emplace();
+  EXPECT_TRUE(HasCurvatures(solved));
+}
+
 // Every contact model with solvers that all refuse for one reason: two rows, not one for each of them.
 TEST(RunTable, SaysEachReasonOnce) {
   SolvedRuns solved;
