@@ -168,6 +168,8 @@ class CallableScheme final : public HybridScheme {
   Computation* const computation_;
 };
 
+std::string Joined(const std::string& a, const std::string& b) { return a.empty() || b.empty() ? a + b : a + "; " + b; }
+
 // Mode, initial state, parameters, duration, control or None, and the lengths of its intervals or None.
 using Guess = std::tuple<int, py::object, py::object, double, py::object, py::object>;
 
@@ -215,22 +217,28 @@ class Problem {
     return ToPython(motion);
   }
 
-  // Row-major: final state and event times by [initial control parameters duration].
+  // Row-major: final state and event times by [initial control parameters duration]; a remark, the integration error.
   py::tuple FinalDerivatives(const Guess& guess) const {
     const HybridProblem problem = At(guess);
     HybridSensitivity found;
+    std::vector<double> times;
     std::string remark;
+    double error = 0;
     Computation().RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
       if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       found = simulator.Sensitivity();
-      remark = simulator.WhyNotDifferentiable();
+      remark = Joined(simulator.WhyNotDifferentiable(), simulator.WhyInaccurate());
+      error = simulator.IntegrationError();
+      for (std::size_t i = 0; i < found.times.size(); ++i) {
+        if (simulator.events()[i].is_switch) continue;
+        times.insert(times.end(), found.times[i].begin(), found.times[i].end());
+      }
     });
-    const py::ssize_t columns = found.columns, events = static_cast<py::ssize_t>(found.times.size());
+    const py::ssize_t columns = found.columns, events = static_cast<py::ssize_t>(times.size()) / columns;
     const py::ssize_t rows = static_cast<py::ssize_t>(found.final_state.size()) / columns;
-    std::vector<double> times;
-    for (const std::vector<double>& row : found.times) times.insert(times.end(), row.begin(), row.end());
-    return py::make_tuple(ToArray(found.final_state, {rows, columns}), ToArray(times, {events, columns}), remark);
+    return py::make_tuple(
+        ToArray(found.final_state, {rows, columns}), ToArray(times, {events, columns}), remark, error);
   }
 
   // The number of steps of the integration is kept, while it suffices, as long as the mode, the intervals and the

@@ -178,18 +178,45 @@ class Expression:
 
 
 class Condition(Expression):
-    """The result of a comparison, for saltus.where; conditions are joined by & and |, and negated by ~."""
+    """The result of a comparison, for saltus.where; conditions are joined by &, | and ^, among themselves and with True
+    and False, compared by == and !=, and negated by ~. In arithmetic they are 1 or 0."""
 
     __slots__ = ()
 
-    def __and__(self, other: Any) -> Expression:
-        return other if other is True else self._apply("and", self, other)
+    def __and__(self, other: Any) -> Any:
+        return _join(self, other, lambda truth: self if truth else False, lambda: self._apply("and", self, other))
 
-    def __or__(self, other: Any) -> Expression:
-        return self._apply("or", self, other)
+    def __or__(self, other: Any) -> Any:
+        return _join(self, other, lambda truth: True if truth else self, lambda: self._apply("or", self, other))
+
+    def __xor__(self, other: Any) -> Any:
+        return _join(self, other, lambda truth: ~self if truth else self, lambda: (self & ~other) | (~self & other))
+
+    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
 
     def __invert__(self) -> Expression:
         return self._apply("not", self)
+
+    def __eq__(self, other: Any) -> Any:
+        return ~(self ^ other)
+
+    def __ne__(self, other: Any) -> Any:
+        return self ^ other
+
+
+def _join(condition: Condition, other: Any, with_truth: Callable[[bool], Any], record: Callable[[], Any]) -> Any:
+    """A condition with another one, or with a truth value that is known."""
+    if isinstance(other, np.ndarray):
+        return NotImplemented
+    if isinstance(other, (bool, np.bool_)):
+        return with_truth(bool(other))
+    if not isinstance(other, Condition):
+        raise TypeError(f"found a condition joined with {_kind(other)}, expected another condition, True or False")
+    return record()
+
+
+def _kind(value: Any) -> str:
+    return "a number" if isinstance(value, Expression) else type(value).__name__
 
 
 _CONDITIONS = ("less", "less_equal", "and", "or", "not")
@@ -231,8 +258,9 @@ def _unless_recorded(recorded: Callable[..., Any], of_numbers: Callable[..., Any
 def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition holds and `b` elsewhere, in functions that are recorded; both are evaluated.
 
-    Conditions are comparisons, joined by ``&`` and ``|``, negated by ``~``. Arrays and lists are chosen entry by entry.
-    Of numbers it is numpy.where.
+    Conditions are comparisons, joined by ``&``, ``|`` and ``^``, negated by ``~``. Arrays and lists are chosen entry by
+    entry. A condition on the state or the time makes a switch: the simulation locates where it changes. Of numbers it is
+    numpy.where.
     """
     values = [_as_array(value) for value in (condition, a, b)]
     if not any(isinstance(entry, Expression) for value in values for entry in value.flat):
@@ -241,6 +269,8 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     def choose(test: Any, yes: Any, no: Any) -> Any:
         if not isinstance(test, Expression):
             return yes if test else no
+        if not isinstance(test, Condition):
+            raise TypeError("found a number as the condition of saltus.where, expected a comparison")
         return Expression._apply(test, "where", test, yes, no)
 
     arrays = np.broadcast_arrays(*values)
@@ -341,8 +371,12 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "logical_and": lambda a, b: a & b,
     "logical_or": lambda a, b: a | b,
     "logical_not": lambda a: ~a,
+    "logical_xor": lambda a, b: a ^ b,
+    "equal": lambda a, b: a == b,
+    "not_equal": lambda a, b: a != b,
     "bitwise_and": lambda a, b: a & b,
     "bitwise_or": lambda a, b: a | b,
+    "bitwise_xor": lambda a, b: a ^ b,
     "invert": lambda a: ~a,
 }
 # Of arrays of objects numpy calls methods of these names.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
-from ._expression import Tape, call, outputs
+from ._expression import Condition, Tape, _as_array, call, outputs
 from ._results import KINDS, Result, WrongGradient, on_intervals
 from ._types import Closed, asked_for, expect, parameters_of
 
@@ -187,7 +187,10 @@ class HybridSystem(Closed):
         no_control = {"u": "guards and resets read t, x and p; make the control a state, whose rate the control is"}
         tape, symbols = self._symbols(mode, control=False)
         what = f"guard '{name}' of mode '{mode}'"
-        of_guard = _outputs(what, tape, _call(what, guard, symbols, "txp", no_control), 1)
+        value = _call(what, guard, symbols, "txp", no_control)
+        if any(isinstance(entry, (Condition, bool, np.bool_)) for entry in np.ravel(_as_array(value))):
+            raise TypeError(f"{what}: found a condition; a guard is a number that falls through zero (x - 1 for x < 1)")
+        of_guard = _outputs(what, tape, value, 1)
         tape, symbols = self._symbols(mode, control=False)
         what = f"reset '{name}' of mode '{mode}'"
         result = _call(what, reset, symbols, "txp", no_control)
@@ -562,10 +565,11 @@ class HybridProblem(Closed):
 
 class HybridRollout(Result):
     """A motion of a hybrid system: ``mode`` and ``final``, the state at the end, after events there; ``events``, a list
-    of (time, mode, guard, next_mode); ``times``, ``modes``, ``states`` and ``guards`` at every step of the integration,
-    and before and after every event. ``remark``: why there is no derivative, or only a one-sided one; empty if there is.
-    ``integration_error``: of final state and event times, relative. ``remarks``: the list of all remarks.
-    """
+    of (time, mode, guard, next_mode); ``switches``, a list of (time, mode, number) where a condition of a function
+    changes, as its number is zero or an integer; ``times``, ``modes``, ``states`` and ``guards`` at every step of the
+    integration, and before and after every event. ``integration_error``: relative, of final state and event times.
+    ``remark``: why there is no derivative, or only a one-sided one, and why the error is above the tolerance; empty if
+    neither is so. ``remarks``: the list of all remarks."""
 
     _kind = "hybrid rollout"
 
@@ -613,10 +617,16 @@ def _motion(motion: dict[str, Any]) -> dict[str, Any]:
         "states": [np.array(state) for state in motion["states"]],
         "guards": [np.array(values) for values in motion["guards"]],
         "steps_per_interval": motion["steps_per_interval"],
+        "switches": [(s["time"], s["mode"], s["switch"]) for s in motion.get("switches", [])],
+        "integration_error": _error(motion["integration_error"]),
         "remark": motion.get("remark", ""),
         "remarks": motion["remarks"],
-        "integration_error": motion["integration_error"],
     }
+
+
+def _error(value: float | None) -> float:
+    """An error of the integration; JSON has no infinity."""
+    return float("inf") if value is None else value
 
 
 def rollout(problem: HybridProblem) -> HybridRollout:
@@ -634,7 +644,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
     """
     if not isinstance(problem, HybridProblem):
         raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
-    final, times, remark = problem._call("final_derivatives")
+    final, times, remark, error = problem._call("final_derivatives")
     system = problem.system
     n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
     found: dict[str, Any] = {}
@@ -643,7 +653,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
         found[prefix + "control"] = rows[:, n0 : n0 + K * m].reshape(len(rows), K, m)
         found[prefix + "parameters"] = rows[:, n0 + K * m : n0 + K * m + P]
         found[prefix + "duration"] = rows[:, -1]
-    found["remark"] = remark
+    found["integration_error"], found["remark"] = error, remark
     return Result(found)
 
 
@@ -690,7 +700,7 @@ def solve(
             "iterations": found["iterations"],
             "evaluations": found["evaluations"],
             "seconds": found["seconds"],
-            "integration_error": found["integration_error"],
+            "integration_error": _error(found["integration_error"]),
             "control": control.reshape(solution["intervals"], len(problem.system.controls)),
             "durations": np.array(found["durations"]),
             "initial": np.array(solution["initial"]),

@@ -27,7 +27,7 @@ ProtocolJson NamesOf(int count, const Name& name) {
 
 ProtocolJson NamesToJson(const HybridSystem& system) {
   ProtocolJson modes = ProtocolJson::array();
-  for (int mode = 0; mode < system.num_modes(); ++mode) {
+  for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
     modes.push_back({{"name", system.ModeName(mode)},
                      {"states", NamesOf(system.state_size(mode), [&](int i) { return system.StateName(mode, i); })}});
   }

@@ -90,6 +90,7 @@ bool HybridShooting::FindPlaces() {
   int rows = 0;
   const std::vector<double> times = input_.Times();
   const std::vector<HybridEvent>& events = simulator_.events();
+  const HybridFunctions& functions = problem_.system.functions();
   for (const HybridTerm& term : problem_.terms) {
     const bool is_cost = term.IsCost();
     std::vector<Place>& places = is_cost ? places_ : constraint_places_;
@@ -97,7 +98,7 @@ bool HybridShooting::FindPlaces() {
     const int count = term.function->num_residuals();
     if (term.at == HybridTerm::At::kEvent) {
       for (std::size_t i = 0; i < events.size(); ++i) {
-        if (events[i].mode != term.mode || events[i].guard != term.guard) continue;
+        if (functions.BaseMode(events[i].mode) != term.mode || events[i].guard != term.guard) continue;
         const std::span<const double> state = term.before ? events[i].before : events[i].after;
         if (term.with_state && static_cast<int>(state.size()) != state_size) {
           return Fail(term.name + ": found a state of " + std::to_string(state.size()) +
@@ -112,7 +113,7 @@ bool HybridShooting::FindPlaces() {
     for (int k = 0; k < (at_end ? 1 : input_.num_intervals); ++k) {
       const int node = at_end ? input_.num_intervals : k, mode = simulator_.ModeAt(node);
       const std::span<const double> state = simulator_.StateAt(node);
-      const bool counts = term.mode < 0 || term.mode == mode;
+      const bool counts = term.mode < 0 || term.mode == functions.BaseMode(mode);
       const bool fits = !term.with_state || static_cast<int>(state.size()) == state_size;
       if (at_end && !(counts && fits)) {
         return Fail(term.name + ": the motion ends in mode '" + problem_.system.ModeName(mode) +

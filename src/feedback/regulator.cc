@@ -78,8 +78,8 @@ class Hamiltonian {
     system_.functions().FlowJacobian({step.mode, t, x.data(), step.u, step.p}, slope->data(), jacobian.data());
     B_ = jacobian.rightCols(m);
     matrix_.resize(2 * n, 2 * n);
-    matrix_ << jacobian.leftCols(n), -Multiply(B_, R_.Solve(B_.transpose())), -WeightOf(cost_, step.mode, n),
-        -jacobian.leftCols(n).transpose();
+    matrix_ << jacobian.leftCols(n), -Multiply(B_, R_.Solve(B_.transpose())),
+        -WeightOf(cost_, system_.functions().BaseMode(step.mode), n), -jacobian.leftCols(n).transpose();
   }
 
   const HybridSystem& system_;
@@ -144,6 +144,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
                                  .by_control = Eigen::Map<const Eigen::RowVectorXd>(
                                      gradient.data() + gradient.size() - num_controls, num_controls)});
     }
+    interval.mode = system.functions().BaseMode(interval.mode);
     linear.intervals.push_back(std::move(interval));
   }
   return linear;
@@ -152,15 +153,15 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
 std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion) {
   const HybridSystem& system = motion.system();
   const auto count = static_cast<int>(cost.Q.size());
-  if (count != 1 && count != system.num_modes()) {
+  if (count != 1 && count != system.functions().num_base_modes()) {
     return "Q: found " + std::to_string(count) + " matrices, expected 1 or one for each of " +
-           std::to_string(system.num_modes()) + " modes";
+           std::to_string(system.functions().num_base_modes()) + " modes";
   }
   for (int i = 0; i < motion.num_steps(); ++i) {
     const int mode = motion.StepMode(i);
     if (i > 0 && mode == motion.StepMode(i - 1)) continue;
-    const std::string wrong =
-        WhatIsWrongWithSymmetric(cost.Q[count == 1 ? 0 : mode], system.state_size(mode), /*definite=*/false);
+    const std::string wrong = WhatIsWrongWithSymmetric(
+        cost.Q[count == 1 ? 0 : system.functions().BaseMode(mode)], system.state_size(mode), /*definite=*/false);
     if (!wrong.empty()) return "Q of mode '" + system.ModeName(mode) + "': " + wrong;
   }
   if (std::string wrong = WhatIsWrongWithSymmetric(cost.R, system.num_controls(), /*definite=*/true); !wrong.empty()) {

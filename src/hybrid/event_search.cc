@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "contact/event/event_roots.h"
-
 namespace saltus {
 namespace {
 
@@ -21,7 +19,16 @@ constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    
 constexpr double kSoon = 1.0 / 64;                                              // of a step
 constexpr int kMostIterations = 100;
 
-// The cubic with these values and derivatives at 0 and h.
+// Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
+double MinimumOf(const GapPolynomial& g, double h) {
+  const double a = 3 * g.c[3], b = g.c[2], c = g.c[1];  // g' = a s^2 + 2 b s + c, c <= 0
+  const double root = std::sqrt(std::max(b * b - a * c, 0.0));
+  const double s = b + root > 0 ? -c / (b + root) : 0.5 * h;
+  return std::clamp(s, 0.0, h);
+}
+
+}  // namespace
+
 GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h) {
   const double slope = (end.value - begin.value) / h;
   GapPolynomial g;
@@ -32,16 +39,6 @@ GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h) 
          0};
   return g;
 }
-
-// Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
-double MinimumOf(const GapPolynomial& g, double h) {
-  const double a = 3 * g.c[3], b = g.c[2], c = g.c[1];  // g' = a s^2 + 2 b s + c, c <= 0
-  const double root = std::sqrt(std::max(b * b - a * c, 0.0));
-  const double s = b + root > 0 ? -c / (b + root) : 0.5 * h;
-  return std::clamp(s, 0.0, h);
-}
-
-}  // namespace
 
 EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {
   const int most = functions.most_states();
@@ -269,7 +266,7 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
       if (std::abs(next - s) <= kSettles * h) break;
       s = next;
     }
-    if (at.value > noise) return {};
+    if (at.value - std::abs(at.rate) * (high - low) > noise) return {};  // it may have a kink in between
     if (at.value >= -noise) return {Found::What::kGrazing, s};
     return Locate(step, slope, guard, 0, s, FirstClosing(cubic, h), curvature);
   }

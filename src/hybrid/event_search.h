@@ -9,9 +9,13 @@
 #include <cstddef>
 #include <vector>
 
+#include "contact/event/event_roots.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {
+
+// The cubic with these values and rates at 0 and h > 0.
+GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h);
 
 class EventSearch {
  public:

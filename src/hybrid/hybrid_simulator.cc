@@ -16,6 +16,7 @@ namespace {
 
 constexpr int kFewestSteps = 16;            // of a motion
 constexpr int kMostSteps = 1 << 20;         // of a motion
+constexpr int kMostForGuards = 1 << 18;     // likewise, where only guards ask for more
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
 constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
 constexpr double kRoundingOfFlow = 1e-12;   // likewise, of the largest state
@@ -24,7 +25,16 @@ constexpr double kSameTime = 6;             // steps: failures at the same time
 constexpr double kLater = 16;               // steps: not a failure of steps that are too long
 constexpr double kSameAccuracy = 10;        // times the error that was reached
 constexpr double kHalving = 256;            // of steps: how much the error of a method of order 8 grows
-constexpr double kRoundingOfMotion = 1e-7;  // below this, an error that more steps do not lower is rounding
+constexpr double kRoundingOfMotion = 1e-7;  // an error that more steps do not lower may be rounding if it is below this
+constexpr int kMostWithoutJump = 512;       // steps of a motion after which a jump of the flow is looked for
+constexpr int kMostWithoutEnd = 1 << 14;    // likewise, after which an error that does not fall ends the search
+constexpr int kHopeless = 6;                // doublings without convergence until then
+constexpr double kBegins = 0.1;             // of the final difference of two motions: where they begin to differ
+constexpr int kScanned = 128;               // points in a step
+constexpr int kBisections = 46;
+constexpr double kJump = 1e-6;      // of a slope, relative
+constexpr double kConverges = 0.3;  // at most, an error in comparison to that of half as many steps
+constexpr int kStalls = 2;          // doublings without convergence after which the error is rounding
 
 }  // namespace
 
@@ -34,85 +44,200 @@ class HybridSimulator::Impl {
       : system(std::move(of_user)),
         options(chosen),
         steps(std::max(chosen.steps_per_interval, 0)),
-        run(system, options),
+        run(std::make_unique<RolloutRun>(system, options)),
         derivatives(system) {}
 
-  // As IntegrationError, of `run` with as many steps.
-  double ErrorOf(int of_steps) { return DifferenceTo(2 * of_steps); }
-
-  // Of `run`, to a rollout with another number of steps.
-  double DifferenceTo(int other_steps) {
-    RolloutRun finer(system, options);
-    const RolloutEnd end = finer.Run(input, other_steps);
-    const std::vector<HybridEvent>&events = run.events(), &others = finer.events();
+  // The largest relative difference of final state and event times of two motions; infinite if they have other events.
+  double Difference(const RolloutRun& one, const RolloutRun& other) const {
+    const std::vector<HybridEvent>&events = one.events(), &others = other.events();
     const auto same = [](const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; };
-    if (end != RolloutEnd::kDone || run.tape().final_mode != finer.tape().final_mode ||
-        !std::ranges::equal(events, others, same)) {
+    if (one.tape().final_mode != other.tape().final_mode || !std::ranges::equal(events, others, same)) {
       return std::numeric_limits<double>::infinity();
     }
-    double error = 0;
+    double difference = 0;
     for (std::size_t i = 0; i < events.size(); ++i) {
-      error = std::max(error, std::abs(events[i].time - others[i].time) / input.duration);
+      difference = std::max(difference, std::abs(events[i].time - others[i].time) / input.duration);
     }
     // Relative to the largest value of a component in the final mode.
-    const int mode = run.tape().final_mode, n = system.state_size(mode);
-    const double *at = &run.tape().numbers[run.tape().final_state],
-                 *other = &finer.tape().numbers[finer.tape().final_state];
+    const int mode = one.tape().final_mode, n = system.state_size(mode);
+    const double *at = &one.tape().numbers[one.tape().final_state],
+                 *to = &other.tape().numbers[other.tape().final_state];
     double largest = 0;
     for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(at[i]));
     for (int i = 0; i < n; ++i) {
-      if (std::abs(at[i] - other[i]) <= kRounding * largest) continue;
+      if (std::abs(at[i] - to[i]) <= kRounding * largest) continue;
       double size = std::abs(at[i]);
-      for (const TapeEntry& entry : run.tape().entries) {
-        if (entry.mode == mode) size = std::max(size, std::abs(run.tape().numbers[entry.x + i]));
+      for (const TapeEntry& entry : one.tape().entries) {
+        if (entry.mode == mode) size = std::max(size, std::abs(one.tape().numbers[entry.x + i]));
       }
-      if (size > 0) error = std::max(error, std::abs(at[i] - other[i]) / size);
+      if (size > 0) difference = std::max(difference, std::abs(at[i] - to[i]) / size);
     }
-    return error;
+    return difference;
   }
 
-  // Doubles the number of steps until the error is below the tolerance, or no longer falls.
+  // As IntegrationError.
+  double Error() {
+    if (!error) {
+      RolloutRun finer(system, options);
+      error = finer.Run(input, 2 * steps, /*compare_guards=*/true) == RolloutEnd::kDone
+                  ? Difference(*run, finer)
+                  : std::numeric_limits<double>::infinity();
+      unresolved = finer.unresolved().what;
+    }
+    return *error;
+  }
+
+  // Looks for a jump of the flow in the step with which a motion and one of twice as many steps begin to differ:
+  // bisects between the points of the step between which the slope changes most. Empty if there is none.
+  std::string FindJump(const RolloutRun& coarse, const RolloutRun& fine, double difference) const {
+    const MotionTape &a = coarse.tape(), &b = fine.tape();
+    const double same_time = 1e-9 * input.duration;
+    const TapeEntry* culprit = nullptr;
+    auto other = b.entries.begin();
+    for (const TapeEntry& entry : a.entries) {
+      if (entry.kind == TapeEntry::Kind::kReset || !(entry.h > 0)) continue;
+      while (other != b.entries.end() && (other->kind == TapeEntry::Kind::kReset || other->t < entry.t - same_time))
+        ++other;
+      if (other == b.entries.end()) break;
+      if (other->mode != entry.mode || other->t > entry.t + same_time) continue;
+      double largest = 0, apart = 0;
+      for (int i = 0; i < system.state_size(entry.mode); ++i) {
+        largest = std::max(largest, std::abs(a.numbers[entry.x + i]));
+        apart = std::max(apart, std::abs(a.numbers[entry.x + i] - b.numbers[other->x + i]));
+      }
+      if (culprit != nullptr && apart > kBegins * difference * largest) break;
+      culprit = &entry;
+    }
+    if (culprit == nullptr) return "";
+    const int n = system.state_size(culprit->mode);
+    const double* u = input.control.data() + culprit->interval * system.num_controls();
+    FlowStep step{{culprit->mode, culprit->t, &a.numbers[culprit->x], u, input.parameters.data()}, 0};
+    RungeKutta integrator(system.functions());
+    std::vector<double> first(n), after(n);
+    system.functions().Flow(step, first.data());
+    const auto slope_after = [&](double s) {
+      std::vector<double> slope(n);
+      step.h = s;
+      integrator.Step(step, first.data(), after.data(), slope.data());
+      return slope;
+    };
+    std::vector<double> sizes(n), low = first, high;
+    double from = 0, to = 0, most = 0;
+    int component = 0;
+    std::vector<std::vector<double>> slopes = {first};
+    for (int i = 1; i <= kScanned; ++i) slopes.push_back(slope_after(culprit->h * i / kScanned));
+    for (const std::vector<double>& slope : slopes) {
+      for (int j = 0; j < n; ++j) sizes[j] = std::max(sizes[j], std::abs(slope[j]));
+    }
+    for (int i = 1; i <= kScanned; ++i) {
+      for (int j = 0; j < n; ++j) {
+        const double change = std::abs(slopes[i][j] - slopes[i - 1][j]);
+        if (!(change > most * sizes[j])) continue;
+        most = change / sizes[j];
+        component = j;
+        from = culprit->h * (i - 1) / kScanned;
+        to = culprit->h * i / kScanned;
+        low = slopes[i - 1];
+        high = slopes[i];
+      }
+    }
+    for (int i = 0; i < kBisections && most > 0; ++i) {
+      const double middle = 0.5 * (from + to);
+      const std::vector<double> at = slope_after(middle);
+      const bool before = std::abs(at[component] - low[component]) > std::abs(high[component] - at[component]);
+      (before ? to : from) = middle;
+      (before ? high : low) = at;
+    }
+    if (!(most > 0) || std::abs(high[component] - low[component]) <= kJump * sizes[component]) return "";
+    return "the flow of mode '" + system.ModeName(culprit->mode) + "' jumps at t = " + ToText(culprit->t + from, 10) +
+           ": the derivative of " + system.StateName(culprit->mode, component) + " changes from " +
+           ToText(low[component], 6) + " to " + ToText(high[component], 6) +
+           ". Declare a switch there (kNumSwitches; a condition of saltus.where in Python), or give each side a mode "
+           "of "
+           "its own";
+  }
+
+  // Of the last rollout, to one with another number of steps.
+  double DifferenceTo(int other_steps) const {
+    RolloutRun other(system, options);
+    return other.Run(input, other_steps) == RolloutEnd::kDone ? Difference(*run, other)
+                                                              : std::numeric_limits<double>::infinity();
+  }
+
+  // Keeps the rollout `of`, whose error is known, as the last one.
+  bool Accept(std::unique_ptr<RolloutRun> of, double its_error, const RolloutRun& finer) {
+    run = std::move(of);
+    error = reached = its_error;
+    unresolved = finer.unresolved().what;
+    return true;
+  }
+
+  // Doubles the number of steps until they resolve the guards, and the error is at most the tolerance or no longer
+  // falls, as it is rounding.
   bool ChooseSteps() {
-    int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals;
-    double last = std::numeric_limits<double>::infinity(), last_failure = last;
+    int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals, stalls = 0;
+    std::unique_ptr<RolloutRun> best, finer;
+    double least = std::numeric_limits<double>::infinity(), reference = least, last_failure = least;
     int same_failures = 0;
-    for (;; n *= 2) {
-      const RolloutEnd end = run.Run(input, n);
-      if (end == RolloutEnd::kRefused) break;
+    why.clear();
+    RolloutEnd end = run->Run(input, n);
+    for (; end != RolloutEnd::kRefused; n *= 2) {
+      if (end == RolloutEnd::kDone) why = WrongFlight();
+      if (!why.empty()) return false;
       if (end == RolloutEnd::kNotFinite) {
         // A failure that stays at its time is one of the system. Steps that are too long for the flow fail earlier the
         // shorter they are, after some steps.
-        const double h = input.duration / n / input.num_intervals, failure = run.failure_time();
+        const double h = input.duration / n / input.num_intervals, failure = run->failure_time();
         const bool stays = std::abs(failure - last_failure) <= kSameTime * h;
-        same_failures = stays && (run.flow_fails() || failure - input.begin > kLater * h) ? same_failures + 1 : 0;
+        same_failures = stays && (run->flow_fails() || failure - input.begin > kLater * h) ? same_failures + 1 : 0;
         last_failure = failure;
-        if (run.flow_fails() && same_failures >= kSameFailures) break;
+        if (run->flow_fails() && same_failures >= kSameFailures) break;
       }
-      const bool most = 2.0 * n * input.num_intervals > kMostSteps;
-      if (end == RolloutEnd::kDone) {
-        why = WrongFlight();
-        if (!why.empty()) return false;
-        const double error = ErrorOf(n);
-        if (error <= options.tolerance || (error < kRoundingOfMotion && error > 0.1 * last)) {
-          steps = n;
-          reached = error;
-          return true;
+      if (2.0 * n * input.num_intervals > kMostSteps) {
+        if (end == RolloutEnd::kDone) {
+          why = "an explicit method needs more than " + std::to_string(kMostSteps) +
+                " steps to integrate the flow to the tolerance; the system may be stiff";
+        } else {
+          why = run->why() + (same_failures >= kSameFailures
+                                  ? ", however short the steps are: there is no solution after that"
+                                  : " with " + std::to_string(n * input.num_intervals) +
+                                        " steps of an explicit method: the flow may be stiff or have no solution");
         }
-        last = error;
-        if (!most) continue;
-        why = "an explicit method needs more than " + std::to_string(kMostSteps) +
-              " steps to integrate the flow to the tolerance; the system may be stiff";
         return false;
       }
-      if (most) {
-        why = run.why() + (same_failures >= kSameFailures
-                               ? ", however short the steps are: there is no solution after that"
-                               : " with " + std::to_string(n * input.num_intervals) +
-                                     " steps of an explicit method: the flow may be stiff or have no solution");
-        return false;
+      if (!finer) finer = std::make_unique<RolloutRun>(system, options);
+      const RolloutEnd end_of_finer = finer->Run(input, 2 * n, /*compare_guards=*/true);
+      if (end == RolloutEnd::kDone && end_of_finer == RolloutEnd::kDone &&
+          (finer->ResolvesGuards() || 4.0 * n * input.num_intervals > kMostForGuards)) {
+        const double now = Difference(*run, *finer);
+        stalls = now > kConverges * reference ? stalls + 1 : 0;
+        if (stalls == 0) reference = now;
+        if (now < least) {
+          least = now;
+          steps = n;
+          std::swap(best, run);
+        }
+        if (least <= options.tolerance || (least < kRoundingOfMotion && stalls >= kStalls)) {
+          return Accept(std::move(best), least, *finer);
+        }
+        const RolloutRun& coarse = run ? *run : *best;
+        if (n * input.num_intervals >= kMostWithoutJump && std::isfinite(now)) why = FindJump(coarse, *finer, now);
+        if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) {
+          why = "the integration does not converge: the difference between " + std::to_string(n) + " and " +
+                std::to_string(2 * n) + " steps per interval is still " + ToText(now, 2) +
+                ". The flow may have no solution, or be too sensitive to be computed";
+        }
+        if (!why.empty()) {
+          if (!run) run = std::move(best);
+          steps = 0;
+          return false;
+        }
       }
+      std::swap(run, finer);
+      end = end_of_finer;
     }
-    why = run.why();
+    steps = 0;
+    why = run->why();
     return false;
   }
 
@@ -121,7 +246,7 @@ class HybridSimulator::Impl {
   bool KeepsAccuracy() {
     const double most = std::max(options.tolerance, kSameAccuracy * reached);
     if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most) return true;
-    return ErrorOf(steps) <= most;
+    return Error() <= most;
   }
 
   // Compares each mode's closed form of the flow, at the first step in it that this simulator takes, with the
@@ -131,10 +256,10 @@ class HybridSimulator::Impl {
     seen.resize(system.num_modes());
     const std::size_t most = f.most_states();
     std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most);
-    for (const TapeEntry& entry : run.tape().entries) {
+    for (const TapeEntry& entry : run->tape().entries) {
       if (entry.kind == TapeEntry::Kind::kReset || entry.h <= 0 || seen[entry.mode]++) continue;
       const double* u = input.control.data() + entry.interval * system.num_controls();
-      const double* x = &run.tape().numbers[entry.x];
+      const double* x = &run->tape().numbers[entry.x];
       const FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
       if (!f.Fly(step, after.data(), nullptr)) continue;
       const int n = system.state_size(entry.mode);
@@ -155,19 +280,19 @@ class HybridSimulator::Impl {
 
   // Of the coincidences of a motion that succeeded, whether the derivative is one-sided.
   const std::vector<char>& OneSided() {
-    if (done && one_sided.size() != run.tape().coincidences.size()) {
+    if (done && one_sided.size() != run->tape().coincidences.size()) {
       TiedEvents tied(system, options);
-      one_sided = derivatives.FindOneSided(input, run.tape(), &tied);
+      one_sided = derivatives.FindOneSided(input, run->tape(), &tied);
     }
     return one_sided;
   }
   const std::vector<HybridTie>& Ties() {
-    if (ties.size() == run.ties().size()) return ties;
-    ties = run.ties();
+    if (ties.size() == run->ties().size()) return ties;
+    ties = run->ties();
     TiedEvents tied(system, options);
-    for (const Coincidence& coincidence : run.tape().coincidences) {
-      if (coincidence.tie < 0 || coincidence.begin + 1 >= run.tape().entries.size()) continue;
-      derivatives.Compare(input, run.tape(), coincidence, &tied, &ties[coincidence.tie]);
+    for (const Coincidence& coincidence : run->tape().coincidences) {
+      if (coincidence.tie < 0 || coincidence.begin + 1 >= run->tape().entries.size()) continue;
+      derivatives.Compare(input, run->tape(), coincidence, &tied, &ties[coincidence.tie]);
     }
     return ties;
   }
@@ -184,7 +309,7 @@ class HybridSimulator::Impl {
   // Keeps why derivatives are not finite; returns them.
   template <typename Derivatives>
   Derivatives Checked(Derivatives found, bool finite) {
-    why_not_finite = finite ? "" : derivatives.WhyNotFinite(input, run.tape());
+    why_not_finite = finite ? "" : derivatives.WhyNotFinite(input, run->tape());
     return found;
   }
 
@@ -196,7 +321,9 @@ class HybridSimulator::Impl {
   bool done = false;
   std::vector<char> seen;  // modes in which the closed form has been compared
   std::string why, why_not_finite;
-  RolloutRun run;
+  std::unique_ptr<RolloutRun> run;  // the last rollout
+  std::optional<double> error;      // of it, where it is known
+  std::string unresolved;           // of a rollout with twice as many steps: a guard that they do not resolve
   MotionDerivatives derivatives;
   // Of the last rollout, once asked for.
   std::vector<char> one_sided;
@@ -220,11 +347,12 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   at.one_sided.clear();
   at.ties.clear();
   at.why_not_finite.clear();
+  at.error.reset();
   if (at.steps == 0) {
     at.done = at.ChooseSteps();
   } else {
-    const bool moves = at.run.Run(at.input, at.steps) == RolloutEnd::kDone;
-    at.why = moves ? at.WrongFlight() : at.run.why();
+    const bool moves = at.run->Run(at.input, at.steps) == RolloutEnd::kDone;
+    at.why = moves ? at.WrongFlight() : at.run->why();
     at.done = at.why.empty();
   }
   return at.done;
@@ -239,53 +367,64 @@ bool HybridSimulator::RolloutAccurately(const HybridInput& input) {
 }
 
 const std::string& HybridSimulator::WhyFailed() const { return impl_->why; }
-std::optional<double> HybridSimulator::accumulation() const { return impl_->run.accumulation(); }
-int HybridSimulator::final_mode() const { return impl_->run.tape().final_mode; }
+std::optional<double> HybridSimulator::accumulation() const { return impl_->run->accumulation(); }
+int HybridSimulator::final_mode() const { return impl_->run->tape().final_mode; }
 
 std::span<const double> HybridSimulator::final_state() const {
-  const MotionTape& tape = impl_->run.tape();
+  const MotionTape& tape = impl_->run->tape();
   return {&tape.numbers[tape.final_state], static_cast<std::size_t>(impl_->system.state_size(tape.final_mode))};
 }
 
-const std::vector<HybridEvent>& HybridSimulator::events() const { return impl_->run.events(); }
-const std::vector<HybridEvent>& HybridSimulator::switches() const { return impl_->run.switches(); }
-const std::vector<HybridGrazing>& HybridSimulator::grazings() const { return impl_->run.grazings(); }
+const std::vector<HybridEvent>& HybridSimulator::events() const { return impl_->run->events(); }
+const std::vector<HybridEvent>& HybridSimulator::switches() const { return impl_->run->switches(); }
+const std::vector<HybridGrazing>& HybridSimulator::grazings() const { return impl_->run->grazings(); }
 const std::vector<HybridTie>& HybridSimulator::ties() const { return impl_->Ties(); }
 
 int HybridSimulator::ModeAt(int k) const {
-  const MotionTape& tape = impl_->run.tape();
+  const MotionTape& tape = impl_->run->tape();
   CHECK(k >= 0 && k <= impl_->input.num_intervals);
   return k == impl_->input.num_intervals ? tape.final_mode : tape.entries[tape.intervals[k]].mode;
 }
 
 std::span<const double> HybridSimulator::StateAt(int k) const {
   if (k == impl_->input.num_intervals) return final_state();
-  const MotionTape& tape = impl_->run.tape();
+  const MotionTape& tape = impl_->run->tape();
   CHECK(k >= 0 && k < impl_->input.num_intervals);
   return StepState(static_cast<int>(tape.intervals[k]));
 }
 
-int HybridSimulator::num_steps() const { return static_cast<int>(impl_->run.tape().entries.size()); }
-double HybridSimulator::StepTime(int step) const { return impl_->run.tape().entries[step].t; }
-int HybridSimulator::StepMode(int step) const { return impl_->run.tape().entries[step].mode; }
+int HybridSimulator::num_steps() const { return static_cast<int>(impl_->run->tape().entries.size()); }
+double HybridSimulator::StepTime(int step) const { return impl_->run->tape().entries[step].t; }
+int HybridSimulator::StepMode(int step) const { return impl_->run->tape().entries[step].mode; }
 std::span<const double> HybridSimulator::StepState(int step) const {
-  const MotionTape& tape = impl_->run.tape();
+  const MotionTape& tape = impl_->run->tape();
   const TapeEntry& entry = tape.entries[step];
   return {&tape.numbers[entry.x], static_cast<std::size_t>(impl_->system.state_size(entry.mode))};
 }
 
 bool HybridSimulator::IsReset(int step) const {
-  return impl_->run.tape().entries[step].kind == TapeEntry::Kind::kReset;
+  return impl_->run->tape().entries[step].kind == TapeEntry::Kind::kReset;
 }
 
 std::string HybridSimulator::WhyNotDifferentiable() const {
-  const RolloutRun& run = impl_->run;
+  const RolloutRun& run = *impl_->run;
   std::string why = run.remark();
   const auto add = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + what; };
   if (!impl_->why_not_finite.empty()) add(impl_->why_not_finite);
-  for (const HybridGrazing& grazing : run.grazings()) {
-    add("guard '" + impl_->system.GuardName(grazing.mode, grazing.guard) +
-        "' grazes zero at t = " + std::to_string(grazing.time));
+  // The first time of each guard.
+  const HybridFunctions& functions = impl_->system.functions();
+  for (auto first = run.grazings().begin(); first != run.grazings().end(); ++first) {
+    const std::string name = functions.GuardName(first->mode, first->guard);
+    const auto same = [&](const HybridGrazing& other) {
+      return functions.BaseMode(other.mode) == functions.BaseMode(first->mode) &&
+             functions.GuardName(other.mode, other.guard) == name;
+    };
+    if (std::any_of(run.grazings().begin(), first, same)) continue;
+    const auto more = std::count_if(first + 1, run.grazings().end(), same);
+    const bool is_switch = functions.IsSwitch(first->mode, first->guard);
+    add((is_switch ? "switch '" : "guard '") + name + "' grazes zero at t = " + std::to_string(first->time) +
+        (more > 0 ? " and " + std::to_string(more) + " more times" : "") +
+        (is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"));
   }
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {
@@ -312,12 +451,23 @@ void HybridSimulator::ChooseStepsAnew() { impl_->steps = std::max(impl_->options
 
 double HybridSimulator::IntegrationError() {
   CHECK(impl_->done) << "the rollout failed";
-  return impl_->ErrorOf(impl_->steps);
+  return impl_->Error();
+}
+
+std::string HybridSimulator::WhyInaccurate() {
+  const double error = IntegrationError();
+  std::string why = impl_->unresolved;
+  if (error <= impl_->options.tolerance) return why;
+  if (!why.empty()) why += "; ";
+  const std::string steps = std::to_string(impl_->steps) + " steps per interval";
+  if (std::isinf(error)) return why + "twice as many as " + steps + " give other events: take more";
+  return why + "the integration error of " + steps + " is " + ToText(error, 2) + ", above the tolerance " +
+         ToText(impl_->options.tolerance, 2);
 }
 
 HybridGradient HybridSimulator::Adjoint(const HybridCotangent& cotangent) {
   CHECK(impl_->done) << "the rollout failed";
-  HybridGradient found = impl_->derivatives.Adjoint(impl_->input, impl_->run.tape(), impl_->run.events(), cotangent);
+  HybridGradient found = impl_->derivatives.Adjoint(impl_->input, impl_->run->tape(), impl_->run->events(), cotangent);
   const bool finite = Impl::IsFinite({found.initial, found.control, found.parameters}) && std::isfinite(found.duration);
   return impl_->Checked(std::move(found), finite);
 }
@@ -330,14 +480,14 @@ HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent)
 
 HybridSensitivity HybridSimulator::Sensitivity() {
   CHECK(impl_->done) << "the rollout failed";
-  HybridSensitivity found = impl_->derivatives.Sensitivity(impl_->input, impl_->run.tape(), impl_->run.events());
+  HybridSensitivity found = impl_->derivatives.Sensitivity(impl_->input, impl_->run->tape(), impl_->run->events());
   const bool finite = Impl::IsFinite(found);
   return impl_->Checked(std::move(found), finite);
 }
 
 std::vector<HybridSensitivity> HybridSimulator::IntervalSensitivities() {
   CHECK(impl_->done) << "the rollout failed";
-  std::vector<HybridSensitivity> found = impl_->derivatives.Intervals(impl_->input, impl_->run.tape());
+  std::vector<HybridSensitivity> found = impl_->derivatives.Intervals(impl_->input, impl_->run->tape());
   const bool finite = std::ranges::all_of(found, [](const HybridSensitivity& by) { return Impl::IsFinite(by); });
   return impl_->Checked(std::move(found), finite);
 }

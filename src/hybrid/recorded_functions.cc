@@ -11,6 +11,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "hybrid/recorded_switches.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {
@@ -63,10 +64,6 @@ constexpr KnownOperation kOperations[] = {
     {Operation::kErf, "erf", 1, [](double a, double, double) { return std::erf(a); }},
 };
 
-double Apply(Operation operation, double a, double b, double c) {
-  return kOperations[static_cast<int>(operation)].value(a, b, c);
-}
-
 constexpr int kMostMultiplications = 4;  // powers up to this are products
 
 // Room for numbers, from the heap if they are many.
@@ -85,6 +82,12 @@ class Memory {
 };
 
 }  // namespace
+
+double Apply(Operation operation, double a, double b, double c) {
+  return kOperations[static_cast<int>(operation)].value(a, b, c);
+}
+
+std::string_view NameOf(Operation operation) { return kOperations[static_cast<int>(operation)].name; }
 
 bool FindOperation(std::string_view name, Operation* operation) {
   for (const KnownOperation& known : kOperations) {
@@ -372,7 +375,9 @@ class RecordedFunction::Builder {
 };
 
 RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
-    : num_inputs_(recording.num_inputs), num_outputs_(static_cast<int>(recording.outputs.size())) {
+    : recording_(recording),
+      num_inputs_(recording.num_inputs),
+      num_outputs_(static_cast<int>(recording.outputs.size())) {
   CHECK_EQ(WhatIsWrongWith(recording), "");
   Builder builder(recording);
   values_ = builder.Values();
@@ -508,46 +513,173 @@ void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* output
 
 RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
     : HybridFunctions(std::move(layout)), modes_(std::move(modes)) {
-  CHECK_EQ(modes_.size(), this->layout().state_sizes.size());
+  const std::vector<int>& sizes = this->layout().state_sizes;
+  CHECK_EQ(modes_.size(), sizes.size());
   for (std::size_t mode = 0; mode < modes_.size(); ++mode) {
-    const int of_guards = size(static_cast<int>(mode)) + 1 + num_parameters();
+    const int of_guards = sizes[mode] + 1 + num_parameters();
     CHECK_EQ(modes_[mode].flow.num_inputs(), of_guards + this->layout().num_controls);
-    CHECK_EQ(modes_[mode].flow.num_outputs(), size(static_cast<int>(mode)));
+    CHECK_EQ(modes_[mode].flow.num_outputs(), sizes[mode]);
     if (const auto& fly = modes_[mode].fly) {
       CHECK_EQ(fly->num_inputs(), modes_[mode].flow.num_inputs() + 1);
-      CHECK_EQ(fly->num_outputs(), size(static_cast<int>(mode)));
+      CHECK_EQ(fly->num_outputs(), sizes[mode]);
     }
     CHECK_EQ(static_cast<int>(modes_[mode].transitions.size()), this->layout().num_guards[mode]);
     for (const Transition& transition : modes_[mode].transitions) {
       CHECK_EQ(transition.guard.num_inputs(), of_guards);
       CHECK_EQ(transition.guard.num_outputs(), 1);
       CHECK_EQ(transition.reset.num_inputs(), of_guards);
-      CHECK_EQ(transition.reset.num_outputs(), size(transition.next_mode));
+      CHECK_EQ(transition.reset.num_outputs(), sizes[transition.next_mode]);
     }
+  }
+  for (std::size_t i = 0; i < modes_.size(); ++i) {
+    const Mode& mode = modes_[i];
+    Evaluated as_recorded{static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, {}, {}, {}, nullptr};
+    std::vector<const ExpressionGraph*> functions = {&mode.flow.recording()};
+    for (const Transition& transition : mode.transitions) {
+      as_recorded.guards.push_back(&transition.guard);
+      functions.push_back(&transition.guard.recording());
+    }
+    if (mode.fly) functions.push_back(&mode.fly->recording());
+    auto switches = std::make_unique<const RecordedSwitches>(functions, sizes[i]);
+    most_guards_ = std::max(most_guards_, static_cast<int>(mode.transitions.size()) + 2 * switches->count());
+    switches_.push_back(switches->count() > 0 ? std::move(switches) : nullptr);
+    Keep(std::move(as_recorded));
   }
 }
 
+RecordedSystem::~RecordedSystem() {
+  for (std::atomic<Evaluated*>& block : blocks_) delete[] block.load();
+}
+
+// Precondition: mutex_ is held, or no other thread knows of this object.
+int RecordedSystem::Keep(Evaluated mode) const {
+  const int index = num_modes_;
+  const auto number = static_cast<unsigned>(index) + 1;
+  const int block = std::bit_width(number) - 1;
+  CHECK_LT(block, kBlocks);
+  if (blocks_[block] == nullptr) blocks_[block] = new Evaluated[1u << block];
+  blocks_[block][number - (1u << block)] = std::move(mode);
+  num_modes_.store(index + 1, std::memory_order_release);
+  return index;
+}
+
+int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
+  const std::lock_guard lock(mutex_);
+  const auto [known, is_new] = known_.try_emplace({base, sides}, num_modes());
+  if (!is_new) return known->second;
+  const RecordedSwitches& switches = *switches_[base];
+  Evaluated piece{base, nullptr, {}, nullptr, sides, {}, {}, nullptr};
+  if (modes_[base].fly) piece.floors = {0};  // functions of such a mode have the length of a flight as an input
+  for (const double floor : switches.Floors(sides)) piece.floors.push_back(floor);
+  std::vector<int> kind = sides;  // but for integer parts
+  for (int number = 0; number < switches.count(); ++number) {
+    if (sides[number] == RecordedSwitches::kIrrelevant) continue;
+    piece.switches.push_back({number, -1});
+    if (!switches.IsFloor(number)) continue;
+    piece.switches.push_back({number, 1});
+    kind[number] = 0;
+  }
+  std::shared_ptr<const Functions>& functions = known_functions_[{base, kind}];
+  if (functions == nullptr) {
+    const int num_guards = static_cast<int>(modes_[base].transitions.size());
+    Functions made{RecordedFunction(switches.Function(0, sides)), {}, {}};
+    for (int i = 0; i < num_guards; ++i) made.guards.emplace_back(switches.Function(1 + i, sides));
+    for (const End& end : piece.switches) made.guards.emplace_back(switches.Guard(end.number, end.by, sides));
+    if (modes_[base].fly) made.fly.emplace(switches.Function(1 + num_guards, sides));
+    functions = std::make_shared<const Functions>(std::move(made));
+  }
+  piece.of_piece = functions;
+  piece.flow = &functions->flow;
+  piece.fly = functions->fly ? &*functions->fly : nullptr;
+  for (const RecordedFunction& guard : functions->guards) piece.guards.push_back(&guard);
+  return Keep(std::move(piece));
+}
+
+std::vector<int> RecordedSystem::SidesAt(const ModePoint& point, std::vector<int> known) const {
+  std::vector<double> inputs;
+  for (const RecordedFunction::Part& part : InputsAt(point))
+    inputs.insert(inputs.end(), part.data, part.data + part.size);
+  inputs.push_back(0);  // the length of a flight
+  return switches_[at(point.mode).base]->SidesAt(inputs, std::move(known));
+}
+
+int RecordedSystem::PieceAt(const ModePoint& point) const {
+  const int base = at(point.mode).base;
+  return switches_[base] == nullptr ? base : PieceOf(base, SidesAt({base, point.t, point.x, point.u, point.p}, {}));
+}
+
+int RecordedSystem::PieceBeside(const ModePoint& point, int guard, Side side) const {
+  const Evaluated& piece = at(point.mode);
+  const End& end = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))];
+  std::vector<int> sides = piece.sides;
+  if (switches_[piece.base]->IsFloor(end.number)) {
+    if (side == Side::kOn) return -1;
+    sides[end.number] += end.by;
+  } else {
+    sides[end.number] = side == Side::kOther ? -sides[end.number] : static_cast<int>(side);
+  }
+  return PieceOf(piece.base, SidesAt(point, std::move(sides)));
+}
+
+bool RecordedSystem::IsOn(int mode, int guard) const {
+  const Evaluated& piece = at(mode);
+  const int number = piece.switches[guard - (num_guards(mode) - num_switches(mode))].number;
+  return !switches_[piece.base]->IsFloor(number) && piece.sides[number] == 0;
+}
+
+std::string RecordedSystem::GuardName(int mode, int guard) const {
+  const Evaluated& piece = at(mode);
+  const int first = num_guards(mode) - num_switches(mode);
+  if (guard < first) return HybridFunctions::GuardName(piece.base, guard);
+  std::vector<std::string> names;
+  for (int i = 0; i < size(mode); ++i) names.push_back(StateName(mode, i));
+  names.push_back("t");
+  const auto add = [&](const std::vector<std::string>& given, int count, const char* otherwise) {
+    for (int i = 0; i < count; ++i) {
+      names.push_back(given.empty() ? otherwise + ("[" + std::to_string(i) + "]") : given[i]);
+    }
+  };
+  add(layout().parameter_names, num_parameters(), "p");
+  add(layout().control_names, layout().num_controls, "u");
+  names.emplace_back("s");
+  return switches_[piece.base]->TextOf(piece.switches[guard - first].number, names);
+}
+
+bool RecordedSystem::ReadsControl(int mode, int guard) const {
+  const Evaluated& piece = at(mode);
+  const int first = num_guards(mode) - num_switches(mode);
+  return guard >= first && switches_[piece.base]->ReadsInputsFrom(size(mode) + 1 + num_parameters(),
+                                                                  piece.switches[guard - first].number);
+}
+
 void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
-  modes_[at.mode].flow.Evaluate(InputsOfFlow(at), xdot);
+  this->at(at.mode).flow->Evaluate(InputsAt(at), xdot);
 }
 
 void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const {
-  const RecordedFunction& flow = modes_[at.mode].flow;
-  flow.Linearize(InputsOfFlow(at), flow.num_inputs(), xdot, jacobian);
+  this->at(at.mode).flow->Linearize(InputsAt(at), num_columns(at.mode), xdot, jacobian);
 }
 
-std::array<RecordedFunction::Part, 4> RecordedSystem::InputsOfFlow(const ModePoint& at) const {
-  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}, {at.u, layout().num_controls}}};
+RecordedSystem::Inputs RecordedSystem::InputsAt(const ModePoint& at) const {
+  const std::vector<double>& floors = this->at(at.mode).floors;
+  return {{{at.x, size(at.mode)},
+           {&at.t, 1},
+           {at.p, num_parameters()},
+           {at.u, layout().num_controls},
+           {floors.data(), static_cast<int>(floors.size())}}};
 }
-std::array<RecordedFunction::Part, 3> RecordedSystem::InputsOfGuard(const ModePoint& at) const {
-  return {{{at.x, size(at.mode)}, {&at.t, 1}, {at.p, num_parameters()}}};
+
+std::span<const RecordedFunction::Part> RecordedSystem::InputsOf(const RecordedFunction& function,
+                                                                 const Inputs& inputs) const {
+  const int without_control = inputs[0].size + 1 + num_parameters();
+  return {inputs.data(), function.num_inputs() == without_control ? 3 : inputs.size()};
 }
 
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
   if (Fly(step, after, nullptr)) return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
-  RecordedFunction::Evaluation at(modes_[step.mode].flow, /*with_derivatives=*/false, InputsOfFlow(step));
+  RecordedFunction::Evaluation at(*this->at(step.mode).flow, /*with_derivatives=*/false, InputsAt(step));
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
 }
@@ -555,11 +687,12 @@ void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scr
 // By the derivatives that are not always zero. The stages follow each other in the evaluation of the flow alone; its
 // derivatives are then evaluated at all of them together, each operation in a loop over the stages.
 bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const {
-  if (modes_[step.mode].fly) return false;
+  const Evaluated& mode = this->at(step.mode);
+  if (mode.fly != nullptr) return false;
   constexpr int kStages = cooper_verner::kStages;
-  const int n = size(step.mode), columns = modes_[step.mode].flow.num_inputs();
-  RecordedFunction::Evaluation at(modes_[step.mode].flow, /*with_derivatives=*/false, InputsOfFlow(step));
-  const RecordedFunction::Tape& tape = modes_[step.mode].flow.derivatives_;
+  const int n = size(step.mode), columns = mode.flow->num_inputs();
+  RecordedFunction::Evaluation at(*mode.flow, /*with_derivatives=*/false, InputsAt(step));
+  const RecordedFunction::Tape& tape = mode.flow->derivatives_;
   Memory memory;
   double* slopes = memory.Of(kStages * (n + tape.size) + (kStages + 1) * n + columns);
   double *slots = slopes + kStages * n, *scratch = slots + kStages * tape.size;
@@ -575,6 +708,7 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   };
   fill(step.p, num_parameters());
   fill(step.u, layout().num_controls);
+  fill(mode.floors.data(), mode.floors.size());
   fill(tape.constants.data(), tape.constants.size());
   RunTogether<kStages>(tape.instructions, slots, next);
   const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
@@ -591,27 +725,31 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
 }
 
 bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
-  const std::optional<RecordedFunction>& fly = modes_[step.mode].fly;
-  if (!fly) return false;
-  const auto [x, t, p, u] = InputsOfFlow(step);
-  const std::array<RecordedFunction::Part, 5> inputs = {{x, t, p, u, {&step.h, 1}}};
+  const RecordedFunction* fly = at(step.mode).fly;
+  if (fly == nullptr) return false;
+  auto [x, t, p, u, floors] = InputsAt(step);
+  if (floors.size > 0) floors = {floors.data + 1, floors.size - 1};
+  const std::array<RecordedFunction::Part, 6> inputs = {{x, t, p, u, {&step.h, 1}, floors}};
   if (jacobian == nullptr) {
     fly->Evaluate(inputs, after);
   } else {
-    fly->Linearize(inputs, fly->num_inputs() - 1, after, jacobian);
+    fly->Linearize(inputs, num_columns(step.mode), after, jacobian);
   }
   return true;
 }
 
 double RecordedSystem::Guard(const ModePoint& at, int guard) const {
   double value = 0;
-  transition(at.mode, guard).guard.Evaluate(InputsOfGuard(at), &value);
+  const RecordedFunction& function = *this->at(at.mode).guards[guard];
+  function.Evaluate(InputsOf(function, InputsAt(at)), &value);
   return value;
 }
 
 double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const {
   const int n = size(at.mode);
-  RecordedFunction::Evaluation found(transition(at.mode, guard).guard, true, InputsOfGuard(at));
+  const RecordedFunction& function = *this->at(at.mode).guards[guard];
+  const Inputs inputs = InputsAt(at);
+  RecordedFunction::Evaluation found(function, true, InputsOf(function, inputs));
   double value = 0;
   found.Run(&value);
   *rate = 0;
@@ -623,22 +761,33 @@ double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* x
 
 double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gradient) const {
   double value = 0;
-  const RecordedFunction& function = transition(at.mode, guard).guard;
-  function.Linearize(InputsOfGuard(at), function.num_inputs(), &value, gradient);
-  std::fill_n(gradient + function.num_inputs(), layout().num_controls, 0.0);
+  const RecordedFunction& function = *this->at(at.mode).guards[guard];
+  const int all = num_columns(at.mode), columns = std::min(function.num_inputs(), all);
+  function.Linearize(InputsOf(function, InputsAt(at)), columns, &value, gradient);
+  std::fill(gradient + columns, gradient + all, 0.0);
   return value;
 }
 
 int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {
+  if (IsSwitch(at.mode, guard)) {
+    std::copy_n(at.x, size(at.mode), x_plus);
+    return PieceBeside(at, guard, Side::kOther);
+  }
   const Transition& of = transition(at.mode, guard);
-  of.reset.Evaluate(InputsOfGuard(at), x_plus);
-  return of.next_mode;
+  of.reset.Evaluate(InputsOf(of.reset, InputsAt(at)), x_plus);
+  return PieceAt({of.next_mode, at.t, x_plus, at.u, at.p});
 }
 
 int RecordedSystem::ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const {
+  const int n = size(at.mode), columns = n + 1 + num_parameters();
+  if (IsSwitch(at.mode, guard)) {
+    std::fill_n(jacobian, n * columns, 0.0);
+    for (int i = 0; i < n; ++i) jacobian[i * columns + i] = 1;
+    return Reset(at, guard, x_plus);
+  }
   const Transition& of = transition(at.mode, guard);
-  of.reset.Linearize(InputsOfGuard(at), of.reset.num_inputs(), x_plus, jacobian);
-  return of.next_mode;
+  of.reset.Linearize(InputsOf(of.reset, InputsAt(at)), columns, x_plus, jacobian);
+  return PieceAt({of.next_mode, at.t, x_plus, at.u, at.p});
 }
 
 RecordedCost::RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes)

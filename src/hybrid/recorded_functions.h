@@ -8,12 +8,18 @@
 #include <ceres/cost_function.h>
 
 #include <array>
+#include <atomic>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
@@ -59,6 +65,9 @@ enum class Operation : std::uint8_t {
   kErf,
 };
 
+// The operation's value on numbers; constants and inputs have none.
+double Apply(Operation operation, double a, double b, double c);
+std::string_view NameOf(Operation operation);
 // The operation of a name in lower case without "k" ("add", "less_equal" ...); false if there is none.
 bool FindOperation(std::string_view name, Operation* operation);
 // How many operands it has; those that it does not have are -1.
@@ -85,6 +94,7 @@ class RecordedFunction {
 
   int num_inputs() const { return num_inputs_; }
   int num_outputs() const { return num_outputs_; }
+  const ExpressionGraph& recording() const { return recording_; }
 
   // The inputs, in parts that follow each other.
   struct Part {
@@ -119,11 +129,18 @@ class RecordedFunction {
   };
   class Builder;
 
+  ExpressionGraph recording_;
   int num_inputs_ = 0, num_outputs_ = 0;
   Tape values_, derivatives_;
 };
 
+class RecordedSwitches;
+
 // Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard and of a reset [x t p].
+//
+// A mode whose flow or guards decide by numbers that depend on the state or the time (RecordedSwitches) is evaluated as
+// it is recorded. A motion goes through its pieces instead, which are modes of their own: they are created as the
+// motion meets them, and their last guards are the switches.
 class RecordedSystem final : public HybridFunctions {
  public:
   struct Transition {
@@ -138,6 +155,24 @@ class RecordedSystem final : public HybridFunctions {
   };
   // Preconditions: sizes are those of the layout.
   RecordedSystem(HybridLayout layout, std::vector<Mode> modes);
+  ~RecordedSystem() override;
+
+  int num_modes() const override { return num_modes_.load(std::memory_order_acquire); }
+  int state_size(int mode) const override { return size(mode); }
+  int num_guards(int mode) const override { return static_cast<int>(at(mode).guards.size()); }
+  int most_guards() const override { return most_guards_; }
+  std::string ModeName(int mode) const override { return HybridFunctions::ModeName(at(mode).base); }
+  std::string GuardName(int mode, int guard) const override;
+  std::string StateName(int mode, int component) const override {
+    return HybridFunctions::StateName(at(mode).base, component);
+  }
+  bool ReadsControl(int mode, int guard) const override;
+  int num_switches(int mode) const override { return static_cast<int>(at(mode).switches.size()); }
+  int BaseMode(int mode) const override { return at(mode).base; }
+  int num_base_modes() const override { return static_cast<int>(modes_.size()); }
+  int PieceAt(const ModePoint& point) const override;
+  int PieceBeside(const ModePoint& point, int guard, Side side) const override;
+  bool IsOn(int mode, int guard) const override;
 
   void Flow(const ModePoint& at, double* xdot) const override;
   void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override;
@@ -153,13 +188,55 @@ class RecordedSystem final : public HybridFunctions {
   int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override;
 
  private:
-  int size(int mode) const { return layout().state_sizes[mode]; }
+  // A switch of a piece, and where the piece ends by it: RecordedSwitches::Guard.
+  struct End {
+    int number, by;
+  };
+  struct Functions {
+    RecordedFunction flow;
+    std::vector<RecordedFunction> guards;
+    std::optional<RecordedFunction> fly;
+  };
+  // A mode as it is recorded, or a piece of one.
+  struct Evaluated {
+    int base;
+    const RecordedFunction* flow;
+    std::vector<const RecordedFunction*> guards;
+    const RecordedFunction* fly;
+    std::vector<int> sides;
+    std::vector<End> switches;  // the last guards
+    std::vector<double> floors;
+    std::shared_ptr<const Functions> of_piece;  // of pieces that differ in integer parts alone
+  };
+
+  // Modes do not move: the first of all blocks has one, each further one twice as many as the one before.
+  const Evaluated& at(int mode) const {
+    const auto number = static_cast<unsigned>(mode) + 1;
+    const int block = std::bit_width(number) - 1;
+    return blocks_[block].load(std::memory_order_acquire)[number - (1u << block)];
+  }
+  int Keep(Evaluated mode) const;
+  int PieceOf(int base, std::vector<int> sides) const;
+  std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
+
+  int size(int mode) const { return layout().state_sizes[at(mode).base]; }
   int num_parameters() const { return layout().num_parameters; }
-  const Transition& transition(int mode, int guard) const { return modes_[mode].transitions[guard]; }
-  std::array<RecordedFunction::Part, 4> InputsOfFlow(const ModePoint& at) const;
-  std::array<RecordedFunction::Part, 3> InputsOfGuard(const ModePoint& at) const;  // and of a reset
+  int num_columns(int mode) const { return size(mode) + 1 + num_parameters() + layout().num_controls; }
+  const Transition& transition(int mode, int guard) const { return modes_[at(mode).base].transitions[guard]; }
+  using Inputs = std::array<RecordedFunction::Part, 5>;  // of a flow, and the integer parts of a piece
+  Inputs InputsAt(const ModePoint& at) const;
+  // The inputs of a guard or a reset: without control, unless it is one of a piece.
+  std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 
   const std::vector<Mode> modes_;
+  std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
+  int most_guards_ = 0;
+  static constexpr int kBlocks = 24;
+  mutable std::array<std::atomic<Evaluated*>, kBlocks> blocks_{};
+  mutable std::atomic<int> num_modes_ = 0;
+  mutable std::mutex mutex_;                                       // while modes are created
+  mutable std::map<std::pair<int, std::vector<int>>, int> known_;  // under mutex_: pieces
+  mutable std::map<std::pair<int, std::vector<int>>, std::shared_ptr<const Functions>> known_functions_;  // likewise
 };
 
 // Residuals of the given blocks.

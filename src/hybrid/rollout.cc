@@ -18,6 +18,13 @@ constexpr double kSmallChange = 1e-3;  // of the state: a change of it within a 
 constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
 constexpr int kShortSteps = 1 << 13;   // of a motion: what depends on longer ones is refused with these
 constexpr std::size_t kAsks = 64;      // steps and events after which an interrupt is asked for
+constexpr double kSameSlope = 1e-9;    // relative: slopes on both sides of a switch at which the flow does not jump
+constexpr double kStays = 1e-9;        // of its rates beside a switch: the rate of a motion that stays on it
+constexpr double kResolved = 1e-4;     // of the size of a guard in a step: how far it may be from its cubic
+constexpr double kHides = 8;           // of that distance at one point: how far it may be at others
+constexpr double kRoundingOfGuard = 1e-12;  // of the size of a guard's terms
+constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve the guards everywhere
+constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
 constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
 constexpr const char* kNameAMode =
@@ -49,7 +56,9 @@ int ControlJumpNear(const HybridInput& input, int num_controls, double time, dou
 RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
     : system_(system), functions_(system.functions()), options_(options), search_(system.functions()) {
   const int most = functions_.most_states(), most_guards = functions_.most_guards();
-  for (std::vector<double>* numbers : {&at_.x, &at_.slope, &next_state_, &next_slope_}) numbers->resize(most);
+  for (std::vector<double>* numbers : {&at_.x, &at_.slope, &next_state_, &next_slope_, &state_within_}) {
+    numbers->resize(most);
+  }
   at_.guards.resize(most_guards);
   at_.armed.resize(most_guards);
   at_.at_zero.resize(most_guards);
@@ -57,6 +66,10 @@ RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
 }
 
 std::string RolloutRun::Where() const { return "mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(at_.t); }
+
+std::string RolloutRun::Named(int mode, int guard) const {
+  return (functions_.IsSwitch(mode, guard) ? "switch '" : "guard '") + system_.GuardName(mode, guard) + "'";
+}
 
 bool RolloutRun::Refuse(const std::string& what) {
   why_ = what;
@@ -155,8 +168,15 @@ bool RolloutRun::SwitchControl() {
     at_.mode = next;
     return Enter(Entry::kAfterReset);
   }
-  if (std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero)) {
-    return Enter(Entry::kControlJump);
+  const int mode = at_.mode;
+  const bool switches = functions_.num_switches(mode) > 0;
+  if (switches || std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero)) {
+    const std::size_t events = events_.size();
+    if (!Enter(Entry::kControlJump)) return false;
+    if (at_.mode != mode && events_.size() == events) {
+      switches_.push_back({.time = at_.t, .mode = mode, .guard = -1, .next_mode = at_.mode, .before = {}, .after = {}});
+    }
+    return true;
   }
   Remark(functions_.WhyNoDerivative(here, -1));
   if (!UpdateSlope()) return false;
@@ -164,8 +184,10 @@ bool RolloutRun::SwitchControl() {
   return true;
 }
 
-RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
+RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, bool compare_guards) {
   input_ = &input;
+  compare_guards_ = compare_guards;
+  unresolved_ = {};
   search_.Forget();
   steps_ = steps_per_interval;
   tape_.Clear();
@@ -194,6 +216,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval) {
   at_.t = input.begin;
   interval_ = 0;
   std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
+  at_.mode = functions_.PieceAt(StepFrom(0));
   bool goes_on = Enter(Entry::kStart);
   for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
     if ((node - 1) % steps_ == 0) {
@@ -218,6 +241,130 @@ void RolloutRun::Finish() {
   }
 }
 
+// Whether the flow differs from the slope before a switch.
+bool RolloutRun::JumpsFrom(const std::vector<double>& slope) const {
+  double largest = 0, change = 0;
+  for (int i = 0; i < system_.state_size(at_.mode); ++i) {
+    largest = std::max({largest, std::abs(slope[i]), std::abs(at_.slope[i])});
+    change = std::max(change, std::abs(slope[i] - at_.slope[i]));
+  }
+  return change > kSameSlope * largest;
+}
+
+// Whether a motion on zero of a switch stays there. `fastest`: the largest rate of a switch beside it, as far as known.
+bool RolloutRun::StaysOn(const FlowStep& ahead, int guard, double fastest) {
+  for (const double part : {0.5, 1.0}) {
+    const GuardValue then = search_.After(ahead, at_.slope.data(), guard, part * ahead.h);
+    if (std::abs(then.value - at_.guards[guard].value) > kStays * fastest * ahead.h) return false;
+  }
+  return true;
+}
+
+// Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
+// or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
+// there keeps it.
+bool RolloutRun::SettleSides() {
+  const int mode = at_.mode;
+  double fastest = 0;
+  std::vector<int> seen;
+  for (;;) {
+    if (!UpdateSlope()) return false;
+    UpdateGuards();
+    const FlowStep here = StepFrom(input_->duration / tape_.num_nodes);
+    search_.Enter(here);
+    const int count = system_.num_guards(at_.mode);
+    int turns = -1, next = -1;
+    for (int guard = count - functions_.num_switches(at_.mode); guard < count && turns < 0; ++guard) {
+      const GuardValue& value = at_.guards[guard];
+      if (!std::isfinite(value.value)) return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
+      using Standing = EventSearch::Standing;
+      const Standing standing = search_.Classify(here, at_.slope.data(), guard, value, Elapsed(at_.t));
+      const bool rises = standing == Standing::kArmed || standing == Standing::kRising;
+      const bool on = functions_.IsOn(at_.mode, guard);
+      if (on ? StaysOn(here, guard, fastest) : rises) continue;
+      turns = guard;
+      using Side = HybridFunctions::Side;
+      next = functions_.PieceBeside(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
+    }
+    if (turns < 0) break;
+    fastest = std::max(fastest, std::abs(at_.guards[turns].rate));
+    seen.push_back(at_.mode);
+    const auto known = [&](int piece) { return std::find(seen.begin(), seen.end(), piece) != seen.end(); };
+    if (known(next)) {
+      const int on = functions_.PieceBeside(here, turns, HybridFunctions::Side::kOn);
+      if (on < 0 || known(on)) {
+        return Refuse("the flow on both sides of switch '" + system_.GuardName(at_.mode, turns) + "' points at it in " +
+                      Where() +
+                      ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
+                      "the change of the flow gradual");
+      }
+      next = on;
+    }
+    at_.mode = next;
+  }
+  if (at_.mode != mode && !tape_.entries.empty() && tape_.entries.back().kind == TapeEntry::Kind::kReset) {
+    events_.back().next_mode = at_.mode;
+  }
+  return true;
+}
+
+// Whether motions from other initial states and parameters begin on a switch, too.
+bool RolloutRun::AllBeginOn(int guard) const {
+  const int n = system_.state_size(at_.mode), num_parameters = system_.num_parameters();
+  Eigen::RowVectorXd gradient(n + 1 + num_parameters + system_.num_controls());
+  functions_.GuardGradient(StepFrom(0), guard, gradient.data());
+  gradient[n] = 0;
+  return gradient.isZero(0);
+}
+
+// Whether the last reset leads onto a switch from all motions nearby, too: behind it the switch's number changes only
+// as the guard did before.
+bool RolloutRun::AllLandOn(int guard) const {
+  const TapeEntry& reset = tape_.entries.back();
+  const FlowStep here = StepFrom(0);
+  const ModePoint before{reset.mode, reset.t, &tape_.numbers[reset.x], here.u, here.p};
+  const int n = system_.state_size(reset.mode), rows = system_.state_size(at_.mode);
+  const int num_parameters = system_.num_parameters(), columns = n + 1 + num_parameters;
+  const int most = functions_.most_states();
+  using Vector = Eigen::RowVectorXd;
+  Eigen::VectorXd after(most);
+  Vector of_guard(columns + system_.num_controls()), of_switch(rows + 1 + num_parameters + system_.num_controls());
+  RungeKutta::Matrix jacobian(most, columns);
+  functions_.ResetJacobian(before, reset.guard, after.data(), jacobian.data());
+  functions_.GuardGradient(before, reset.guard, of_guard.data());
+  functions_.GuardGradient(here, guard, of_switch.data());
+  Vector change = of_switch.head(rows) * jacobian.topRows(rows);
+  change.tail(1 + num_parameters) += of_switch.segment(rows, 1 + num_parameters);
+  const Vector direction = of_guard.head(columns).normalized();
+  return (change - change.dot(direction) * direction).norm() <= kSameSlope * change.norm();
+}
+
+// A motion that begins on a switch, or is reset onto it, has one-sided derivatives if the flow jumps there.
+void RolloutRun::RemarkOnSwitches(Entry entry) {
+  const FlowStep here = StepFrom(input_->duration / tape_.num_nodes);
+  const int count = system_.num_guards(at_.mode), mode = at_.mode;
+  const std::vector<double> slope = at_.slope;
+  for (int guard = count - functions_.num_switches(mode); guard < count; ++guard) {
+    if (search_.Classify(here, slope.data(), guard, at_.guards[guard], Elapsed(at_.t)) == EventSearch::Standing::kArmed)
+      continue;
+    bool jumps = false;
+    using Side = HybridFunctions::Side;
+    for (const Side side : {Side::kOther, Side::kBelow, Side::kAbove}) {
+      const int beside = functions_.PieceBeside(here, guard, side);
+      if (beside < 0) continue;
+      at_.mode = beside;
+      functions_.Flow(StepFrom(0), at_.slope.data());
+      jumps = jumps || JumpsFrom(slope);
+    }
+    at_.mode = mode;
+    at_.slope = slope;
+    if (!jumps || (entry == Entry::kStart ? AllBeginOn(guard) : AllLandOn(guard))) continue;
+    Remark((entry == Entry::kStart ? "the motion begins on switch '"
+                                   : "the reset at t = " + Text(at_.t) + " leads onto switch '") +
+           system_.GuardName(mode, guard) + "', where the flow jumps");
+  }
+}
+
 // On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once. Transitions
 // of guards that are behind belong to the event before and come first; then the earliest event of guards at zero, and
 // of those that rounding does not separate that of the smallest number. Where only the control jumps, guards at zero
@@ -225,7 +372,10 @@ void RolloutRun::Finish() {
 bool RolloutRun::Enter(Entry entry) {
   using Standing = EventSearch::Standing;
   for (;;) {
-    if (!UpdateSlope()) return false;
+    const int mode = at_.mode;
+    const bool switches = functions_.num_switches(mode) > 0;
+    if (switches ? !SettleSides() : !UpdateSlope()) return false;
+    if (at_.mode != mode && entry == Entry::kControlJump) entry = Entry::kAfterReset;  // with other guards
     if (entry == Entry::kStart) Remark(functions_.WhyNoDerivative(StepFrom(0), -1));
     const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
     const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
@@ -234,6 +384,8 @@ bool RolloutRun::Enter(Entry entry) {
     double time = 0, rounding = 0;  // of the event that is due
     UpdateGuards();
     search_.Enter(ahead);
+    const bool is_reset = !events_.empty() && tape_.entries.back().kind == TapeEntry::Kind::kReset;
+    if (switches && (entry == Entry::kStart || (is_reset && !events_.back().is_switch))) RemarkOnSwitches(entry);
     if (entry != Entry::kControlJump) std::fill(at_.at_zero.begin(), at_.at_zero.end(), 0);
     for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
       if (entry == Entry::kControlJump && at_.at_zero[guard] == 0) continue;
@@ -244,6 +396,12 @@ bool RolloutRun::Enter(Entry entry) {
       const Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value, elapsed);
       at_.armed[guard] = standing == Standing::kArmed;
       at_.at_zero[guard] = standing == Standing::kRising;
+      if (switches && functions_.IsSwitch(at_.mode, guard)) {
+        if (!functions_.IsOn(at_.mode, guard)) continue;
+        at_.armed[guard] = kHeld;
+        at_.at_zero[guard] = 0;
+        continue;
+      }
       if (standing == Standing::kArmed || standing == Standing::kRising) continue;
       if (standing == Standing::kBehind) {
         if (entry == Entry::kStart) {
@@ -336,7 +494,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
                   "'");
   }
   afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
-  events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once});
+  events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once, functions_.IsSwitch(mode, guard)});
   std::copy_n(next_state_.begin(), system_.state_size(next), at_.x.begin());
   at_.mode = next;
   return true;
@@ -361,12 +519,14 @@ bool RolloutRun::StepTo(int node) {
       if (std::isfinite(next_guards_[guard].value)) continue;
       return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
     }
+    if (compare_guards_) CompareGuards(step);
     Due due = EarliestEvent(step, next_guards_);
     if (due.guard < 0 && node == tape_.num_nodes) {
       // An event so shortly after the end that rounding decides is one at the end.
       for (int guard = 0; guard < num_guards && due.guard < 0; ++guard) {
         const GuardValue& last = next_guards_[guard];
-        if (at_.armed[guard] == 0 || last.value > kNear * -last.rate * input_->duration) continue;
+        if (at_.armed[guard] == 0 || at_.armed[guard] == kHeld || last.value > kNear * -last.rate * input_->duration)
+          continue;
         const double window = search_.WindowOf(end, guard, last.rate, Elapsed(target)).integrated;
         if (last.rate < 0 && last.value <= window) due = {guard, step.h};
       }
@@ -384,13 +544,59 @@ bool RolloutRun::StepTo(int node) {
       std::swap(at_.x, next_state_);
       std::swap(at_.slope, next_slope_);
     }
+    bool leaves = false;  // a switch on whose zero it was
     for (int guard = 0; guard < num_guards; ++guard) {
-      at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
+      if (at_.armed[guard] == kHeld) {
+        leaves = leaves || next_guards_[guard].value != at_.guards[guard].value;
+      } else {
+        at_.armed[guard] = at_.armed[guard] || next_guards_[guard].value > 0;
+      }
       at_.at_zero[guard] = at_.at_zero[guard] && !at_.armed[guard];
       at_.guards[guard] = next_guards_[guard];
     }
-    return true;
+    return !leaves || Enter(Entry::kAfterReset);
   }
+}
+
+// The point within a step is at another part of each, as a guard may have the period of the steps. The state there is
+// the cubic through states and slopes at the ends, as accurate as the guard's own.
+void RolloutRun::CompareGuards(const FlowStep& step) {
+  if (!(step.h > 0)) return;
+  constexpr double kGolden = 0.6180339887498949;
+  double whole = 0;
+  const double a = 0.1 + 0.8 * std::modf(kGolden * static_cast<double>(tape_.entries.size()), &whole), b = 1 - a;
+  FlowStep within = step;
+  within.h = a * step.h;
+  if (!functions_.Fly(within, state_within_.data(), nullptr)) {
+    for (int i = 0; i < system_.state_size(step.mode); ++i) {
+      state_within_[i] = b * b * (1 + 2 * a) * at_.x[i] + a * a * (1 + 2 * b) * next_state_[i] +
+                         a * b * step.h * (b * at_.slope[i] - a * next_slope_[i]);
+    }
+  }
+  within.x = state_within_.data();
+  within.t += within.h;
+  for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
+    const GuardValue &begin = at_.guards[guard], &end = next_guards_[guard];
+    const double third = step.h / 3;
+    const double size =
+        std::abs(begin.value) + std::abs(end.value) + step.h * (std::abs(begin.rate) + std::abs(end.rate));
+    const double off = std::abs(functions_.Guard(within, guard) - Hermite(begin, end, step.h)(within.h));
+    if (off <= kResolved * size) continue;
+    // The cubic lies between the smallest and the largest of its Bezier coefficients.
+    const auto [least, most] =
+        std::minmax({begin.value, begin.value + third * begin.rate, end.value - third * end.rate, end.value});
+    if (least > kHides * off || most < -kHides * off || off <= kRoundingOfGuard * search_.Scale(within, guard))
+      continue;
+    if (unresolved_.steps++ > 0) return;
+    unresolved_.what = "guard '" + system_.GuardName(step.mode, guard) +
+                       "' changes faster than the steps resolve, in " + Where() + ": its events may be missed";
+    return;
+  }
+}
+
+bool RolloutRun::ResolvesGuards() const {
+  return unresolved_.steps == 0 ||
+         (tape_.num_nodes >= kResolvedSteps && unresolved_.steps * kPlaces <= tape_.num_nodes);
 }
 
 // Of the armed guards in a step; those that graze are noted, and disarmed where they end at zero.
@@ -398,6 +604,7 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
   Due earliest;
   for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
     const GuardValue& begin = at_.guards[guard];
+    if (at_.armed[guard] == kHeld) continue;
     if (at_.armed[guard] && end[guard].value > 0 && !(begin.rate <= 0 && end[guard].rate >= 0) &&
         !search_.MayReturn(step, guard, begin, end[guard])) {
       continue;
@@ -425,7 +632,8 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
     FlowStep part = step;
     part.h = earliest.s;
     for (int guard = 0; guard < system_.num_guards(step.mode) && !found; ++guard) {
-      if (guard == earliest.guard || (at_.armed[guard] && !(at_.guards[guard].value > 0))) continue;
+      if (guard == earliest.guard || at_.armed[guard] == kHeld) continue;
+      if (at_.armed[guard] && !(at_.guards[guard].value > 0)) continue;
       const GuardValue then = search_.After(step, at_.slope.data(), guard, part.h);
       if (then.value >= 0) continue;
       const FlowStep point = search_.PointAfter(step, at_.slope.data(), part.h);
@@ -440,8 +648,8 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
 }
 
 // The guards that reach zero with the one that is due, where at_ is: within the errors of the integration. `first` is
-// the guard that comes first: of those that rounding does not separate from the one that is due, that of the smallest
-// number.
+// the guard that comes first, of those that rounding does not separate from the one that is due: a switch if there is
+// one, as guards are then what they are on its other side, and else that of the smallest number.
 std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
   const FlowStep here = StepFrom(0);
   const double elapsed = Elapsed(at_.t);
@@ -450,7 +658,7 @@ std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
   double rounding_of_due = -1;  // in time
   for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
     if (guard == due.guard) tied.push_back(guard);
-    if (guard == due.guard || at_.armed[guard] == 0) continue;
+    if (guard == due.guard || at_.armed[guard] == 0 || at_.armed[guard] == kHeld) continue;
     const GuardValue value = search_.At(here, at_.slope.data(), guard);
     if (!(value.rate < 0) || std::abs(value.value) > kNear * -value.rate * input_->duration) continue;
     const EventSearch::Window error = search_.WindowOf(here, guard, value.rate, elapsed);
@@ -460,7 +668,9 @@ std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
       const double rate = search_.At(here, at_.slope.data(), due.guard).rate;
       rounding_of_due = rate < 0 ? search_.WindowOf(here, due.guard, rate, elapsed).rounding / -rate : 0;
     }
-    if (std::abs(value.value) <= error.rounding - value.rate * rounding_of_due) *first = std::min(*first, guard);
+    if (std::abs(value.value) > error.rounding - value.rate * rounding_of_due) continue;
+    const bool turns = functions_.IsSwitch(at_.mode, guard), other_turns = functions_.IsSwitch(at_.mode, *first);
+    if (turns == other_turns ? guard < *first : turns) *first = guard;
   }
   return tied;
 }
@@ -478,7 +688,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   int first = due.guard;
   coincidence.guards = TiedWith(due, &first);
   tape_.entries.back().guard = first;
-  const std::string name = "guard '" + system_.GuardName(at_.mode, first) + "'";
+  const std::string name = Named(at_.mode, first);
   if (coincidence.guards.size() > 1) {
     coincidence.tie = static_cast<int>(ties_.size());
     const HybridTie& tie = ties_.emplace_back(HybridTie{.time = at_.t, .mode = at_.mode, .guards = coincidence.guards});
@@ -492,10 +702,12 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const double remaining = input_->begin + input_->duration - at_.t;
   coincidence.jump = ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump);
   const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
-  if (remaining <= kNear * input_->duration &&
-      remaining * std::abs(at_event.rate) <=
-          search_.WindowOf(StepFrom(0), first, at_event.rate, Elapsed(at_.t)).integrated) {
-    Remark(name + " has an event at the final time");
+  const bool turns = functions_.IsSwitch(at_.mode, first);
+  const bool at_end = remaining <= kNear * input_->duration &&
+                      remaining * std::abs(at_event.rate) <=
+                          search_.WindowOf(StepFrom(0), first, at_event.rate, Elapsed(at_.t)).integrated;
+  if (at_end) {
+    if (!turns) Remark(name + " has an event at the final time");
     coincidence.jump = -1;
   } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
     coincidence.remark = name + " has an event at t = " + Text(at_.t) + ", where the control jumps";
@@ -503,7 +715,17 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const std::size_t begin = coincidence.begin, events = events_.size(), number = tape_.coincidences.size();
   const std::optional<double> accumulation = accumulation_;
   tape_.coincidences.push_back(std::move(coincidence));
+  const int mode = at_.mode, first_switch = system_.num_guards(mode) - functions_.num_switches(mode);
+  const std::vector<char> were_armed = turns ? at_.armed : std::vector<char>();
+  const std::vector<double> slope = turns ? at_.slope : std::vector<double>();
   if (!Fire(first, false, false) || !Enter(Entry::kAfterReset)) return false;
+  if (turns && events_.size() == events + 1) {
+    if (at_end && JumpsFrom(slope)) Remark(name + ", at which the flow jumps, is zero at the final time");
+    // Guards that a switch leaves at zero: they touch it, and do not fall through.
+    for (int guard = 0; guard < first_switch; ++guard) {
+      if (were_armed[guard] && !at_.armed[guard]) grazings_.push_back({at_.t, mode, guard});
+    }
+  }
   const bool accumulates = accumulation_ != accumulation;
   std::string& remark = tape_.coincidences[number].remark;
   if (remark.empty() && accumulates) {

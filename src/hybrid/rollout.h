@@ -25,8 +25,9 @@ class RolloutRun {
  public:
   RolloutRun(const HybridSystem& system, const HybridOptions& options);
 
-  // Precondition: the input has all numbers of its control.
-  RolloutEnd Run(const HybridInput& input, int steps_per_interval);
+  // Precondition: the input has all numbers of its control. `compare_guards`: counts the steps that do not resolve the
+  // guards, which takes an evaluation of all guards for each step.
+  RolloutEnd Run(const HybridInput& input, int steps_per_interval, bool compare_guards = false);
 
   // Of the last run.
   const MotionTape& tape() const { return tape_; }
@@ -42,6 +43,16 @@ class RolloutRun {
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
 
+  // Steps within which a guard is not the cubic through its values and rates at their ends, where that might hide an
+  // event. `what`: which guard, and where.
+  struct Unresolved {
+    int steps = 0;
+    std::string what;
+  };
+  const Unresolved& unresolved() const { return unresolved_; }
+  // Whether the steps resolve the guards, up to a few places: a guard with a kink near zero is resolved nowhere there.
+  bool ResolvesGuards() const;
+
  private:
   // A mode and its state, with all guards as they stand. One that is at zero needs not rise before it falls.
   struct At {
@@ -49,8 +60,9 @@ class RolloutRun {
     double t = 0;
     std::vector<double> x, slope;
     std::vector<GuardValue> guards;
-    std::vector<char> armed, at_zero;
+    std::vector<char> armed, at_zero;  // armed may be kHeld: a switch on whose zero the motion stays
   };
+  static constexpr char kHeld = 2;
   struct Due {
     int guard = -1;
     double s = 0;
@@ -59,12 +71,19 @@ class RolloutRun {
   enum class Entry { kStart, kAfterReset, kControlJump };
 
   bool SwitchControl();
+  bool SettleSides();
+  bool StaysOn(const FlowStep& ahead, int guard, double fastest);
+  bool JumpsFrom(const std::vector<double>& slope) const;
+  void RemarkOnSwitches(Entry entry);
+  bool AllBeginOn(int guard) const;
+  bool AllLandOn(int guard) const;
   bool StepTo(int node);
   bool Enter(Entry entry);
   bool Fire(int guard, bool with_step, bool at_once);
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool Happen(const Due& due, const FlowStep& step);
   std::vector<int> TiedWith(const Due& due, int* first);
+  void CompareGuards(const FlowStep& step);
   bool Accumulates();
   std::string WhyRepeats(int guard, EventSearch::Standing standing) const;
   bool GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why);
@@ -76,6 +95,7 @@ class RolloutRun {
   bool Refuse(const std::string& what);
   bool FailAt(const FlowStep& step);
   std::string Where() const;
+  std::string Named(int mode, int guard) const;
   void Remark(const std::string& what);
   void Finish();
 
@@ -87,13 +107,15 @@ class RolloutRun {
   std::vector<double> interval_ends_;
   int steps_ = 1, interval_ = 0;
   At at_;
-  std::vector<double> next_state_, next_slope_;
+  std::vector<double> next_state_, next_slope_, state_within_;
   std::vector<GuardValue> next_guards_;
   MotionTape tape_;
   std::vector<HybridEvent> events_, switches_;
   std::vector<std::size_t> befores_, afters_;  // of the events, in the tape's numbers
   std::vector<HybridGrazing> grazings_;
   std::vector<HybridTie> ties_;
+  bool compare_guards_ = false;
+  Unresolved unresolved_;
   std::string why_, remark_;
   std::optional<double> accumulation_;
   RolloutEnd end_ = RolloutEnd::kDone;

@@ -262,7 +262,7 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   if (!none.reason.empty()) return none;
   Study study{options, threads, MakePlan(motion, input), Linearize(motion, input)};
   if (none.reason = motion.WhyNotFinite(); !none.reason.empty()) return none;
-  for (int mode = 0; mode < system.num_modes(); ++mode) {
+  for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
     study.Q.push_back(Eigen::MatrixXd::Identity(system.state_size(mode), system.state_size(mode)));
   }
   const auto of_states = [&](const std::string& prefix) {

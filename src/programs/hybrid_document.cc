@@ -29,7 +29,7 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
     const std::ptrdiff_t row = std::max<std::ptrdiff_t>(begun - 1, 0) * system.num_controls();
     const double* control = input.control.empty() ? no_control.data() : &input.control[row];
     Json& values = guards.emplace_back(Json::array());
-    for (int guard = 0; guard < system.num_guards(mode); ++guard) {
+    for (int guard = 0; guard < system.num_guards(mode) && !system.functions().IsSwitch(mode, guard); ++guard) {
       values.push_back(system.functions().Guard({mode, time, state.data(), control, input.parameters.data()}, guard));
     }
   };
@@ -78,11 +78,13 @@ void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulato
   const double error = simulator->IntegrationError();
   (*motion)["integration_error"] = error;
   (*motion)["remarks"] = RemarksToJson(RemarksOn(*simulator, error, problem.integration.tolerance));
+  const std::string remark = motion->value("remark", ""), why = simulator->WhyInaccurate();
+  if (!why.empty()) (*motion)["remark"] = remark.empty() ? why : remark + "; " + why;
 }
 
 Json HybridSystemToJson(const HybridSystem& system) {
   Json json = NamesToJson(system);
-  for (int mode = 0; mode < system.num_modes(); ++mode) {
+  for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
     Json& guards = json["modes"][mode]["guards"] = Json::array();
     for (int guard = 0; guard < system.num_guards(mode); ++guard) guards.push_back(system.GuardName(mode, guard));
   }
@@ -109,15 +111,21 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
     motion["mode"] = system.ModeName(simulator.final_mode());
     motion["final"] = NumbersOf(simulator.final_state());
   }
-  Json events = Json::array();
+  Json events = Json::array(), switches = Json::array();
   for (const HybridEvent& event : simulator.events()) {
-    events.push_back({{"time", event.time},
-                      {"mode", system.ModeName(event.mode)},
-                      {"guard", system.GuardName(event.mode, event.guard)},
-                      {"next_mode", system.ModeName(event.next_mode)},
-                      {"rate", event.rate}});
+    const std::string mode = system.ModeName(event.mode), guard = system.GuardName(event.mode, event.guard);
+    if (event.is_switch) {
+      switches.push_back({{"time", event.time}, {"mode", mode}, {"switch", guard}});
+    } else {
+      events.push_back({{"time", event.time},
+                        {"mode", mode},
+                        {"guard", guard},
+                        {"next_mode", system.ModeName(event.next_mode)},
+                        {"rate", event.rate}});
+    }
   }
   motion["events"] = std::move(events);
+  if (!switches.empty()) motion["switches"] = std::move(switches);
   motion["steps_per_interval"] = simulator.steps_per_interval();
   if (ok) {
     if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) motion["remark"] = remark;

@@ -19,7 +19,9 @@
 //
 // What is guaranteed of events: a guard that is below zero at the end of a step has its event in it. A guard that falls
 // below zero and returns within one step is found if it falls at the beginning of the step and rises at the end, and
-// the cubic through its values and rates there comes within a half of the smaller value of zero.
+// the cubic through its values and rates there comes within a half of the smaller value of zero. The number of steps is
+// chosen so that these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names
+// a guard for which that takes too many steps. A dip that is much shorter than all steps may be missed.
 #pragma once
 
 #include <memory>
@@ -68,6 +70,7 @@ struct HybridEvent {
   double rate = 0;                        // of the guard in time, just before
   std::span<const double> before, after;  // states, valid until the next rollout
   bool at_once = false;                   // it follows the one before it without time passing
+  bool is_switch = false;                 // the flow changes (HybridFunctions::num_switches), and the state does not
 };
 
 // A guard that reaches zero and does not cross it: the motion goes on as if it had not.
@@ -167,8 +170,13 @@ class HybridSimulator {
   // Chooses the number of steps anew in the next rollout, unless it is given.
   void ChooseStepsAnew();
   // The largest relative difference of final state and event times to those of a rollout with twice as many steps;
-  // infinite if that has other events. Costs a rollout. Precondition: the last rollout succeeded.
+  // infinite if that has other events. Costs a rollout with twice as many steps, unless it is known: it is that of a
+  // rollout which has chosen the number of steps. Precondition: the last rollout succeeded.
   double IntegrationError();
+  // Why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given steps), and
+  // which guard changes faster than the steps resolve, so that events may be missed; empty if neither is so. Costs as
+  // much as IntegrationError. Precondition: the last rollout succeeded.
+  std::string WhyInaccurate();
 
   // The derivative of a function of the last motion, given its derivative by what it reads: one reverse sweep, whose
   // cost does not depend on the number of controls. Precondition: the rollout succeeded.

@@ -37,9 +37,24 @@
 //
 // Flow is still asked for slopes. Steps must be short enough that no guard crosses zero twice in one.
 //
+// Optional: switches, where the flow jumps or has a kink. A flow must not decide by the state or the time itself, as an
+// `if` has no derivative by the time at which it changes; it is told on which side of each switch the motion is:
+//
+//     static constexpr std::array kNumSwitches = {1};       // of each mode, at most 6
+//     template <typename T>   // its zeros are located as those of guards
+//     T Switch(int mode, int number, const T& t, const T* x, const T* p) const { return x[1]; }
+//     template <typename T>   // above[i]: switch i of the mode is above zero; the flow is smooth on either side
+//     void Flow(int mode, const T& t, const T* x, const T* u, const T* p, const bool* above, T* xdot) const {
+//       xdot[0] = x[1];
+//       xdot[1] = -p[0] + (above[0] ? -0.1 : 0.1) * x[1] * x[1];
+//     }
+//
+// A Fly gets `above` before `after`, too. A motion that both sides of a switch drive towards it ends with that reason.
+//
 // Names are optional and appear in messages and outputs: static constexpr std::array<const char*, n> kModeNames,
 // kControlNames and kParameterNames; kGuardNames, those of all modes one after the other; kStateNames, those of all
-// modes one after the other, or those of one mode if all modes have states of the same size.
+// modes one after the other, or those of one mode if all modes have states of the same size; kSwitchNames, those of all
+// modes one after the other.
 //
 // The functions must not keep state: they are called from several threads, and at times in any order.
 #pragma once
@@ -50,6 +65,7 @@
 #include <utility>
 
 #include "saltus/internal/hybrid_functions.h"
+#include "saltus/internal/switched_pieces.h"
 
 namespace saltus {
 
@@ -58,15 +74,21 @@ class HybridSystem {
  public:
   template <typename S>
   requires(!std::derived_from<std::remove_cvref_t<S>, HybridSystem> &&
-           requires { S::kStateSizes; }) explicit HybridSystem(S system)
-      : functions_(std::make_shared<HybridFunctionsOf<S>>(std::move(system))) {}
+           requires { S::kStateSizes; }) explicit HybridSystem(S system) {
+    if constexpr (requires { S::kNumSwitches; }) {
+      functions_ = std::make_shared<HybridFunctionsOf<SwitchedPieces<S>>>(SwitchedPieces<S>{std::move(system)});
+    } else {
+      functions_ = std::make_shared<HybridFunctionsOf<S>>(std::move(system));
+    }
+  }
   // Of functions that are no C++ templates. Precondition: not null.
   explicit HybridSystem(std::shared_ptr<const HybridFunctions> functions) : functions_(std::move(functions)) {}
 
   const HybridFunctions& functions() const { return *functions_; }
   const HybridLayout& layout() const { return functions_->layout(); }
 
-  // So far, of a system that creates modes as a motion meets them.
+  // So far, of a system that creates modes as a motion meets them. The pieces of modes with switches are modes
+  // (HybridFunctions::BaseMode); those of the user come first.
   int num_modes() const { return functions_->num_modes(); }
   int num_controls() const { return layout().num_controls; }
   int num_parameters() const { return layout().num_parameters; }

@@ -54,7 +54,6 @@ class HybridFunctions {
   virtual std::string StateName(int mode, int component) const;
   // Of any mode.
   int most_states() const { return *std::max_element(layout_.state_sizes.begin(), layout_.state_sizes.end()); }
-  int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 
   virtual void Flow(const ModePoint& at, double* xdot) const = 0;
   // And by [x t p u]: n x (n + 1 + P + m).
@@ -136,6 +135,24 @@ class HybridFunctions {
   // Whether the resets themselves end an accumulation.
   virtual bool EndsAccumulations() const { return false; }
 
+  // Switches: guards, the last ones of a mode, at whose zeros the flow jumps or has a kink. The state stays what it is,
+  // and the motion goes on in another piece of what is one mode to the user, its base mode. The pieces are modes here.
+  virtual int num_switches(int /*mode*/) const { return 0; }
+  bool IsSwitch(int mode, int guard) const { return guard >= num_guards(mode) - num_switches(mode); }
+  virtual int BaseMode(int mode) const { return mode; }
+  virtual int num_base_modes() const { return num_modes(); }
+  // The piece of the point's base mode that the values of the switches name.
+  virtual int PieceAt(const ModePoint& at) const { return at.mode; }
+  // The piece that differs from the point's in the side of one switch: above zero, below, on zero, where the function
+  // of the user may have a value of its own (as the sign of zero), sliding along it (Filippov's convention: the average
+  // of the flows on both sides that keeps the switch at zero), or the other side than the point's. -1: there is none.
+  enum class Side { kBelow = -1, kOn = 0, kAbove = 1, kSliding, kOther };
+  virtual int PieceBeside(const ModePoint& /*at*/, int /*guard*/, Side /*side*/) const { return -1; }
+  // Whether a mode is the piece on zero of a switch, whose value stays zero there.
+  virtual bool IsOn(int /*mode*/, int /*guard*/) const { return false; }
+  // The largest number of guards of any mode.
+  virtual int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
+
  protected:
   explicit HybridFunctions(HybridLayout layout) : layout_(std::move(layout)) {}
 
@@ -153,7 +170,38 @@ class HybridFunctionsOf final : public HybridFunctions {
   static_assert(*std::min_element(S::kStateSizes.begin(), S::kStateSizes.end()) > 0, "every mode has a state");
   static_assert(*std::min_element(S::kNumGuards.begin(), S::kNumGuards.end()) >= 0);
 
-  explicit HybridFunctionsOf(S system) : HybridFunctions(LayoutOf()), system_(std::move(system)) {}
+  explicit HybridFunctionsOf(S system) : HybridFunctions(LayoutOf<Described>()), system_(std::move(system)) {}
+
+  int num_modes() const override { return kNumModes; }
+  int state_size(int mode) const override { return S::kStateSizes[mode]; }
+  int num_guards(int mode) const override { return S::kNumGuards[mode]; }
+  int most_guards() const override { return *std::max_element(S::kNumGuards.begin(), S::kNumGuards.end()); }
+  int num_base_modes() const override { return static_cast<int>(Described::kStateSizes.size()); }
+  int BaseMode(int mode) const override { return mode % num_base_modes(); }
+  std::string ModeName(int mode) const override { return HybridFunctions::ModeName(BaseMode(mode)); }
+  std::string StateName(int mode, int component) const override {
+    return HybridFunctions::StateName(BaseMode(mode), component);
+  }
+  std::string GuardName(int mode, int guard) const override {
+    if constexpr (kHasPieces) {
+      if (IsSwitch(mode, guard)) return S::SwitchName(mode, guard);
+    }
+    return HybridFunctions::GuardName(BaseMode(mode), guard);
+  }
+  int num_switches(int mode) const override {
+    if constexpr (kHasPieces) return S::NumSwitches(mode);
+    return 0;
+  }
+  int PieceAt(const ModePoint& at) const override {
+    if constexpr (kHasPieces) return system_.PieceAt(BaseMode(at.mode), at.t, at.x, at.p);
+    return at.mode;
+  }
+  int PieceBeside(const ModePoint& at, int guard, Side side) const override {
+    if constexpr (kHasPieces) {
+      if (side == Side::kOther) return S::Beside(at.mode, guard);
+    }
+    return -1;
+  }
 
   void Flow(const ModePoint& at, double* xdot) const override { system_.Flow(at.mode, at.t, at.x, at.u, at.p, xdot); }
   void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override {
@@ -273,6 +321,14 @@ class HybridFunctionsOf final : public HybridFunctions {
   }
 
  private:
+  // The pieces of a struct with switches (switched_pieces.h), and the struct that has sizes and names.
+  static constexpr bool kHasPieces = requires { typename S::Base; };
+  template <typename Struct>
+  static Struct BaseOf(...);
+  template <typename Struct>
+  static typename Struct::Base BaseOf(typename Struct::Base*);
+  using Described = decltype(BaseOf<S>(nullptr));
+
   static constexpr bool kFlies = requires(const S& system, double t, const double* x, double* after) {
     system.Fly(0, t, t, x, x, x, after);
   };
@@ -354,34 +410,36 @@ class HybridFunctionsOf final : public HybridFunctions {
     }
   }
 
+  template <typename D>
   static HybridLayout LayoutOf() {
-    HybridLayout layout{.num_controls = S::kNumControls, .num_parameters = S::kNumParameters};
-    layout.state_sizes.assign(S::kStateSizes.begin(), S::kStateSizes.end());
-    layout.num_guards.assign(S::kNumGuards.begin(), S::kNumGuards.end());
-    if constexpr (requires { S::kModeNames; }) {
-      static_assert(S::kModeNames.size() == kNumModes, "kModeNames has one name for each mode");
-      layout.mode_names.assign(S::kModeNames.begin(), S::kModeNames.end());
+    constexpr int kModes = static_cast<int>(D::kStateSizes.size());
+    HybridLayout layout{.num_controls = D::kNumControls, .num_parameters = D::kNumParameters};
+    layout.state_sizes.assign(D::kStateSizes.begin(), D::kStateSizes.end());
+    layout.num_guards.assign(D::kNumGuards.begin(), D::kNumGuards.end());
+    if constexpr (requires { D::kModeNames; }) {
+      static_assert(D::kModeNames.size() == kModes, "kModeNames has one name for each mode");
+      layout.mode_names.assign(D::kModeNames.begin(), D::kModeNames.end());
     }
-    if constexpr (requires { S::kGuardNames; }) {
-      static_assert(S::kGuardNames.size() == Sum(S::kNumGuards),
+    if constexpr (requires { D::kGuardNames; }) {
+      static_assert(D::kGuardNames.size() == Sum(D::kNumGuards),
                     "kGuardNames has one name for each guard of each mode");
-      layout.guard_names.assign(S::kGuardNames.begin(), S::kGuardNames.end());
+      layout.guard_names.assign(D::kGuardNames.begin(), D::kGuardNames.end());
     }
-    if constexpr (requires { S::kStateNames; }) {
-      constexpr bool kOfAllModes = S::kStateNames.size() == Sum(S::kStateSizes);
-      static_assert(kOfAllModes || S::kStateNames.size() * kNumModes == Sum(S::kStateSizes),
+    if constexpr (requires { D::kStateNames; }) {
+      constexpr bool kOfAllModes = D::kStateNames.size() == Sum(D::kStateSizes);
+      static_assert(kOfAllModes || D::kStateNames.size() * kModes == Sum(D::kStateSizes),
                     "kStateNames has one name for each component of each mode, or of one mode if all have equal sizes");
-      for (int mode = 0; mode < (kOfAllModes ? 1 : kNumModes); ++mode) {
-        layout.state_names.insert(layout.state_names.end(), S::kStateNames.begin(), S::kStateNames.end());
+      for (int mode = 0; mode < (kOfAllModes ? 1 : kModes); ++mode) {
+        layout.state_names.insert(layout.state_names.end(), D::kStateNames.begin(), D::kStateNames.end());
       }
     }
-    if constexpr (requires { S::kControlNames; }) {
-      static_assert(S::kControlNames.size() == S::kNumControls, "kControlNames has one name for each control");
-      layout.control_names.assign(S::kControlNames.begin(), S::kControlNames.end());
+    if constexpr (requires { D::kControlNames; }) {
+      static_assert(D::kControlNames.size() == D::kNumControls, "kControlNames has one name for each control");
+      layout.control_names.assign(D::kControlNames.begin(), D::kControlNames.end());
     }
-    if constexpr (requires { S::kParameterNames; }) {
-      static_assert(S::kParameterNames.size() == S::kNumParameters, "kParameterNames has one name for each parameter");
-      layout.parameter_names.assign(S::kParameterNames.begin(), S::kParameterNames.end());
+    if constexpr (requires { D::kParameterNames; }) {
+      static_assert(D::kParameterNames.size() == D::kNumParameters, "kParameterNames has one name for each parameter");
+      layout.parameter_names.assign(D::kParameterNames.begin(), D::kParameterNames.end());
     }
     return layout;
   }

@@ -244,7 +244,9 @@ class SegmentStudy {
       // The costate at its end: that of the final state, pulled back exactly.
       const std::vector<double> end(exact.StateAt(segment.last).begin(), exact.StateAt(segment.last).end());
       const std::vector<double> begin(exact.StateAt(segment.first).begin(), exact.StateAt(segment.first).end());
-      const int mode = exact.ModeAt(segment.first), last_mode = exact.ModeAt(segment.last);
+      const HybridFunctions& functions = problem_.system.functions();
+      const int mode = functions.BaseMode(exact.ModeAt(segment.first)),
+                last_mode = functions.BaseMode(exact.ModeAt(segment.last));
       std::vector<double> costate = FinalCotangent(exact);
       if (segment.last < steps_) costate = ExactPullBack(last_mode, end, segment.last, steps_, costate);
       const std::vector<double> right = ExactPullBack(mode, begin, segment.first, segment.last, costate);

@@ -16,7 +16,8 @@ constexpr double kNodeMargin = 2e-13;  // of the duration: nodes are by half of 
 constexpr double kDelay = 1e-7;        // of the duration
 constexpr int kFewestIntervals = 64;   // where no control or cost of intervals gives their number
 
-// The problem with as many intervals as phases need, where their number means nothing.
+// The problem with as many intervals as phases need, where their number means nothing, from the piece of the mode in
+// which the motion begins.
 HybridProblem WithIntervals(HybridProblem problem) {
   const bool of_intervals = std::any_of(problem.terms.begin(), problem.terms.end(), [](const HybridTerm& term) {
     return term.at == HybridTerm::At::kEachInterval;
@@ -31,6 +32,8 @@ HybridProblem WithIntervals(HybridProblem problem) {
     guess.num_intervals = kFewestIntervals;
     guess.lengths.clear();
   }
+  guess.mode = problem.system.functions().PieceAt(
+      {guess.mode, guess.begin, guess.initial.data(), guess.control.data(), guess.parameters.data()});
   return problem;
 }
 
@@ -270,7 +273,7 @@ bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
   return std::all_of(problem_.terms.begin(), problem_.terms.end(), [&](const HybridTerm& term) {
     if (term.at != HybridTerm::At::kEnd) return true;
     const bool fits = !term.with_state || term.function->parameter_block_sizes()[0] == problem_.system.state_size(mode);
-    return fits && (term.mode < 0 || term.mode == mode);
+    return fits && (term.mode < 0 || term.mode == problem_.system.functions().BaseMode(mode));
   });
 }
 

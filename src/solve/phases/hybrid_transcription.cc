@@ -638,11 +638,13 @@ void HybridTranscription::AddTerms() {
     for (int j = 0; j < num_phases(); ++j) {
       const Phase& phase = phases_[j];
       if (term.at == HybridTerm::At::kEvent) {
-        if (j + 1 == num_phases() || plan_.cuts[j]->mode != term.mode || plan_.cuts[j]->guard != term.guard) continue;
+        if (j + 1 == num_phases() || functions_.BaseMode(plan_.cuts[j]->mode) != term.mode ||
+            plan_.cuts[j]->guard != term.guard)
+          continue;
         add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
         continue;
       }
-      if (term.mode >= 0 && term.mode != phase.mode) continue;
+      if (term.mode >= 0 && term.mode != functions_.BaseMode(phase.mode)) continue;
       for (int k = 0; k < phase.intervals; ++k) {
         add(term,
             phase.first_node + k * substeps_,

@@ -1,0 +1,210 @@
+"""Conditions in functions of hybrid systems: where the flow jumps or has a kink, guards that touch zero, accuracy."""
+
+import importlib.util
+import math
+import os
+import pathlib
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import saltus
+
+
+def one_mode(flow, states=("x",), parameters=(), **rest):
+    return saltus.HybridSystem(states={"m": list(states)}, parameters=list(parameters), flow={"m": flow}, **rest)
+
+
+def derivatives(system, initial, parameters, duration, **options):
+    problem = saltus.HybridProblem(system, mode="m", initial=initial, parameters=parameters, duration=duration, **options)
+    motion, d = saltus.rollout(problem), saltus.final_derivatives(problem)
+    assert motion.remark == d.remark == ""
+    assert motion.integration_error <= 1e-12 and d.integration_error == motion.integration_error
+    return motion, d
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-12])
+def test_a_jump_by_the_state(tolerance):
+    system = one_mode(lambda t, x, u, p: [saltus.where(x[0] < p[0], 1.0, 3.0)], parameters=["c"])
+    motion, d = derivatives(system, [0.3], [1.0], 2.0, tolerance=tolerance)
+    assert_allclose(motion.final, [4.9], rtol=1e-14)
+    assert_allclose([d.by_initial[0, 0], d.by_parameters[0, 0], d.by_duration[0]], [3, -2, 3], rtol=1e-13)
+    assert motion.events == [] and [(mode, number) for _, mode, number in motion.switches] == [("m", "x - c")]
+    assert d.times_by_initial.shape == (0, 1)
+
+
+def test_a_jump_by_the_time():
+    system = one_mode(lambda t, x, u, p: [-x[0] + saltus.where(t < p[0], 1.0, 0.0)], parameters=["off"])
+    motion, d = derivatives(system, [0.0], [1.0], 2.0)
+    assert_allclose(motion.final, [math.exp(-1) * (1 - math.exp(-1))], rtol=1e-13)
+    assert_allclose(d.by_parameters, [[math.exp(-1)]], rtol=1e-11)
+
+
+def test_a_box_that_comes_to_rest_stays():
+    system = one_mode(lambda t, x, u, p: [x[1], -p[0] * np.sign(x[1])], ["x", "v"], ["f"])
+    motion, d = derivatives(system, [0, 10], [2.94], 5.0)
+    assert_allclose(motion.final, [100 / 5.88, 0], rtol=1e-13, atol=1e-13)
+    assert_allclose(d.by_initial, [[1, 10 / 2.94], [0, 0]], atol=1e-13)
+    assert_allclose(d.by_parameters, [[-50 / 2.94**2], [0]], rtol=1e-13, atol=1e-13)
+
+
+def test_a_spring_on_one_side():
+    system = one_mode(lambda t, x, u, p: [x[1], saltus.where(x[0] < 0, -p[0] * x[0], 0.0)], ["x", "v"], ["k"])
+    motion, d = derivatives(system, [1.0, -1.3], [50.0], 3.0)
+    w = math.sqrt(50)
+    assert_allclose(motion.final, [1.3 * (3 - 1 / 1.3 - math.pi / w), 1.3], rtol=1e-12)
+    assert_allclose(d.by_initial, [[-1, -(3 - math.pi / w)], [0, -1]], atol=1e-11)
+
+
+def test_quadratic_drag_has_the_derivatives_of_its_closed_form():
+    """Up: v = k tan(...), down: tanh; values of 15 digits from tests of the two halves as modes of their own."""
+    system = one_mode(lambda t, x, u, p: [x[1], -9.81 - p[0] * x[1] * abs(x[1])], ["y", "v"], ["c"])
+    motion, d = derivatives(system, [0, 20], [0.05], 3.0)
+    k = math.sqrt(9.81 / 0.05)
+    top = math.atan(20 / k) / math.sqrt(9.81 * 0.05)
+    height = math.log(1 + 400 / k**2) / (2 * 0.05)
+    down = math.sqrt(9.81 * 0.05) * (3 - top)
+    assert_allclose(motion.final, [height - math.log(math.cosh(down)) / 0.05, -k * math.tanh(down)], rtol=1e-11)
+    assert_allclose(d.by_parameters.ravel(), [-135.835066797112, 37.352838119984], rtol=1e-9)
+
+
+@pytest.mark.parametrize("rate, final", [
+    (lambda t, c: np.floor(c * t), 1.3), (lambda t, c: (c * t) % 1.0, 0.66), (lambda t, c: c * t // 1, 1.3),
+    (lambda t, c: np.maximum(t - c / 2, 0), 0.08), (lambda t, c: np.minimum(c * t, 1), 1.15), (lambda t, c: abs(t - c / 2), 0.58),
+    (lambda t, c: np.clip(t, c / 4, c / 2), 0.25 + 0.375 + 0.4), (lambda t, c: np.sign(t - c / 4), 0.4), (lambda t, c: (t > c / 4) * 1.0, 0.9),
+    (lambda t, c: np.ceil(c * t), 2.7), (lambda t, c: math.copysign(1.0, t - c / 4), 0.4), (lambda t, c: math.fabs(t - c / 2), 0.58),
+    (lambda t, c: saltus.where((t > c / 4) & ~(t > c / 2), 1.0, 0.0), 0.5),
+    (lambda t, c: saltus.where((t > c / 4) ^ (t > c / 2), 1.0, 0.0), 0.5),
+    (lambda t, c: saltus.where((t > c / 4) == (t > c / 2), 0.0, 1.0), 0.5),
+    (lambda t, c: saltus.where((t > c / 4) != (t > c / 2), 1.0, 0.0), 0.5),
+])
+def test_functions_with_jumps_and_kinks(rate, final):
+    """x' is a function of the time, with c = 2 until 1.4; derivatives against differences of the integral."""
+    system = one_mode(lambda t, x, u, p: [rate(t, p[0])], parameters=["c"])
+    motion, d = derivatives(system, [0.0], [2.0], 1.4)
+    assert_allclose(motion.final, [final], rtol=1e-12)
+    ends = [saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0], parameters=[c], duration=1.4)).final[0]
+            for c in (2 - 1e-4, 2 + 1e-4)]
+    assert_allclose(d.by_parameters[0, 0], (ends[1] - ends[0]) / 2e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("test, first", [
+    (lambda c: c & True, False), (lambda c: True & c, False), (lambda c: c & np.bool_(True), False),
+    (lambda c: c & False, False), (lambda c: False & c, False), (lambda c: c | True, True), (lambda c: np.True_ | c, True),
+    (lambda c: c | False, False), (lambda c: c ^ True, True), (lambda c: c ^ False, False), (lambda c: ~c, True),
+    (lambda c: c == True, False), (lambda c: c == False, True), (lambda c: c != True, True),  # noqa: E712
+    (lambda c: np.logical_and(c, True), False), (lambda c: np.logical_or(c, False), False), (lambda c: np.logical_not(c), True),
+    (lambda c: np.logical_xor(c, True), True), (lambda c: c & ~c, False),
+])
+def test_conditions_with_truth_values(test, first):
+    system = one_mode(lambda t, x, u, p: [saltus.where(test(x[0] > 0.5), 1.0, -1.0)])
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0], duration=0.25))
+    assert_allclose(motion.final, [0.25 if first else -0.25])
+
+
+@pytest.mark.parametrize("condition", [lambda x: (x > 0) & 1.0, lambda x: (x > 0) | x, lambda x: x])
+def test_a_number_in_the_place_of_a_condition_is_refused(condition):
+    with pytest.raises(TypeError, match="flow of mode 'm': found a"):
+        one_mode(lambda t, x, u, p: [saltus.where(condition(x[0]), 1.0, -1.0)])
+
+
+def test_a_comparison_with_a_state_that_stays_what_it_is():
+    """A counter in the state: equality holds while it does, and has no derivative by the counter at the start."""
+    system = one_mode(
+        lambda t, x, u, p: [saltus.where(x[1] == 2, 1.0, saltus.where(x[1] > 2, 10.0, 0.0)), 0], ["x", "n"],
+        guards={"m": {"tick": lambda t, x, p: 0.1 * (x[1] + 1) - t}},
+        resets={"m": {"tick": lambda t, x, p: ("m", [x[0], x[1] + 1])}})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=0.39))
+    assert_allclose(motion.final, [0.1 + 0.9, 3], rtol=1e-12)
+    assert "leads onto switch 'n - 2'" in motion.remark
+
+
+def test_a_motion_along_a_switch_ends_with_the_reason():
+    system = one_mode(lambda t, x, u, p: [0.5 - np.sign(x[0])])
+    with pytest.raises(RuntimeError, match="both sides of switch 'x' points at it .* at t = 2: .* a mode of its own"):
+        saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1.0], duration=3.0))
+
+
+def test_a_motion_that_begins_on_a_switch_has_a_remark():
+    system = one_mode(lambda t, x, u, p: [saltus.where(x[0] < 0, 1.0, 2.0)])
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0], duration=1.0))
+    assert_allclose(motion.final, [2.0]) and "begins on switch 'x'" in motion.remark
+    kink = one_mode(lambda t, x, u, p: [1 + abs(x[0])])  # the flow does not jump
+    assert saltus.rollout(saltus.HybridProblem(kink, mode="m", initial=[0.0], duration=1.0)).remark == ""
+
+
+def falling(guard):
+    return saltus.HybridSystem(
+        states={"f": ["y", "v"]}, parameters=["e"], flow={"f": lambda t, x, u, p: [x[1], -9.81]},
+        guards={"f": {"ground": guard}}, resets={"f": {"ground": lambda t, x, p: ("f", [0, -p[0] * x[1]])}})
+
+
+@pytest.mark.parametrize("guard", [lambda t, x, p: x[0] < 0, lambda t, x, p: [x[0] < 0], lambda t, x, p: ~(x[0] < 0), lambda t, x, p: True])
+def test_a_condition_as_a_guard_is_refused(guard):
+    with pytest.raises(TypeError, match="guard 'ground' of mode 'f': found a condition; a guard is a number that falls through zero"):
+        falling(guard)
+
+
+@pytest.mark.parametrize("guard", [lambda t, x, p: x[0], lambda t, x, p: np.sign(x[0]), lambda t, x, p: np.minimum(x[0], 1),
+                                   lambda t, x, p: saltus.where(x[0] > 0, x[0], x[0] - 1)])
+def test_guards_that_fall_through_zero(guard):
+    problem = saltus.HybridProblem(falling(guard), mode="f", initial=[1.3, 0.4], parameters=[0.8], duration=2.0)
+    assert_allclose(saltus.rollout(problem).final, [0.134618237525133, -2.80563429187713], rtol=1e-11)
+    assert_allclose(saltus.final_derivatives(problem).by_parameters.ravel(), [7.89517419, 18.23818412], rtol=1e-8)
+
+
+@pytest.mark.parametrize("guard", [lambda t, x, p: abs(x[0]), lambda t, x, p: np.maximum(x[0], 0), lambda t, x, p: x[0] ** 2])
+def test_guards_that_touch_zero_have_a_remark(guard):
+    problem = saltus.HybridProblem(falling(guard), mode="f", initial=[1.3, 0.4], parameters=[0.8], duration=2.0)
+    motion = saltus.rollout(problem)
+    assert motion.events == []
+    assert "guard 'ground' grazes zero at t = 0.557" in motion.remark and "touches zero and returns" in motion.remark
+
+
+def test_a_remainder_as_a_guard_has_a_remark():
+    ticks = one_mode(lambda t, x, u, p: [-x[0]], guards={"m": {"tick": lambda t, x, p: t % 0.1}},
+                     resets={"m": {"tick": lambda t, x, p: ("m", [x[0] + 0.2])}})
+    motion = saltus.rollout(saltus.HybridProblem(ticks, mode="m", initial=[1], duration=0.95))
+    assert "guard 'tick' grazes zero at t = 0.100000 and 8 more times" in motion.remark
+
+
+def test_steps_that_are_too_few_have_a_remark():
+    system = one_mode(lambda t, x, u, p: [x[1], -x[0]], ["x", "v"])
+    problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], duration=20.0, steps_per_interval=16)
+    motion = saltus.rollout(problem)
+    error = np.max(np.abs(motion.final - [math.cos(20), -math.sin(20)]))
+    assert 1e-9 < error < 2 * motion.integration_error
+    assert "above the tolerance 1e-12" in motion.remark
+
+
+@pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs", "ceres_phases"])
+def test_solvers_see_the_jump(solver):
+    """An infusion until t = c; x(1) is to be 0.75."""
+    system = one_mode(lambda t, x, u, p: [saltus.where(t < p[0], 1.0, 0.0)], parameters=["c"])
+    problem = saltus.HybridProblem(system, mode="m", initial=[0.0], parameters=[0.25], duration=1.0, costs=[saltus.terminal([0.75])])
+    run = saltus.solve(problem, solver=solver, optimize=["c"])
+    assert_allclose(run.parameters, [0.75], atol=1e-6)
+
+
+def test_random_systems_agree_with_another_method():
+    source = pathlib.Path(os.environ.get("SALTUS_SOURCE", pathlib.Path(__file__).parents[2]))
+    path = source / "tests" / "campaign" / "random_switched_systems.py"
+    spec = importlib.util.spec_from_file_location("random_switched_systems", path)
+    campaign = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(campaign)
+    kinds = [campaign.compare(seed)[0] for seed in range(24)]
+    assert "DIFFERS" not in kinds and kinds.count("agrees") >= 8, kinds
+
+
+@pytest.mark.parametrize("speed, remark", [
+    (lambda v: 0.0, ""),  # every motion nearby is left on the switch, too
+    (lambda v: v + 3.0, "the reset at t = 0.25 leads onto switch 'v', where the flow jumps"),
+])
+def test_a_reset_onto_a_switch(speed, remark):
+    system = one_mode(lambda t, x, u, p: [1.0, saltus.where(x[1] > 0, 1.0, -8.0)], ["s", "v"],
+                      guards={"m": {"quarter": lambda t, x, p: 0.25 - x[0]}},
+                      resets={"m": {"quarter": lambda t, x, p: ("m", [0, speed(x[1])])}})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0, -1.0], duration=0.4))
+    assert_allclose(motion.final, [0.15, -1.2], rtol=1e-12)
+    assert motion.remark == remark

@@ -1,0 +1,283 @@
+#include "hybrid/recorded_switches.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <functional>
+
+#include "base/number_text.h"
+
+namespace saltus {
+
+RecordedSwitches::RecordedSwitches(const std::vector<const ExpressionGraph*>& functions, int num_states)
+    : num_inputs_(0), num_states_(num_states) {
+  for (const ExpressionGraph* function : functions) {
+    num_inputs_ = std::max(num_inputs_, function->num_inputs);
+    std::vector<int> of_node;
+    for (Node node : function->nodes) {
+      if (node.operation != Operation::kInput) {
+        for (int* operand : {&node.a, &node.b, &node.c}) {
+          if (*operand >= 0) *operand = of_node[*operand];
+        }
+      }
+      of_node.push_back(Add(node));
+    }
+    std::vector<int>& outputs = outputs_.emplace_back();
+    for (const int output : function->outputs) outputs.push_back(of_node[output]);
+  }
+}
+
+// Adds a node with its switch; returns the number of an equal one if there is one.
+int RecordedSwitches::Add(const Node& node) {
+  const auto key = std::tuple(node.operation, node.a, node.b, node.c, std::bit_cast<std::uint64_t>(node.value));
+  if (const auto known = known_.find(key); known != known_.end()) return known->second;
+  using enum Operation;
+  int last = node.operation == kInput ? node.a : -1;
+  bool moves = node.operation == kInput && node.a <= num_states_;
+  for (int i = 0; i < NumOperands(node.operation); ++i) {
+    const int operand = std::array{node.a, node.b, node.c}[i];
+    last = std::max(last, last_input_[operand]);
+    moves = moves || moves_[operand];
+  }
+  std::pair<int, int> decides{-1, 0};
+  if (moves && (node.operation == kLess || node.operation == kLessEqual)) {
+    const int number = Compare(node.a, node.b, &decides.second);
+    decides.first = SwitchOf(number, false);
+  } else if (moves && (node.operation == kAbs || node.operation == kSign || node.operation == kFloor)) {
+    decides = {SwitchOf(node.a, node.operation == kFloor), 1};
+  }
+  const int index = static_cast<int>(nodes_.size());
+  nodes_.push_back(node);
+  last_input_.push_back(last);
+  moves_.push_back(moves);
+  of_node_.push_back(decides);
+  return known_[key] = index;
+}
+
+int RecordedSwitches::SwitchOf(int node, bool is_floor) {
+  const auto [known, is_new] = known_switches_.try_emplace({node, is_floor}, count());
+  if (is_new) switches_.push_back({node, is_floor});
+  return known->second;
+}
+
+int RecordedSwitches::Compare(int a, int b, int* sign) {
+  *sign = 1;
+  if (IsZero(a)) return b;
+  const bool swaps = IsZero(b) || nodes_[b].operation == Operation::kConstant ||
+                     (nodes_[a].operation != Operation::kConstant && a < b);
+  if (swaps) {
+    std::swap(a, b);
+    *sign = -1;
+  }
+  return IsZero(a) ? b : Add({Operation::kSubtract, b, a, -1, 0});
+}
+
+int RecordedSwitches::FloorInput(int number) const {
+  return num_inputs_ +
+         static_cast<int>(std::count_if(
+             switches_.begin(), switches_.begin() + number, [](const Switch& other) { return other.is_floor; }));
+}
+
+std::vector<double> RecordedSwitches::Floors(const Sides& sides) const {
+  std::vector<double> floors;
+  for (int i = 0; i < count(); ++i) {
+    if (IsFloor(i)) floors.push_back(sides[i] == kIrrelevant ? 0 : sides[i]);
+  }
+  return floors;
+}
+
+// With sides given, comparisons have a constant value, and what they do not choose is not needed.
+class RecordedSwitches::Piece {
+ public:
+  Piece(const RecordedSwitches& all, const Sides& sides)
+      : all_(all), sides_(sides), to_(all.nodes_.size(), -1), truth_(all.nodes_.size(), kUnknown) {}
+
+  int Needed(int node) {
+    if (to_[node] >= 0) return to_[node];
+    const Node& from = all_.nodes_[node];
+    using enum Operation;
+    const int truth = Truth(node);
+    if (truth != kUnknown) return to_[node] = Constant(truth);
+    switch (from.operation) {
+      case kConstant:
+      case kInput:
+        return to_[node] = Push(from);
+      case kWhere:
+        if (const int chosen = Truth(from.a); chosen != kUnknown) {
+          return to_[node] = Needed(chosen != 0 ? from.b : from.c);
+        }
+        break;
+      default:
+        break;
+    }
+    if (const auto [number, sign] = all_.of_node_[node]; number >= 0) {
+      Use(number);
+      const int side = sides_[number];
+      if (from.operation == kFloor) return to_[node] = Push({kInput, all_.FloorInput(number), -1, -1, 0});
+      if (from.operation == kSign || side == 0) return to_[node] = Constant(side);
+      const int inner = Needed(from.a);  // of abs
+      return to_[node] = side > 0 ? inner : Push({kNegate, inner, -1, -1, 0});
+    }
+    Node copy = from;
+    const int operands = NumOperands(from.operation);
+    if (operands > 0) copy.a = Needed(from.a);
+    if (operands > 1) copy.b = Needed(from.b);
+    if (operands > 2) copy.c = Needed(from.c);
+    return to_[node] = Push(copy);
+  }
+  int Push(const Node& node) {
+    graph.nodes.push_back(node);
+    return static_cast<int>(graph.nodes.size()) - 1;
+  }
+  int Constant(double value) { return Push({Operation::kConstant, -1, -1, -1, value}); }
+
+  ExpressionGraph graph;
+  std::vector<int> used;  // switches
+
+ private:
+  static constexpr int kUnknown = -1;
+
+  void Use(int number) {
+    if (std::find(used.begin(), used.end(), number) == used.end()) used.push_back(number);
+  }
+
+  // Of a condition, 0 or 1 if the sides say so.
+  int Truth(int node) {
+    int& truth = truth_[node];
+    if (truth != kUnknown) return truth;
+    const Node& from = all_.nodes_[node];
+    using enum Operation;
+    if (from.operation == kLess || from.operation == kLessEqual) {
+      const auto [number, sign] = all_.of_node_[node];
+      if (number < 0) return kUnknown;
+      Use(number);
+      const int side = sign * sides_[number];
+      return truth = from.operation == kLess ? side > 0 : side >= 0;
+    }
+    if (from.operation == kNot) {
+      const int inner = Truth(from.a);
+      return truth = inner == kUnknown ? kUnknown : 1 - inner;
+    }
+    if (from.operation != kAnd && from.operation != kOr) return kUnknown;
+    const int decides = from.operation == kOr;
+    const int a = Truth(from.a);
+    if (a == decides) return truth = decides;
+    const int b = Truth(from.b);
+    if (b == decides) return truth = decides;
+    return truth = a == kUnknown || b == kUnknown ? kUnknown : 1 - decides;
+  }
+
+  const RecordedSwitches& all_;
+  const Sides& sides_;
+  std::vector<int> to_, truth_;
+};
+
+// One pass in the order of the nodes: a switch that is not known gets its side where its number is.
+RecordedSwitches::Sides RecordedSwitches::SidesAt(std::span<const double> inputs, Sides known) const {
+  known.resize(count(), kIrrelevant);
+  std::vector<double> values(nodes_.size());
+  for (std::size_t i = 0; i < nodes_.size(); ++i) {
+    const Node& node = nodes_[i];
+    using enum Operation;
+    const auto at = [&](int operand) { return operand < 0 ? 0 : values[operand]; };
+    if (node.operation == kConstant || node.operation == kInput) {
+      values[i] = node.operation == kConstant ? node.value : inputs[node.a];
+      continue;
+    }
+    const auto [number, sign] = of_node_[i];
+    if (number < 0) {
+      values[i] = Apply(node.operation, at(node.a), at(node.b), at(node.c));
+      continue;
+    }
+    int& side = known[number];
+    if (side == kIrrelevant) {
+      const double value = values[switches_[number].node];
+      if (IsFloor(number)) {
+        side = std::isfinite(value) ? static_cast<int>(std::clamp(std::floor(value), -1e9, 1e9)) : 0;
+      } else {
+        side = value > 0 ? 1 : value < 0 ? -1 : 0;
+      }
+    }
+    values[i] = node.operation == kLess        ? sign * side > 0
+                : node.operation == kLessEqual ? sign * side >= 0
+                : node.operation == kAbs       ? side * at(node.a)
+                                               : side;
+  }
+  // Those on which the functions depend, and on which the numbers of these do.
+  Piece piece(*this, known);
+  for (const std::vector<int>& outputs : outputs_) {
+    for (const int output : outputs) piece.Needed(output);
+  }
+  for (std::size_t i = 0; i < piece.used.size(); ++i) piece.Needed(switches_[piece.used[i]].node);
+  Sides sides(count(), kIrrelevant);
+  for (const int number : piece.used) sides[number] = known[number];
+  return sides;
+}
+
+ExpressionGraph RecordedSwitches::Function(int function, const Sides& sides) const {
+  Piece piece(*this, sides);
+  for (const int output : outputs_[function]) piece.graph.outputs.push_back(piece.Needed(output));
+  piece.graph.num_inputs = FloorInput(count());
+  return std::move(piece.graph);
+}
+
+ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides) const {
+  using enum Operation;
+  Piece piece(*this, sides);
+  int output = piece.Needed(switches_[number].node);
+  if (IsFloor(number)) {
+    const int floor = piece.Push({kInput, FloorInput(number), -1, -1, 0});
+    if (by < 0) {
+      output = piece.Push({kSubtract, output, floor, -1, 0});
+    } else {
+      const int next = piece.Push({kAdd, floor, piece.Constant(1), -1, 0});
+      output = piece.Push({kSubtract, next, output, -1, 0});
+    }
+  } else if (sides[number] < 0) {
+    output = piece.Push({kNegate, output, -1, -1, 0});
+  }
+  piece.graph.outputs = {output};
+  piece.graph.num_inputs = FloorInput(count());
+  return std::move(piece.graph);
+}
+
+std::string RecordedSwitches::TextOf(int number, std::span<const std::string> inputs) const {
+  constexpr int kDeepest = 6;
+  const std::function<std::string(int, int)> text_at = [&](int index, int depth) -> std::string {
+    if (depth > kDeepest) return "...";
+    const Node& node = nodes_[index];
+    using enum Operation;
+    const auto text = [&](int operand) { return text_at(operand, depth + 1); };
+    const auto infix = [&](const char* sign) { return "(" + text(node.a) + sign + text(node.b) + ")"; };
+    switch (node.operation) {
+      case kConstant:
+        return ToText(node.value, 6);
+      case kInput:
+        return inputs[node.a];
+      case kAdd:
+        return infix(" + ");
+      case kSubtract:
+        return infix(" - ");
+      case kMultiply:
+        return infix(" * ");
+      case kDivide:
+        return infix(" / ");
+      case kPower:
+        return infix(" ** ");
+      case kNegate:
+        return "-" + text(node.a);
+      default:
+        std::string call = std::string(NameOf(node.operation)) + "(" + text(node.a);
+        if (node.b >= 0) call += ", " + text(node.b);
+        if (node.c >= 0) call += ", " + text(node.c);
+        return call + ")";
+    }
+  };
+  std::string out = text_at(switches_[number].node, 0);
+  if (out.size() > 2 && out.front() == '(') out = out.substr(1, out.size() - 2);
+  constexpr std::size_t kLongest = 60;
+  return out.size() <= kLongest ? out : out.substr(0, kLongest - 3) + "...";
+}
+
+}  // namespace saltus

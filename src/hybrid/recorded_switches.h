@@ -1,0 +1,75 @@
+// Where recorded functions are not smooth: the numbers on whose sign or integer part they decide.
+//
+// A comparison, abs, sign or floor of a number that depends on the state or the time makes that number a switch. With a
+// side given for each switch, the functions are smooth: a piece.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <span>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "hybrid/recorded_functions.h"
+
+namespace saltus {
+
+class RecordedSwitches {
+ public:
+  // Several functions, whose inputs are [x t ...], the first inputs of one list: those of the first function.
+  RecordedSwitches(const std::vector<const ExpressionGraph*>& functions, int num_states);
+
+  int count() const { return static_cast<int>(switches_.size()); }
+  // Whether the integer part of the number decides, in the place of its sign.
+  bool IsFloor(int number) const { return switches_[number].is_floor; }
+  // Whether the number depends on an input from `first` on.
+  bool ReadsInputsFrom(int first, int number) const { return last_input_[switches_[number].node] >= first; }
+  // The number as a formula in the names of the inputs.
+  std::string TextOf(int number, std::span<const std::string> inputs) const;
+
+  // Of each switch the sign of its number (-1, 0 or 1) or its integer part, or kIrrelevant where no function depends on
+  // it in this piece.
+  using Sides = std::vector<int>;
+  static constexpr int kIrrelevant = -(1 << 30);
+  // The sides at these inputs, but of those that are not irrelevant in `known`, which may be empty.
+  Sides SidesAt(std::span<const double> inputs, Sides known) const;
+
+  // A function in a piece. Its inputs are followed by the integer parts, of all switches that have one.
+  ExpressionGraph Function(int function, const Sides& sides) const;
+  // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part
+  // below (by = -1) or above (by = 1), or where the sign changes. On a sign of zero it is the number itself.
+  ExpressionGraph Guard(int number, int by, const Sides& sides) const;
+  // The integer parts, as inputs of functions.
+  std::vector<double> Floors(const Sides& sides) const;
+
+ private:
+  struct Switch {
+    int node;
+    bool is_floor;
+  };
+  using Node = ExpressionGraph::Node;
+  int Add(const Node& node);
+  int SwitchOf(int node, bool is_floor);
+  // Of a comparison of a and b: whose number times *sign is b - a.
+  int Compare(int a, int b, int* sign);
+  bool IsZero(int node) const { return nodes_[node].operation == Operation::kConstant && nodes_[node].value == 0; }
+  // A number with which inputs of functions begin that are integer parts.
+  int FloorInput(int number) const;
+
+  // A graph of nodes of a piece: those that its outputs need.
+  class Piece;
+
+  std::vector<Node> nodes_;  // of all functions; equal ones are one
+  std::map<std::tuple<Operation, int, int, int, std::uint64_t>, int> known_;
+  std::vector<int> last_input_;               // that a node depends on; -1: none
+  std::vector<char> moves_;                   // whether it depends on the state or the time
+  std::vector<std::pair<int, int>> of_node_;  // switch and sign of a node that decides; -1: none
+  std::vector<Switch> switches_;
+  std::map<std::pair<int, bool>, int> known_switches_;
+  std::vector<std::vector<int>> outputs_;  // of each function
+  int num_inputs_, num_states_;
+};
+
+}  // namespace saltus
