@@ -408,7 +408,7 @@ void BindHybrid(py::module_* module) {
            py::arg("most_events"),
            py::arg("most_repeats"))
       .def(
-          "check", [](const Problem& problem, const Guess& guess) { problem.At(guess); }, py::arg("guess"))
+          "check", [](const Problem& checked, const Guess& guess) { checked.At(guess); }, py::arg("guess"))
       .def("rollout", &Problem::Rollout, py::arg("guess"))
       .def("final_derivatives", &Problem::FinalDerivatives, py::arg("guess"))
       .def("loss_and_gradient", &Problem::LossAndGradient, py::arg("guess"))

@@ -83,7 +83,9 @@ TEST(WidthSweep, DifferencesFartherFromTheExactValueAreNoEvidence) {
     const bool evidence = finding == WidthFinding::kOfNeither;
     EXPECT_EQ(study.verdict, evidence ? Verdict::kWrong : Verdict::kUnknown);
     EXPECT_EQ(study.Worst() != nullptr, evidence);
-    if (!evidence) EXPECT_THAT(study.Summary(), HasSubstr("farther from the exact gradient"));
+    if (!evidence) {
+      EXPECT_THAT(study.Summary(), HasSubstr("farther from the exact gradient"));
+    }
   }
 }
 

@@ -293,7 +293,9 @@ void FollowTable(SaltedKalmanFilter* filter, int y, int apart, double ground) {
       ExpectClose(covariance(),
                   Matrix(2, {0.000802004324870578, -0.00175041886643505, -0.00175041886643505, 0.00981215966826378}));
     }
-    log_likelihood += filter->Update(Eigen::VectorXd::Constant(1, row[0] + ground), C, V);
+    const std::optional<double> likelihood = filter->Update(Eigen::VectorXd::Constant(1, row[0] + ground), C, V);
+    ASSERT_TRUE(likelihood) << filter->WhyFailed();
+    log_likelihood += *likelihood;
     EXPECT_NEAR(filter->mean()[y] - ground, row[3], kTolerance);
     EXPECT_NEAR(filter->mean()[v], row[4], kTolerance);
     ExpectClose(covariance(), Matrix(2, {row[5], row[6], row[6], row[7]}));

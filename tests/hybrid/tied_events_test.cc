@@ -155,7 +155,8 @@ TiedMotion RandomTies(std::mt19937* random, int num_guards, Commute commute) {
     }
     return out;
   };
-  TiedMotion motion{.num_guards = num_guards};
+  TiedMotion motion;
+  motion.num_guards = num_guards;
   for (int guard = 0; guard < num_guards; ++guard) {
     VectorXd n = 0.2 * matrix(kY, 1, 1);
     n[guard] = 1 + 0.5 * std::abs(normal(*random));

@@ -88,23 +88,24 @@ struct Rocket {
 };
 
 // The rows sign[i] (x[component[i]] - value[i]).
+template <int kRows>
+struct Rows {
+  std::array<int, kRows> component;
+  std::array<double, kRows> sign, value;
+  template <typename T>
+  bool operator()(const T* x, T* r) const {
+    for (int i = 0; i < kRows; ++i) r[i] = sign[i] * (x[component[i]] - value[i]);
+    return true;
+  }
+};
 template <int kRows, int kStates>
 HybridTerm StateRows(At at, Role role, std::array<int, kRows> component, std::array<double, kRows> sign,
                      std::array<double, kRows> value) {
-  struct Rows {
-    std::array<int, kRows> component;
-    std::array<double, kRows> sign, value;
-    template <typename T>
-    bool operator()(const T* x, T* r) const {
-      for (int i = 0; i < kRows; ++i) r[i] = sign[i] * (x[component[i]] - value[i]);
-      return true;
-    }
-  };
   return {.at = at,
           .role = role,
           .with_state = true,
           .function =
-              std::make_shared<ceres::AutoDiffCostFunction<Rows, kRows, kStates>>(new Rows{component, sign, value})};
+              std::make_shared<ceres::AutoDiffCostFunction<Rows<kRows>, kRows, kStates>>(new Rows<kRows>{component, sign, value})};
 }
 
 template <typename Derivative, int kStates, int kControls>

@@ -302,6 +302,8 @@ class PlainRun {
   void Simulate(Motion*) const {}
   void BlendStart(const Motion&, const Motion&, double, Motion*) const {}
   int control_width() const { return 1; }
+  int num_steps() const { return 100; }
+  std::string WhyNoDerivative(const Motion&) const { return ""; }
   // The cuts are at equal distances.
   void PlanAlong(const std::vector<Event>& sequence, const Motion&, Plan* plan, std::vector<double>* times) const {
     plan->cuts.assign(sequence.begin(), sequence.end());
