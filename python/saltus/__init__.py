@@ -48,10 +48,12 @@ from ._hybrid import (
     HybridRollout,
     HybridRun,
     HybridSystem,
+    cost,
     effort,
     final_derivatives,
     final_time,
     hybrid_solvers,
+    maximise,
     residuals,
     terminal,
 )
