@@ -236,6 +236,9 @@ class Cost(Closed):
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
         if isinstance(self.function, Record):
+            reads, sizes = self.function.of_cost[6:8]
+            if "x" in reads:
+                self._check_size(system, sizes[reads.index("x")])
             return self.function.of_cost
         parameters = parameters_of(self.function)
         if parameters is None:
@@ -263,6 +266,10 @@ class Cost(Closed):
         found = _outputs(self.name, tape, values)
         return (self.name, self.at, self.role, mode, guard, self.before, "".join(reads), [sizes[r] for r in reads], found)
 
+    def _check_size(self, system: HybridSystem, size: int) -> None:
+        if size not in map(len, system.states.values()):
+            raise ValueError(f"{self.name}: found a state of {size} numbers, which no mode has")
+
     def _state_size(self, system: HybridSystem) -> int:
         if self.mode is not None and self.mode not in system.states:
             raise ValueError(f"{self.name}: found mode {self.mode!r}, expected some of {', '.join(system.modes)}")
@@ -272,6 +279,7 @@ class Cost(Closed):
                 f"{', '.join(system.guards[str(self.mode)])}"
             )
         if self.size is not None:
+            self._check_size(system, self.size)
             return self.size
         if self.guard is not None and not self.before:
             return len(system.states[system._next_modes[str(self.mode), self.guard]])

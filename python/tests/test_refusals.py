@@ -226,7 +226,7 @@ def test_overlaps_at_the_start_are_refused_everywhere():
         saltus.rollout(scene, position=[[0.7, 0], [1, 0]])
     simulation = saltus.Simulation(scene)
     for evaluate in (simulation.loss, simulation.loss_and_gradient, simulation.rollout):
-        with pytest.raises(RuntimeError, match="overlap of 0.1"):
+        with pytest.raises(RuntimeError, match=r"overlap of 0\.(1|0999)\d* m with bodies\[0\]"):
             evaluate([[0.7, 0]])
     assert simulation.loss([[0.5, 0]]) == pytest.approx(0.16)  # b moves on at 1 m/s after 0.1 s
     losses = saltus.Batch(scene, threads=1).loss(np.array([[0.5, 0], [0.7, 0]]))

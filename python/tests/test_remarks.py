@@ -23,8 +23,20 @@ def disc(name, position, velocity=(0, 0), radius=0.2):
     return {"name": name, "radius": radius, "mass": 1, "position": list(position), "velocity": list(velocity)}
 
 
-def dense_pile(seed, side=5):
-    """Discs 0.1 mm apart, whose impacts accumulate."""
+def settling_bag(seed):
+    """Discs that fall into the gaps of those below, whose impacts accumulate."""
+    r, rng = 0.1, np.random.default_rng(seed)
+    bodies = [{**disc(f"d{i}", (r * (1 + 2.05 * (i % 6) + i // 6 % 2), r * (1 + 2.05 * (i // 6))), radius=r),
+               "velocity": (0.01 * rng.normal(size=2)).tolist()} for i in range(36)]
+    planes = [{"name": "ground", "point": [0, 0], "normal": [0, 1]}, {"name": "left", "point": [0, 0], "normal": [1, 0]},
+              {"name": "right", "point": [1.4, 0], "normal": [-1, 0]}]
+    return {"name": "bag", "duration": 0.2, "steps": 40, "gravity": [0, -9.8], "bodies": bodies, "planes": planes,
+            "contact": {"restitution": 0.3}, "optimize": "velocity", "free": ["d0"],
+            "objective": {"terminal": [{"body": "d0", "quantity": "position", "target": [0, 0]}]}}
+
+
+def dense_pile(seed, side=3):
+    """Discs 0.1 mm apart: the order of many impacts at nearly the same time decides."""
     rng, r, gap = np.random.default_rng(seed), 0.05, 1e-4
     pitch = 2 * r + gap
     bodies = [{"name": f"d{side * i + j}", "radius": r, "mass": float(rng.uniform(0.5, 2)), "velocity": rng.normal(size=2).tolist(),
@@ -39,7 +51,7 @@ def dense_pile(seed, side=5):
 
 def struck_pair(seed):
     """A disc that strikes two others at the same time: the order of the impacts changes the motion."""
-    angle, speed = 0.3 + 0.1 * seed, 2.0 + 0.1 * seed
+    angle, speed = 0.6 + 0.05 * seed, 2.0 + 0.1 * seed  # above 0.53 the two do not overlap
     bodies = [disc("striker", (1, 2), (speed, 0))]
     for name, side in (("upper", 1), ("lower", -1)):
         bodies.append(disc(name, (1.7 + 0.4 * np.cos(angle), 2 + side * 0.4 * np.sin(angle))))
@@ -61,7 +73,7 @@ def kinds(remarks):
     return [remark["kind"] for remark in remarks]
 
 
-KINDS = [(dense_pile, "fallback"), (struck_pair, "ambiguous"), (crossed_pairs, None), (flat_corner, None)]
+KINDS = [(settling_bag, "fallback"), (dense_pile, "ambiguous"), (struck_pair, "ambiguous"), (crossed_pairs, None), (flat_corner, None)]
 
 
 def compare(scene, path):
@@ -86,7 +98,8 @@ def compare(scene, path):
 
 @pytest.mark.parametrize("make, kind", KINDS)
 def test_scenes(tmp_path, make, kind):
-    for seed in RNG_SEEDS:
+    # All orders of the impacts of a dense pile are simulated, which takes long.
+    for seed in range(1, 4) if make is dense_pile else RNG_SEEDS:
         remarks = compare(saltus.Scene(make(seed)), tmp_path / "scene.yaml")
         if kind is None:
             assert remarks == []
@@ -114,7 +127,7 @@ def test_gradients_and_audits(tmp_path):
 @pytest.mark.parametrize("contact, solver", [("event", "gd"), ("direct_toi", "gd"), ("event", "ceres_lbfgs")])
 def test_solvers(tmp_path, contact, solver):
     path = tmp_path / "scene.yaml"
-    for make, kind in KINDS[:3]:
+    for make, kind in KINDS[:4]:
         scene = saltus.Scene(make(2))
         path.write_text(scene.to_yaml(), encoding="utf-8")
         flags = (f"--scene={path}", f"--contact={contact}", f"--solver={solver}", "--iterations=1", "--learning_rate=1e-9")
@@ -151,7 +164,7 @@ class TestHybridSystems:
 
     def test_too_few_steps(self):
         swings = saltus.HybridSystem(states={"m": ["a", "b"]}, flow={"m": lambda t, x, u, p: [40 * x[1], -40 * x[0]]})
-        problem = saltus.HybridProblem(swings, mode="m", initial=[1, 0], duration=2.0, steps_per_interval=20)
+        problem = saltus.HybridProblem(swings, mode="m", initial=[1, 0], duration=2.0, steps_per_interval=50)
         motion = saltus.rollout(problem)
         assert kinds(motion["remarks"]) == ["integration error"]
         # The exact motion is a rotation.
@@ -161,7 +174,7 @@ class TestHybridSystems:
 
     def test_programs(self):
         for height in np.linspace(1, 6, 6):
-            document = run_program("bouncing_ball", f"--set=height={height}", "--solver=none")
+            document = run_program("bouncing_ball", f"--set=y={height}", "--solver=none")
             guess = document["guess"]
             motion = saltus.rollout(self.problem(
                 initial=guess["initial"], parameters=guess["parameters"], duration=guess["duration"]))
@@ -169,7 +182,7 @@ class TestHybridSystems:
 
 
 def test_remarks_are_shown():
-    scene = saltus.Scene(dense_pile(0))
-    motion = saltus.rollout(scene)
+    with pytest.warns(RuntimeWarning, match="steps use the time-stepping fallback"):
+        motion = saltus.rollout(saltus.Scene(settling_bag(0)))
     assert "steps use the time-stepping fallback" in repr(motion) and motion.remarks[0]["kind"] == "fallback"
     assert SOURCE.exists()

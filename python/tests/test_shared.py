@@ -191,7 +191,8 @@ class TestCopies:
         other = copy.copy(problem)
         other.costs.append(saltus.final_time())
         assert saltus.loss_and_gradient(other).loss == pytest.approx(saltus.loss_and_gradient(problem).loss + 1.0)
-        with pytest.raises(ValueError):  # the record of a cost is of a state of two numbers
+        # The record of a cost is of a state of two numbers.
+        with pytest.raises(ValueError, match="terminal cost: found a state of 2 numbers, which no mode has"):
             problem = pickle.loads(pickle.dumps(problem))
             problem.system = ball_system(
                 states={"flight": ["y", "v", "w"]}, flow={"flight": lambda t, x, u, p: [x[1], u[0] - 9.8, 0]},
