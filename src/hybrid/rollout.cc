@@ -561,7 +561,9 @@ bool RolloutRun::StepTo(int node) {
 // The point within a step is at another part of each, as a guard may have the period of the steps. The state there is
 // the cubic through states and slopes at the ends, as accurate as the guard's own.
 void RolloutRun::CompareGuards(const FlowStep& step) {
-  if (!(step.h > 0)) return;
+  // The guards of closed contacts are as smooth as their flow, but for the split of forces that are not unique, which may
+  // jump.
+  if (!(step.h > 0) || functions_.Projects(step.mode)) return;
   constexpr double kGolden = 0.6180339887498949;
   double whole = 0;
   const double a = 0.1 + 0.8 * std::modf(kGolden * static_cast<double>(tape_.entries.size()), &whole), b = 1 - a;
@@ -576,8 +578,6 @@ void RolloutRun::CompareGuards(const FlowStep& step) {
   within.x = state_within_.data();
   within.t += within.h;
   for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
-    // Guards of contact forces are as smooth as the flow, but for the split of forces that are not unique, which may jump.
-    if (functions_.ReadsControl(step.mode, guard)) continue;
     const GuardValue &begin = at_.guards[guard], &end = next_guards_[guard];
     const double third = step.h / 3;
     const double size =
