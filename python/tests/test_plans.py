@@ -41,7 +41,7 @@ def test_plan_of_a_run_with_a_free_duration(hockey):
     assert_array_equal(durations.mean, runs.mean)
     with pytest.raises(ValueError, match="duration is not known"):
         saltus.noisy_runs(scene, small, plan=plain, samples=4)
-    with pytest.raises(ValueError, match="durations: found shape"):
+    with pytest.raises(ValueError, match=r"plan: found shape \(30, 1, 2\), expected \(29, 1, 2\)"):
         saltus.propagate(scene, small, plan=plain, durations=run.durations[:-1])
     regulator = saltus.track(scene, np.eye(8), 0.1 * np.eye(2), np.eye(8), plan=run)
     assert len(regulator.gains) == len(run.durations)
@@ -74,17 +74,21 @@ def test_start_from_a_run(hockey):
         saltus.solve(scene, "event", "ceres_phases", start=np.zeros((30, 1, 2)))
 
 
-def test_velocities_of_a_run():
-    scene = saltus.Scene(
-        name="throw", duration=1.0, steps=20, gravity=[0, -9.8], planes=[{"name": "g", "point": [0, 0], "normal": [0, 1]}],
-        bodies=[{"name": "d", "radius": 0.1, "mass": 1, "position": [0, 1], "velocity": [1, 1]}], optimize="velocity",
-        free=["d"], objective={"terminal": [{"body": "d", "quantity": "position", "target": [2, 0.5]}]})
-    run = saltus.solve(scene, "event", "ceres_lm")
-    runs = saltus.noisy_runs(scene, 1e-18 * np.eye(4), plan=run, samples=2)
-    assert_allclose(runs.mean[:2], [2, 0.5], atol=1e-5)
-    other = scene.replace(bodies=[{**scene.to_dict()["bodies"][0], "position": [0, 2]}])
-    with pytest.raises(ValueError, match="the position of d is not the scene's"):
-        saltus.noisy_runs(other, 1e-18 * np.eye(4), plan=run, samples=2)
+def test_initial_states_of_a_run():
+    """A run has the velocities of all discs, and the positions where they are optimised; the rest is the scene's."""
+    discs = [{"name": "d", "radius": 0.1, "mass": 1, "position": [0, 1], "velocity": [1, 1]},
+             {"name": "e", "radius": 0.1, "mass": 1, "position": [-5, 1], "velocity": [0, 1]}]
+    for optimize in ("velocity", "position"):
+        scene = saltus.Scene(
+            name="throw", duration=1.0, steps=20, gravity=[0, -9.8], bodies=discs, optimize=optimize, free=["d"],
+            objective={"terminal": [{"body": "d", "quantity": "position", "target": [2, 0.5]}]})
+        run = saltus.solve(scene, "event", "ceres_lm")
+        runs = saltus.noisy_runs(scene, 1e-18 * np.eye(8), plan=run, samples=2)
+        assert_allclose(runs.mean[:2], [2, 0.5], atol=1e-5)
+        for key in ("velocity", optimize):
+            other = scene.replace(bodies=[discs[0], {**discs[1], key: [-5, 2]}])
+            with pytest.raises(ValueError, match=f"the {key} of e is not the scene's"):
+                saltus.noisy_runs(other, 1e-18 * np.eye(8), plan=run, samples=2)
 
 
 def ball(**changes):
