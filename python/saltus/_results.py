@@ -59,7 +59,7 @@ class Control(np.ndarray):
 
 
 def on_intervals(control: Any, durations: Any) -> Any:
-    """Returns a control as an array that knows the lengths of its intervals."""
+    """Returns a control as an array with the lengths of its intervals."""
     array = np.asarray(control, dtype=float).view(Control)
     array.durations = np.asarray(durations, dtype=float)
     return array
