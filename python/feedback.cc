@@ -160,17 +160,19 @@ class Filter {
   Filter(const Scene& scene, double time, const py::object& mean, const py::object& covariance)
       : num_controls_(scene.control_width()), state_sizes_{static_cast<int>(InitialSize(scene))} {
     CheckTakes("event", scene);
-    filter_.emplace(scene, ReadTime(time), ReadMean(mean, 0), ReadCovariance(covariance, "covariance", 0));
+    const Eigen::VectorXd estimate = ReadMean(mean, 0);  // the mean is named first where both are wrong
+    filter_.emplace(scene, ReadTime(time), estimate, ReadCovariance(covariance, "covariance", 0));
   }
   Filter(const HybridSystem& system, const py::object& parameters, double time, int mode, const py::object& mean,
          const py::object& covariance)
       : num_controls_(system.num_controls()) {
     for (int i = 0; i < system.num_modes(); ++i) state_sizes_.push_back(system.state_size(i));
+    const Eigen::VectorXd estimate = ReadMean(mean, mode);
     filter_.emplace(system,
                     ToVector(ReadArray(parameters, "parameters", {system.num_parameters()})),
                     ReadTime(time),
                     mode,
-                    ReadMean(mean, mode),
+                    estimate,
                     ReadCovariance(covariance, "covariance", mode));
   }
 

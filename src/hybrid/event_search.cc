@@ -19,6 +19,12 @@ constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    
 constexpr double kSoon = 1.0 / 64;                                              // of a step
 constexpr int kMostIterations = 100;
 
+// The size of the term of a derivative: an infinite derivative by what is zero, or none, tells of no rounding.
+double SizeOf(double derivative, double value) {
+  const double size = std::abs(derivative * value);
+  return std::isfinite(size) ? size : 0.0;
+}
+
 // Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
 double MinimumOf(const GapPolynomial& g, double h) {
   const double a = 3 * g.c[3], b = g.c[2], c = g.c[1];  // g' = a s^2 + 2 b s + c, c <= 0
@@ -94,11 +100,11 @@ double EventSearch::Scale(const FlowStep& step, int guard) {
 
 double EventSearch::ScaleBy(const FlowStep& step, const double* gradient) const {
   const int n = functions_.state_size(step.mode), num_parameters = functions_.layout().num_parameters;
-  double scale = std::abs(gradient[n] * step.t);
-  for (int i = 0; i < n; ++i) scale += std::abs(gradient[i] * step.x[i]);
-  for (int i = 0; i < num_parameters; ++i) scale += std::abs(gradient[n + 1 + i] * step.p[i]);
+  double scale = SizeOf(gradient[n], step.t);
+  for (int i = 0; i < n; ++i) scale += SizeOf(gradient[i], step.x[i]);
+  for (int i = 0; i < num_parameters; ++i) scale += SizeOf(gradient[n + 1 + i], step.p[i]);
   for (int i = 0; i < functions_.layout().num_controls; ++i) {
-    scale += std::abs(gradient[n + 1 + num_parameters + i] * step.u[i]);
+    scale += SizeOf(gradient[n + 1 + num_parameters + i], step.u[i]);
   }
   return scale;
 }
@@ -106,8 +112,8 @@ double EventSearch::ScaleBy(const FlowStep& step, const double* gradient) const 
 double EventSearch::ErrorBy(const FlowStep& step, const double* gradient, double rate, double elapsed,
                             double of_states) const {
   const int n = functions_.state_size(step.mode);
-  double states = std::abs(rate - gradient[n]) * elapsed;
-  for (int i = 0; i < n; ++i) states += std::abs(gradient[i] * step.x[i]);
+  double states = SizeOf(rate - gradient[n], elapsed);
+  for (int i = 0; i < n; ++i) states += SizeOf(gradient[i], step.x[i]);
   return of_states * states + kTimeRounding * (ScaleBy(step, gradient) + std::abs(rate * step.t));
 }
 

@@ -446,19 +446,25 @@ HybridProblem OnGrid(HybridProblem problem, int intervals) {
   return problem;
 }
 
-// One solve for each grid, from the solution of the grid before.
+// One solve for each grid, from the solution of the grid before; all together take the iterations that are allowed.
 SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                         const SolverOptions& options) {
   const std::vector<int> grids = GridsOf(problem, options);
   std::optional<HybridMotion> start;
-  std::vector<double> losses;
+  std::vector<double> losses;  // with one at the start, the first of each other grid in place of the last before
   double seconds = 0;
   int evaluations = 0;
   SolveReport report;
+  SolverOptions silent = options;
+  silent.callback = nullptr;
+  std::optional<HybridPhaseRun> guess;
+  if (grids.size() > 1) guess.emplace(solver, problem, silent);
   for (const int intervals : grids) {
     SolverOptions of_grid = options;
-    const int before = static_cast<int>(losses.size());
-    of_grid.iterations = std::max(options.iterations - before, 1);
+    const bool last = intervals == grids.back();
+    const int before = std::max(static_cast<int>(losses.size()) - 1, 0);
+    of_grid.iterations = options.iterations - before;
+    if (of_grid.iterations == 0 && !last) continue;
     if (options.callback) {
       of_grid.callback = [&options, before](int iteration, double loss) {
         return options.callback(before + iteration, loss);
@@ -467,23 +473,25 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
     HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start);
     run.set_algorithm(algorithm);
     if (auto refused = run.WhyNotStart()) {
-      if (intervals != grids.back()) continue;
+      if (!last) continue;
       return *refused;
     }
-    const bool last = intervals == grids.back();
     report = MendHybrid(&run);
+    if (!losses.empty()) losses.pop_back();
     losses.insert(losses.end(), report.losses.begin(), report.losses.end());
     seconds += report.seconds;
     evaluations += report.evaluations;
     if (report.termination == Termination::kInterrupted && !last) continue;
-    if (report.termination == Termination::kConverged) {
+    const bool ran_out = report.termination == Termination::kIterationLimit && !last &&
+                         report.final_loss < guess->guess().exact.loss &&
+                         report.final_violation <= guess->ViolationOf(guess->guess());
+    if (report.termination == Termination::kConverged || ran_out) {
       start = {report.control, report.durations, report.initial_state, report.parameters, {}};
     }
   }
-  if (grids.size() == 1) return report;
-  HybridPhaseRun guess(solver, problem, options);
-  report.initial_loss = losses.front() = guess.guess().exact.loss;
-  report.initial_violation = guess.ViolationOf(guess.guess());
+  if (!guess) return report;
+  report.initial_loss = losses.front() = guess->guess().exact.loss;
+  report.initial_violation = guess->ViolationOf(guess->guess());
   report.losses = std::move(losses);
   report.iterations = static_cast<int>(report.losses.size()) - 1;
   report.seconds = seconds;
@@ -491,10 +499,36 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
   return report;
 }
 
+// Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid may
+// share the intervals among the phases in another way, and an interior-point method gains nothing from a near start.
+SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
+                               const SolverOptions& options) {
+  SolverOptions directly = options, rest = options;
+  directly.coarse_to_fine = false;
+  SolveReport report = SolveHybrid(solver, algorithm, problem, directly);
+  const bool ended = report.termination != Termination::kNoProgress && report.termination != Termination::kFailed;
+  const int before = report.iterations;
+  rest.iterations = options.iterations - before;
+  if (ended || rest.iterations <= 0 || GridsOf(problem, options).size() == 1) return report;
+  if (options.callback) {
+    rest.callback = [&](int iteration, double loss) { return options.callback(before + iteration, loss); };
+  }
+  SolveReport refined = SolveHybrid(solver, algorithm, problem, rest);
+  if (refined.termination != Termination::kConverged && refined.termination != Termination::kInterrupted) return report;
+  if (!refined.losses.empty() && !report.losses.empty()) {
+    report.losses.insert(report.losses.end(), refined.losses.begin() + 1, refined.losses.end());
+    refined.losses = std::move(report.losses);
+    refined.iterations = static_cast<int>(refined.losses.size()) - 1;
+  }
+  refined.seconds += report.seconds;
+  refined.evaluations += report.evaluations;
+  return refined;
+}
+
 }  // namespace
 
 SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options) {
-  return SolveHybrid("ceres_phases", Algorithm::kLeastSquares, problem, options);
+  return SolveDirectlyFirst("ceres_phases", Algorithm::kLeastSquares, problem, options);
 }
 
 std::string WhyNotInteriorPoint(const HybridProblem& problem) {
@@ -503,13 +537,7 @@ std::string WhyNotInteriorPoint(const HybridProblem& problem) {
 }
 
 SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options) {
-  // An interior-point method gains nothing from a start near the optimum: coarse grids help where it fails.
-  SolverOptions directly = options;
-  directly.coarse_to_fine = false;
-  SolveReport report = SolveHybrid("ipopt", Algorithm::kInteriorPoint, problem, directly);
-  const bool ended = report.termination != Termination::kNoProgress && report.termination != Termination::kFailed;
-  if (ended || GridsOf(problem, options).size() == 1) return report;
-  return SolveHybrid("ipopt", Algorithm::kInteriorPoint, problem, options);
+  return SolveDirectlyFirst("ipopt", Algorithm::kInteriorPoint, problem, options);
 }
 
 }  // namespace saltus
