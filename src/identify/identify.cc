@@ -592,7 +592,8 @@ class Identification {
       fit = std::move(next);
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
-    if ((!states_sigma_ && !HasResiduals()) || !WhyTooFew(fit).empty()) {
+    too_few_ = WhyTooFew(fit);  // before unknowns are held, which then take no number of the samples
+    if ((!states_sigma_ && !HasResiduals()) || !too_few_.empty()) {
       open_.determination.assign(open_.determination.size(), Determination::kUndetermined);
     }
     std::vector<bool> held;
@@ -650,15 +651,14 @@ class Identification {
   }
 
   void SetVerdict(const FitResult& fit) {
-    const std::string too_few = WhyTooFew(fit);
     const bool none_left = !states_sigma_ && !HasResiduals();
-    const std::string contradiction = !too_few.empty() || none_left ? "" : ContradictionOf(fit);
+    const std::string contradiction = !too_few_.empty() || none_left ? "" : ContradictionOf(fit);
     const double outliers = OutlierShareOf(problem_, fit);
     if (Interrupted()) {
       report_.verdict = FitVerdict::kInterrupted;
-    } else if (!too_few.empty()) {
+    } else if (!too_few_.empty()) {
       report_.verdict = FitVerdict::kNotJudged;
-      report_.reason = too_few;
+      report_.reason = too_few_;
     } else if (!contradiction.empty()) {
       report_.verdict = FitVerdict::kContradicted;
       report_.reason = contradiction;
@@ -674,7 +674,8 @@ class Identification {
       report_.reason = FormatNumbers("%.0f %% of the samples are outliers, expected less than a third", 100 * outliers);
     } else if (const std::string at_bound = AtBounds(); !states_sigma_ && !at_bound.empty()) {
       report_.verdict = FitVerdict::kNotJudged;
-      report_.reason = at_bound + " is at its bound, and no sigma says whether the samples allow that; state sigma";
+      report_.reason =
+          at_bound + " is at its bound, and without a sigma it is open whether the samples allow that; state sigma";
     } else {
       report_.verdict = FitVerdict::kFits;
       report_.reason.clear();
@@ -714,7 +715,7 @@ class Identification {
                                 "; the scene lacks something of the size of sigma, and the standard errors are "
                                 "too small");
     }
-    const std::string remedy = "; check the units, and what the scene says of sizes, walls and forces";
+    const std::string remedy = "; check the units, and the sizes, walls and forces of the scene";
     if (!(share < kMostScatter)) {
       return scatter + FormatNumbers(", where less than %.0f %% is expected", 100 * kMostScatter) + remedy;
     }
@@ -728,7 +729,7 @@ class Identification {
     const bool learns = options_.law || options_.events;
     if (report_.estimates.empty()) return !learns;
     return std::any_of(report_.estimates.begin(), report_.estimates.end(), [](const Estimate& estimate) {
-      return estimate.determination == Determination::kDetermined;
+      return estimate.determination == Determination::kDetermined || estimate.determination == Determination::kAtBound;
     });
   }
 
@@ -828,6 +829,7 @@ class Identification {
   std::vector<Segment> segments_;  // without initial states
   bool states_sigma_ = false;
   Openness open_;
+  std::string too_few_;           // why there are too few samples
   std::vector<FitPoint> others_;  // in which fits from other starts ended
   IdentifyReport report_;
 };
