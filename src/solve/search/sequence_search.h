@@ -149,7 +149,7 @@ namespace sequence_search {
 inline constexpr double kShareRelaxed = 0.3;     // of the limits, for the problem without constraints
 inline constexpr size_t kMostRelaxedOptima = 8;  // whose sequences are tried
 inline constexpr int kIterationsUpdating = 1000;
-inline constexpr int kIterationsAlong = 300;    // of a neighbour, which begins near an optimum
+inline constexpr int kIterationsAlong = 400;    // of a neighbour, which begins near an optimum
 inline constexpr int kIterationsShooting = 30;  // from random starts
 inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
 
