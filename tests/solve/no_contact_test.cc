@@ -1,8 +1,9 @@
 // Optima of a disc that goes around a fixed one without touching it, at any number of intervals.
 //
 // With forces that change linearly in time on both sides of the touch, the least effort has a closed form but for two
-// numbers, the time and the place of the touch. Forces that are constant on K intervals cost T^2 / (12 K^2) times the
-// integral of their rate squared more, to second order.
+// numbers, the time and the place of the touch: the place of least effort at the time of most, as the discs are to be
+// apart at every time. Forces that are constant on K intervals cost T^2 / (12 K^2) times the integral of their rate
+// squared more, to second order.
 #include <gmock/gmock.h>
 
 #include <cmath>
@@ -55,7 +56,7 @@ Effort EffortOf(const Vec2d& from, const Vec2d& via, const Vec2d& to, double tim
   return effort;
 }
 
-// Below the post, by golden sections in each of the two numbers.
+// Below the post, by golden sections in each of the two numbers: a saddle.
 Effort LeastEffort(double height) {
   const auto least = [](double begin, double end, const auto& of) {
     constexpr double kGolden = 0.6180339887498949;
@@ -68,11 +69,11 @@ Effort LeastEffort(double height) {
   const auto at = [&](double angle, double time) {
     return EffortOf({-1, height}, kDistance * Vec2d(std::sin(angle), -std::cos(angle)), {1, 0}, time);
   };
-  const auto best_time = [&](double angle) {
-    return least(0.5, 1.5, [&](double time) { return at(angle, time).force; });
+  const auto best_angle = [&](double time) {
+    return least(-0.5, 0.5, [&](double angle) { return at(angle, time).force; });
   };
-  const double angle = least(-0.5, 0.5, [&](double a) { return at(a, best_time(a)).force; });
-  return at(angle, best_time(angle));
+  const double time = least(0.9, 1.1, [&](double t) { return -at(best_angle(t), t).force; });
+  return at(best_angle(time), time);
 }
 
 double LossOn(int steps, double height) {
