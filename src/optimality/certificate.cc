@@ -168,11 +168,13 @@ Certificate WithImpactsOf(const ControlledMotion& motion) {
   return certificate;
 }
 
-void SetTheta(double early, double late, double multiplier, ImpactCertificate* impact) {
+void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact) {
   const double kink = early - late;
   if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) return;
-  impact->theta = (multiplier - late) / kink;
-  impact->concave = kink > 0;
+  const auto counts = [&](double change) { return change * impact->time > kCertificateTolerance * scale; };
+  const double theta = (multiplier - late) / kink, between = std::clamp(theta, 0.0, 1.0);
+  impact->theta = counts(std::abs((theta - between) * kink)) ? theta : between;
+  impact->concave = counts(kink);
 }
 
 void Judge(Certificate* certificate) {

@@ -337,7 +337,7 @@ class ConstrainedCertifier {
                    const double late = sweep_.Late(k, jump, gain);
                    if (!unknown[k]) return late;
                    const double early = sweep_.Early(k, jump, gain);
-                   SetTheta(early, late, found.multipliers[k], &result->impacts[k]);
+                   SetTheta(early, late, found.multipliers[k], position_scale_ * scene_.duration, &result->impacts[k]);
                    return found.multipliers[k];
                  });
   }

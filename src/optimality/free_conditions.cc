@@ -262,7 +262,7 @@ class Certifier {
     const double before = PhaseHamiltonian(k);
     out->hamiltonian = count == 0 && !hit.on_node ? 0.0 : next_hamiltonian_ - before;
     next_hamiltonian_ = before;
-    if (count > 0 && hit.on_node) AddTheta(k, jump, out);
+    if (count > 0 && hit.on_node) AddKink(k, jump);
   }
 
   // Of an impact between discs that are not pushed: that which keeps the Hamiltonian, in the mean over the phases if
@@ -274,14 +274,13 @@ class Certifier {
   }
 
   // Early (late) is as if the forces just before (after) the impact acted on both of its sides.
-  void AddTheta(int k, const ImpactJump& jump, ImpactCertificate* out) const {
+  void AddKink(int k, const ImpactJump& jump) {
     const Flight::Hit& hit = flight_.hits()[k];
     const int next = std::min<int>(hit.next_piece, static_cast<int>(flight_.pieces().size()) - 1);
     const int last = std::max(hit.next_piece - 1, 0);
-    SetTheta(jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
-             jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed),
-             out->multiplier,
-             out);
+    kinks_.push_back({k,
+                      jump.MultiplierAt(flight_.pieces()[last], hit.impact.speed),
+                      jump.MultiplierAt(flight_.pieces()[next], hit.impact.speed)});
   }
 
   void GridGradients(Certificate* result) const {
@@ -322,6 +321,10 @@ class Certifier {
 
   // From absolute residuals to relative ones.
   void Scale(Certificate* result) const {
+    for (const Kink& kink : kinks_) {
+      ImpactCertificate* impact = &result->impacts[kink.impact];
+      SetTheta(kink.early, kink.late, impact->multiplier, VelocityScale(), impact);
+    }
     const auto ratio = [](double residual, double scale) { return residual == 0 ? 0.0 : residual / scale; };
     result->stationarity = ratio(result->stationarity, VelocityScale());
     result->transversality =
@@ -350,6 +353,11 @@ class Certifier {
   std::array<double, 2> transversality_ = {0, 0};  // of position and velocity costates
   std::vector<double> jump_position_, jump_velocity_;
   std::vector<int> jump_impact_;
+  struct Kink {
+    int impact;
+    double early, late;  // multipliers
+  };
+  std::vector<Kink> kinks_;
 };
 
 }  // namespace

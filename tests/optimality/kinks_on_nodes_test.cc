@@ -2,10 +2,12 @@
 // what simulations of changed controls on these intervals show.
 #include <gmock/gmock.h>
 
+#include <Eigen/Dense>
 #include <cmath>
 #include <limits>
 #include <random>
 
+#include "box_scene.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
@@ -63,25 +65,41 @@ Scene ThreeDiscs() {
   return scene;
 }
 
-// The least loss of controls near by, on the same intervals, by a random search whose steps become smaller.
+// The least loss of controls near by, on the same intervals, by a random search whose steps become smaller. As the loss
+// has kinks where impacts lie on nodes, every other step keeps the times of all impacts but one, to first order.
 double LeastNearBy(const Scene& scene, const SolveReport& report) {
   std::mt19937 random(1);
   std::normal_distribution<double> normal;
-  const auto loss = [&](const std::vector<double>& control) {
-    const ExactRun run = SimulateExactly(scene, report.initial_state, control, report.durations);
-    return run.ok ? run.loss : std::numeric_limits<double>::infinity();
+  const auto simulate = [&](const Eigen::VectorXd& control) {
+    return SimulateExactly(scene, report.initial_state, {control.begin(), control.end()}, report.durations);
   };
-  std::vector<double> best = report.control;
-  double least = loss(best), size = 0;
-  for (const double u : best) size = std::max(size, 1e-3 * std::abs(u));
-  for (int i = 0; i < 400; ++i) {
-    std::vector<double> next = best;
-    for (double& u : next) u += size * normal(random);
-    const double found = loss(next);
-    size *= found < least ? 1.5 : 0.97;
+  Eigen::VectorXd best = Eigen::VectorXd::Map(report.control.data(), static_cast<Eigen::Index>(report.control.size()));
+  const ExactRun start = simulate(best);
+  const auto impacts = static_cast<Eigen::Index>(start.events.size());
+  const double largest = best.lpNorm<Eigen::Infinity>();
+  Eigen::MatrixXd times(best.size(), impacts);  // their derivatives
+  for (Eigen::Index j = 0; j < best.size(); ++j) {
+    const double change = 1e-6 * largest;
+    const ExactRun changed = simulate(best + change * Eigen::VectorXd::Unit(best.size(), j));
+    for (Eigen::Index i = 0; i < impacts; ++i) {
+      times(j, i) = (changed.events.at(i).time - start.events[i].time) / change;
+    }
+  }
+  double least = start.loss, size = 1e-3 * largest;
+  for (int i = 0; i < 1000; ++i) {
+    Eigen::VectorXd step = Eigen::VectorXd::NullaryExpr(best.size(), [&] { return normal(random); });
+    if (i % 2 == 1 && impacts > 1) {
+      Eigen::MatrixXd kept = times;
+      kept.col(i / 2 % impacts).setZero();
+      step -= kept * kept.completeOrthogonalDecomposition().solve(step);
+    }
+    const Eigen::VectorXd next = best + size * step;
+    const ExactRun run = simulate(next);
+    const double found = run.ok ? run.loss : std::numeric_limits<double>::infinity();
+    size *= found < least ? 1.5 : 0.98;
     if (found >= least) continue;
     least = found;
-    best = std::move(next);
+    best = next;
   }
   return least;
 }
@@ -106,6 +124,22 @@ TEST(KinksOnNodes, AStationaryVerdictIsThatOfTheControlOnItsIntervals) {
   }
   EXPECT_GT(certified, 0);
   EXPECT_GT(refused, 0);
+}
+
+// A force that hardly jumps at a node makes no kink: theta is then a quotient of rounding errors.
+TEST(KinksOnNodes, AreNoneWhereForcesHardlyJump) {
+  for (const int steps : {100, 120}) {
+    const Scene scene = BallInBox(1, steps);
+    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+    EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+    ASSERT_TRUE(report.certificate);
+    EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+    EXPECT_GT(LeastNearBy(scene, report), report.final_loss * (1 - 1e-7));
+    for (const ImpactCertificate& impact : report.certificate->impacts) {
+      const double theta = impact.theta.value_or(0);
+      EXPECT_TRUE(theta >= 0 && theta <= 1) << theta;
+    }
+  }
 }
 
 // A certificate is not about the optimum in continuous time, whose conditions hmp reports beside it.
