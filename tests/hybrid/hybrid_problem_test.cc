@@ -230,7 +230,7 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
     options.stop = [&] { return ++asked > most; };
     Solve(solver.name, problem, options);
     const int64_t all = std::exchange(asked, 0);
-    ASSERT_GT(all, 20) << solver.name;
+    ASSERT_GT(all, 10) << solver.name;
     int interrupted = 0;
     for (int i = 0; i < 60; ++i) {
       most = i < 20 ? i : all * (i - 20) / 40;

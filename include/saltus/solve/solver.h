@@ -61,8 +61,8 @@ struct SolverOptions {
 
   bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
 
-  // Whether solvers in phases of a hybrid system solve on few control intervals first, and double their number up to
-  // that of the guess, each time from the solution before.
+  // Whether solvers in phases of a hybrid system that end without an optimum try again from few control intervals on,
+  // whose number they double up to that of the guess, each time from the solution before.
   bool coarse_to_fine = true;
 
   // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets

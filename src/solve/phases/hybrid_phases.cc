@@ -499,8 +499,9 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
   return report;
 }
 
-// Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid may
-// share the intervals among the phases in another way, and an interior-point method gains nothing from a near start.
+// Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid
+// may share the intervals among the phases in another way, and an interior-point method gains nothing from a near
+// start.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
   SolverOptions directly = options, rest = options;

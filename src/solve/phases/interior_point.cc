@@ -427,7 +427,8 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetNumericValue("acceptable_constr_viol_tol", 0.1 * options.tolerance);
   application->Options()->SetNumericValue("bound_relax_factor", 0.1 * options.tolerance);
   application->Options()->SetStringValue("mu_strategy", "adaptive");
-  if (application->Initialize() != Ipopt::Solve_Succeeded) return summary;
+  if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
+    return summary;
   const Ipopt::SmartPtr<Ipopt::TNLP> nlp = new InteriorPointProblem(functions, options, problem, &summary);
   application->OptimizeTNLP(nlp);
   return summary;

@@ -9,6 +9,7 @@
 
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
+#include "saltus/optimality/hybrid_certificate.h"
 #include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
 #include "solve/search/hybrid_search.h"
@@ -164,24 +165,26 @@ bool IsBetter(const SolveReport& report, const SolveReport& than) {
 }
 
 SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options) {
-  std::vector<const HybridSolverEntry*> chosen;
   const std::string curved = WhyNotGaussNewton(problem);
   const bool by_phases = WhyNotHybridPhases(problem).empty();
-  const std::vector<std::string_view> order = !by_phases
-                                                  ? std::vector<std::string_view>{"ceres_lm", "ceres_lbfgs", "gd"}
-                                              : curved.empty() ? std::vector<std::string_view>{"ceres_phases", "ipopt"}
-                                                               : std::vector<std::string_view>{"ipopt", "ceres_phases"};
+  // Without constraints and bounds, shooting never leaves the motions of the system, and ends where phases go astray.
+  using Names = std::vector<std::string_view>;
+  const Names order = !by_phases       ? Names{"ceres_lm", "ceres_lbfgs", "gd"}
+                      : curved.empty() ? Names{"ceres_phases", "ipopt", "ceres_lbfgs"}
+                                       : Names{"ipopt", "ceres_lbfgs", "ceres_phases"};
   std::string words = !by_phases       ? WhyNotHybridPhases(problem)
                       : curved.empty() ? "all costs are squares, without constraints"
                                        : curved;
   std::optional<SolveReport> best;
   std::string tried;
+  SolverOptions left = options;
   for (const std::string_view name : order) {
     const HybridSolverEntry& entry = *std::find_if(
         HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
     if (!entry.why_not(problem).empty()) continue;
-    SolveReport report = entry.solve(problem, options);
+    SolveReport report = entry.solve(problem, left);
     JudgeByCertificate(&report);
+    left.iterations -= report.iterations;
     if (best) {
       report.seconds += best->seconds;
       best->seconds = report.seconds;
@@ -189,7 +192,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
     tried += (tried.empty() ? "" : ", then ") + std::string(name);
     if (!best || IsBetter(report, *best)) best = std::move(report);
-    if (ended) break;
+    if (ended || left.iterations <= 0) break;
   }
   if (!best) {
     best.emplace();
@@ -197,6 +200,10 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     best->termination = Termination::kNotApplicable;
     best->reason = "no solver supports this problem: " + words;
     return *best;
+  }
+  if (!best->certificate && best->termination == Termination::kConverged) {
+    best->certificate = Certify(problem, SolutionOf(problem, *best));
+    JudgeByCertificate(&*best);
   }
   const std::string choice = "auto used " + best->solver + ", as " + words;
   best->reason = choice + (tried == best->solver ? "" : " (tried: " + tried + ")") +
