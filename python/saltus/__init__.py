@@ -18,8 +18,8 @@ Repeated use    Simulation (one scene, evaluated many times), Batch (many points
 Optimisation    solve, solvers
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
-Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals; rollout, final_derivatives,
-                loss_and_gradient, solve, hybrid_solvers, audit
+Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals, cost, maximise; rollout,
+                final_derivatives, loss_and_gradient, solve, hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
