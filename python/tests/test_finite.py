@@ -155,8 +155,8 @@ def test_fit_of_drag_is_refused_at_rest_and_right_beside_it():
     # The gradient by the drag, swept backward, does not depend on the derivatives of hypot: its factor is zero.
     for solver in ("ceres_lbfgs", "gd"):
         run = saltus.solve(at_speed(0), solver=solver, optimize=["c"])
-        if run.termination == "converged":
-            assert_allclose(run.parameters, right, rtol=1e-6)
+        assert run.termination == "converged"
+        assert_allclose(run.parameters, right, rtol=1e-6)
 
 
 # ------------------------------------------------------------------------------------------------ values that are none
