@@ -14,9 +14,11 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;    // of the weights, from solve to solve
-constexpr double kStalled = 0.5;  // of the violation that the solve before has left
-constexpr int kShortPhase = 332;  // steps
+constexpr double kGrowth = 10;       // of the weights, from solve to solve
+constexpr double kStalled = 0.5;     // of the violation that the solve before has left
+constexpr double kNearlyMet = 1e-3;  // a larger violation stalls where constraints cannot be met, not for multipliers
+constexpr int kMostEstimates = 3;    // of multipliers, where solves stall: each may cost as much as a solve
+constexpr int kShortPhase = 332;     // steps
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
@@ -267,6 +269,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   bool estimated = false, near = false;
+  int estimates = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
@@ -298,7 +301,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     const double most = LargestWeight();
     // Of two inequalities that are nearly the same, as at a touch on the node between two steps, one has all of the
     // multiplier of both in the end. It would get there by their difference times the weight in each solve.
-    if (weights_.inequality >= most && result.violation > kStalled * open_before) EstimateMultipliers();
+    const bool nearly = result.violation > options.tolerance && result.violation <= kNearlyMet;
+    const bool stalled = weights_.inequality >= most && result.violation > kStalled * open_before;
+    if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers();
     weights_.equality = std::min(most, kGrowth * weights_.equality);
     weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }
