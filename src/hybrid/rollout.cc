@@ -561,8 +561,8 @@ bool RolloutRun::StepTo(int node) {
 // The point within a step is at another part of each, as a guard may have the period of the steps. The state there is
 // the cubic through states and slopes at the ends, as accurate as the guard's own.
 void RolloutRun::CompareGuards(const FlowStep& step) {
-  // The guards of closed contacts are as smooth as their flow, but for the split of forces that are not unique, which may
-  // jump.
+  // The guards of closed contacts are as smooth as their flow, but for the split of forces that are not unique, which
+  // may jump.
   if (!(step.h > 0) || functions_.Projects(step.mode)) return;
   constexpr double kGolden = 0.6180339887498949;
   double whole = 0;

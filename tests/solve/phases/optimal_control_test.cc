@@ -104,8 +104,8 @@ HybridTerm StateRows(At at, Role role, std::array<int, kRows> component, std::ar
   return {.at = at,
           .role = role,
           .with_state = true,
-          .function =
-              std::make_shared<ceres::AutoDiffCostFunction<Rows<kRows>, kRows, kStates>>(new Rows<kRows>{component, sign, value})};
+          .function = std::make_shared<ceres::AutoDiffCostFunction<Rows<kRows>, kRows, kStates>>(
+              new Rows<kRows>{component, sign, value})};
 }
 
 template <typename Derivative, int kStates, int kControls>
