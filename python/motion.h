@@ -52,7 +52,7 @@ class Simulation {
 
  private:
   Array Variables(const py::object& z) const;
-  // As Compute, of evaluate(z in the computation); keeps z if there may be remarks on its motion.
+  // Computes evaluate(z in the computation) as Compute does; keeps z if there may be remarks on its motion.
   template <typename Evaluate>
   void ComputeAt(const Array& variables, const Evaluate& evaluate);
   // Calls evaluate() without the GIL, as the only user. Throws if it returns false, or was stopped.

@@ -169,7 +169,7 @@ bool HybridShooting::FailAt(const Place& place) {
   return Fail(place.term->name + ": the function has no finite value " + WhereIs(place));
 }
 
-// Of terms first, whose derivatives may be all that is wrong, then of the motion.
+// Looks at the terms first, whose derivatives may be all that is wrong, then at the motion.
 bool HybridShooting::FailAtDerivatives() {
   Values values;
   for (const std::vector<Place>* places : {&places_, &constraint_places_}) {

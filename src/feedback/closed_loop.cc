@@ -141,7 +141,7 @@ enum Occurrence : char { kNotYet, kHappened, kNotCounted };
 // Which of the planned events have happened, as of node k; nothing if others have, or in another order.
 std::optional<std::vector<Occurrence>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
   std::vector<Occurrence> happened(plan.events.size(), kNotYet);
-  // Of the events with which a contact comes to last, only the first counts, and none while it lasts.
+  // Counts only the first of the events with which a contact comes to last, and none while it lasts.
   for (const Plan::Lasting& contact : plan.lasting) {
     for (std::size_t i = contact.event + 1; contact.from <= k && i < plan.events.size(); ++i) {
       if (plan.events[i] == contact.pair && plan.events[i].interval <= contact.to) happened[i] = kNotCounted;

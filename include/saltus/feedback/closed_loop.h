@@ -113,7 +113,7 @@ std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& 
 // The scene under the contact model of the simulator. Contact that lasts over several steps is one event. A state has
 // the numbers of the scene's (positions, velocities and, if discs spin, rotations) or all that the model keeps.
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);
-// The same on intervals that last `lengths` (K numbers >= 0, s), each one step of the model. Precondition: their sum is
+// Does so on intervals that last `lengths` (K numbers >= 0, s), each one step of the model. Precondition: their sum is
 // the scene's duration, and the contact model is applicable to the scene.
 std::unique_ptr<Plant> MakePlant(const Contact& contact, const Scene& scene, std::span<const double> lengths);
 

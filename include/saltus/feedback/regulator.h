@@ -27,7 +27,7 @@ struct LinearEvent {
   double time = 0;                                    // s
   std::string name = {};                              // "guard 'ground' in mode 'flight'"; "a and b" of a scene
   Eigen::RowVectorXd by_state = {}, by_control = {};  // of the time, by x_k and u_k
-  // Of a scene, the discs that move: the order of events that share none does not matter. None: it does.
+  // Holds the discs of a scene that move: the order of events that share none does not matter. None: it does.
   std::vector<int> discs = {};
   bool follows = false;  // from the event before, without time passing
 };
@@ -84,7 +84,7 @@ struct Regulator {
 
 // As "found x, expected y"; empty if nothing is: sizes, and whether matrices are symmetric and R positive definite.
 std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
-// Likewise, of gains: their number, their shapes, and whether they are finite.
+// Checks gains in the same way: their number, their shapes, and whether they are finite.
 std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
 
 // The regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices of the
