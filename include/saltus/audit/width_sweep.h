@@ -9,6 +9,7 @@
 // agrees with narrow differences to seven digits is still wrong.
 #pragma once
 
+#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>
@@ -25,6 +26,9 @@ struct WidthSweepOptions {
   double wide_from = 5, wide_to = 50;
   double tolerance = 0.05;  // by which plateaus may differ, of the largest entry of the quantity
   int most_states = 0;      // of the motion, at which speeds are measured for the grid width; 0: all
+
+  // The number of widths of each entry.
+  int NumWidths() const { return static_cast<int>(per_decade * std::log10(largest / smallest)) + 1; }
 };
 
 enum class WidthFinding {

@@ -48,7 +48,7 @@ constexpr int kFiner = 10;
 constexpr double kMotionOrder = 0.5, kMotionFar = 1e-2, kExactMotion = 1e-9, kMotionNoise = 300;
 // The width sweep: widths in what moves in a step.
 constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisyTo = 0.2, kWideFrom = 2, kWideTo = 8;
-constexpr int kWidths = 24;  // of each entry, about
+constexpr double kLatestNarrow = 1e-2;  // where narrow widths begin at the latest, if few runs are left
 constexpr int kSpeeds = 32;  // states at which speeds are measured, about
 // Runs of the simulator that an audit takes, unless a gradient by differences needs more for a verdict.
 constexpr int kMostCalls = 2000;
@@ -387,12 +387,12 @@ int NumRollouts(const Scene& scene, bool own_gradient) {
   return 1 + 2 * (4 * static_cast<int>(moving) + AskingOptions().segments * scene.control_width());
 }
 
-// Rollouts, one after the other, for differences of every width.
-double NumRolloutsOfWidths(const Scene& scene) {
+// Counts the rollouts, one after the other, for differences of every width.
+double NumRolloutsOfWidths(const Scene& scene, const WidthSweepOptions& options) {
   const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
   const auto entries = 4 * moving + scene.control_width();
   // The speeds take shorter runs.
-  return static_cast<double>(2 * kWidths * entries) + 0.5 * std::min(scene.steps, kSpeeds);
+  return static_cast<double>(2 * options.NumWidths() * entries) + 0.5 * std::min(scene.steps, kSpeeds);
 }
 
 // Differences know the control by segments only.
@@ -486,7 +486,8 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
   const auto too_long = [&](const std::string& what, double seconds) {
     return what + FormatNumbers(" takes about %.2g s, more than is left of the %.2g s allowed", seconds, time.seconds);
   };
-  const double of_widths = plan.OfSingleRollouts(NumRolloutsOfWidths(scene));
+  WidthSweepOptions widths = WidthsOf(findings, options.widths);
+  const double of_widths = plan.OfSingleRollouts(NumRolloutsOfWidths(scene, widths));
   const double of_verdict = reference ? plan.OfStudies(kLeastLevels, kSamples[2]) : of_widths;
   if (!plan.Fits(of_verdict)) {
     findings.remarks.insert(findings.remarks.begin(), too_long("the shortest study that gives a verdict", of_verdict));
@@ -537,17 +538,18 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     }
   }
   if (options.width_sweep || !reference || !traits.gradient) {
-    const double runs = NumRolloutsOfWidths(scene);
+    const auto fits = [&] { return !reference || plan.FitsCalls(NumRolloutsOfWidths(scene, widths)); };
+    const double next = std::pow(10.0, 1.0 / widths.per_decade);
+    while (widths.smallest < kLatestNarrow && !fits()) widths.narrow_from = widths.smallest *= next;
     if (!plan.Fits(of_widths)) {
       findings.remarks.push_back(too_long("the comparison with differences of every width", of_widths));
-    } else if (reference && !plan.FitsCalls(runs)) {
+    } else if (!fits()) {
       findings.remarks.push_back(
           FormatNumbers("the comparison with differences of every width takes %.0f runs, more than are left of %.0f",
-                        runs,
+                        NumRolloutsOfWidths(scene, widths),
                         kMostCalls));
     } else {
       plan.Say("differences of every width", of_widths);
-      const WidthSweepOptions widths = WidthsOf(findings, options.widths);
       if (!keep(SweepWidths(contact, scene, widths, stop), &audit.widths)) return audit;
       if (reference) CompareWithExact(scene, *reference, &*audit.widths);
       if (!reference) audit.verdict = audit.widths->verdict;

@@ -227,7 +227,7 @@ std::string WidthSweepStudy::Summary() const {
 }
 
 std::vector<double> WidthsOf(const WidthSweepOptions& options, double grid_width) {
-  const int count = static_cast<int>(options.per_decade * std::log10(options.largest / options.smallest)) + 1;
+  const int count = options.NumWidths();
   std::vector<double> widths;
   for (int i = 0; i < count; ++i) {
     widths.push_back(grid_width * options.smallest * std::pow(10.0, double(i) / options.per_decade));
