@@ -320,6 +320,13 @@ void WriteSolution(const Request& request, const SolvedRun& run) {
   throw std::bad_alloc();
 }
 
+// Makes room for so many further keys. An object that grows copies its values, states too, and a copy that is destroyed
+// where memory runs out ends the program.
+void Reserve(size_t keys, Json* object) {
+  auto& items = object->get_ref<Json::object_t&>();
+  items.reserve(items.size() + keys);
+}
+
 // Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
 // "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
 void AddStates(const Request& request, const SolvedRun& run, Json* item) {
@@ -328,6 +335,7 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
   if (!request.states) return;
   const Motions motions = MotionsOf(request, run);
+  Reserve(6, item);
   const auto add = [&](const std::string& prefix, const Motion& motion) {
     if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
     (*item)[prefix + "times"] = motion.times;
@@ -672,10 +680,10 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     }
     list.push_back(std::move(item));
   }
-  Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}, {"runs", std::move(list)}};
-  if (request.states) {
-    AddDrawn(request.scene, &document);
-  }
+  Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}};
+  Reserve(8, &document);
+  document["runs"] = std::move(list);
+  if (request.states) AddDrawn(request.scene, &document);
   if (solved.interrupted) document["interrupted"] = true;
   return document;
 }
