@@ -3,12 +3,13 @@
 #include <ceres/crs_matrix.h>
 #include <ceres/solver.h>
 
-#include <Eigen/SparseCholesky>
+#include <Eigen/SparseCore>
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
 #include "solve/phases/interior_point.h"
+#include "solve/phases/least_multipliers.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
@@ -160,7 +161,8 @@ void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, con
   problem_.AddResidualBlock(weighted.release(), nullptr, blocks);
 }
 
-// Least |J_f^T f + J_c^T l| over l, with the rows f of costs and c of equalities and violated inequalities.
+// Sets the multipliers to those that leave least of the gradient of the costs along equalities and violated
+// inequalities.
 void AugmentedLagrangian::EstimateMultipliers() {
   for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
   const Weights weights = std::exchange(weights_, {1, 1});  // rows are those of the functions
@@ -184,16 +186,11 @@ void AugmentedLagrangian::EstimateMultipliers() {
       if (counts) constrained.emplace_back(function, i);
     }
   }
-  const auto size = static_cast<Eigen::Index>(constrained.size());
-  Eigen::SparseMatrix<double> constraints(size, jacobian.num_cols);
+  Eigen::SparseMatrix<double, Eigen::RowMajor> constraints(static_cast<Eigen::Index>(constrained.size()),
+                                                           jacobian.num_cols);
   constraints.setFromTriplets(entries.begin(), entries.end());
-  Eigen::SparseMatrix<double> normal = constraints * constraints.transpose();
-  for (Eigen::Index i = 0; i < size; ++i) normal.coeffRef(i, i) *= 1 + 1e-12;
-  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
-  if (factors.info() != Eigen::Success) return;
-  const Eigen::VectorXd multipliers = -factors.solve(constraints * by_costs);
-  if (!multipliers.allFinite()) return;
-  for (Eigen::Index i = 0; i < size; ++i) {
+  const Eigen::VectorXd multipliers = LeastMultipliers(constraints, by_costs);
+  for (Eigen::Index i = 0; i < multipliers.size(); ++i) {
     const auto& [function, of_row] = constrained[static_cast<size_t>(i)];
     function->SetMultiplier(of_row, multipliers[i]);
   }
