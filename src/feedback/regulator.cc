@@ -89,6 +89,135 @@ class Hamiltonian {
   Eigen::MatrixXd B_, matrix_;
 };
 
+std::string NameOf(const HybridSystem& system, int mode, int guard) {
+  return "guard '" + system.GuardName(mode, guard) + "' in mode '" + system.ModeName(mode) + "'";
+}
+
+// Guards of a motion at times within its control intervals, and how they change with the state and the control there.
+class GuardsWithin {
+ public:
+  GuardsWithin(const HybridSimulator& motion, const HybridInput& input, const std::vector<HybridTie>& ties)
+      : motion_(motion),
+        system_(motion.system()),
+        input_(input),
+        times_(input.Times()),
+        ties_(ties),
+        part_(system_, {.steps_per_interval = motion.steps_per_interval(), .wait_behind_guards = true}),
+        gradient_(system_.functions().most_states() + 1 + system_.num_parameters() + system_.num_controls()) {}
+
+  // Adds guards that reach zero at the time of the event of another one, and with it; guards that touch zero and
+  // return; and, of systems whose modes are known, guards where they are least between two events, or at the end.
+  void Add(int k, LinearInterval* interval) {
+    const auto within = [&](double time) { return time > times_[k] && time <= times_[k + 1]; };
+    for (const HybridTie& tie : ties_) {
+      if (!within(tie.time)) continue;
+      const auto& events = motion_.events();
+      const auto first = std::ranges::find_if(
+          events, [&](const HybridEvent& event) { return event.time == tie.time && event.mode == tie.mode; });
+      if (first == events.end()) continue;
+      for (const int guard : tie.guards) {
+        if (guard == first->guard) continue;
+        AddOne(k,
+               tie.time,
+               tie.mode,
+               guard,
+               " at the event of " + NameOf(system_, tie.mode, first->guard),
+               first->guard,
+               interval);
+      }
+    }
+    for (const HybridGrazing& grazing : motion_.grazings()) {
+      if (within(grazing.time)) AddOne(k, grazing.time, grazing.mode, grazing.guard, "", -1, interval);
+    }
+    if (system_.functions().CreatesModes()) return;
+    AddLeastOnes(k, interval);
+    if (k + 1 < input_.num_intervals) return;
+    for (int guard = 0; guard < system_.num_guards(motion_.final_mode()); ++guard) {
+      if (!system_.functions().IsSwitch(motion_.final_mode(), guard))
+        AddOne(k, times_.back(), motion_.final_mode(), guard, " at the end", -1, interval);
+    }
+  }
+
+ private:
+  const double* ControlOf(int k) const {
+    return input_.control.empty() ? none_.data()
+                                  : &input_.control[static_cast<std::size_t>(k) * system_.num_controls()];
+  }
+
+  // Minima between the steps of the interval, of guards that fall and rise in one mode without an event in between.
+  void AddLeastOnes(int k, LinearInterval* interval) {
+    std::vector<GuardValue> before, now;
+    std::vector<double> slope;
+    for (int i = 0; i < motion_.num_steps(); ++i) {
+      const double t = motion_.StepTime(i);
+      if (t < times_[k] || t > times_[k + 1]) continue;
+      const int mode = motion_.StepMode(i);
+      const bool goes_on = i > 0 && !before.empty() && motion_.StepMode(i - 1) == mode && !motion_.IsReset(i - 1);
+      slope.resize(system_.state_size(mode));
+      now.resize(system_.num_guards(mode));
+      const ModePoint at{mode, t, motion_.StepState(i).data(), ControlOf(k), input_.parameters.data()};
+      system_.functions().Flow(at, slope.data());
+      system_.functions().GuardRates(at, slope.data(), now.data());
+      for (int guard = 0; goes_on && !motion_.IsReset(i) && guard < system_.num_guards(mode); ++guard) {
+        const GuardValue &a = before[guard], &b = now[guard];
+        if (system_.functions().IsSwitch(mode, guard) || !(a.rate < 0 && b.rate >= 0 && a.value > 0 && b.value > 0))
+          continue;
+        const double from = motion_.StepTime(i - 1);
+        AddOne(k, from + (t - from) * a.rate / (a.rate - b.rate), mode, guard, "", -1, interval);
+      }
+      std::swap(before, now);
+    }
+  }
+
+  // Adds a guard at a time, or at the event of another guard, which moves.
+  void AddOne(int k, double time, int mode, int guard, const std::string& where, int other, LinearInterval* interval) {
+    constexpr double kBefore = 1e-9;  // of the time since the beginning: events there have not happened
+    const std::span<const double> x = k == 0 ? std::span<const double>(input_.initial) : motion_.StateAt(k);
+    HybridInput input{.mode = k == 0 ? input_.mode : motion_.ModeAt(k),
+                      .initial = {x.begin(), x.end()},
+                      .parameters = input_.parameters,
+                      .duration = (time - times_[k]) * (1 - kBefore)};
+    input.control.assign(ControlOf(k), ControlOf(k) + system_.num_controls());
+    input.begin = times_[k];
+    if (!(input.duration > 0) || !part_.Rollout(input) || part_.final_mode() != mode) return;
+    const HybridSensitivity by = part_.Sensitivity();
+    const int n = system_.state_size(mode), m = system_.num_controls(), first = static_cast<int>(x.size());
+    const Eigen::Map<const RowMajor> all(by.final_state.data(), n, by.columns);
+    const ModePoint at{mode, time, part_.final_state().data(), ControlOf(k), input_.parameters.data()};
+    const auto change_of = [&](int of, Eigen::RowVectorXd* by_state, Eigen::RowVectorXd* by_control) {
+      const double value = system_.functions().GuardGradient(at, of, gradient_.data());
+      const Eigen::Map<const Eigen::RowVectorXd> by_x(gradient_.data(), n),
+          by_u(gradient_.data() + n + 1 + system_.num_parameters(), m);
+      *by_state = by_x * all.leftCols(first);
+      *by_control = by_x * all.middleCols(first, m) + by_u;
+      return value;
+    };
+    LinearGuard found{.name = NameOf(system_, mode, guard) + where, .time = time};
+    found.value = std::max(change_of(guard, &found.by_state, &found.by_control), 0.0);
+    if (other >= 0) {
+      std::vector<double> slope(n);
+      Eigen::RowVectorXd by_state, by_control;
+      system_.functions().Flow(at, slope.data());
+      double rate = 0, of_other = 0;
+      system_.functions().GuardRate(at, guard, slope.data(), &rate);
+      system_.functions().GuardRate(at, other, slope.data(), &of_other);
+      change_of(other, &by_state, &by_control);
+      found.by_state -= rate / of_other * by_state;
+      found.by_control -= rate / of_other * by_control;
+      found.value = 0;
+    }
+    interval->guards.push_back(std::move(found));
+  }
+
+  const HybridSimulator& motion_;
+  const HybridSystem& system_;
+  const HybridInput& input_;
+  const std::vector<double> times_, none_ = std::vector<double>(1 + system_.num_controls());
+  const std::vector<HybridTie>& ties_;
+  HybridSimulator part_;
+  std::vector<double> gradient_;
+};
+
 Eigen::MatrixXd Symmetric(const Eigen::MatrixXd& S) { return 0.5 * (S + S.transpose()); }
 
 }  // namespace
@@ -98,6 +227,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
   const int num_controls = system.num_controls();
   const std::vector<double> times = input.Times(), zeros(num_controls);
   const std::vector<HybridSensitivity> sensitivities = motion.IntervalSensitivities();
+  GuardsWithin within(motion, input, motion.ties());
   LinearMotion linear;
   linear.end = times.back();
   std::size_t event = 0;
@@ -117,8 +247,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
       const HybridEvent& happened = motion.events()[event++];
       const Eigen::Map<const Eigen::RowVectorXd> row(time.data(), by.columns);
       interval.events.push_back({.time = happened.time,
-                                 .name = "guard '" + system.GuardName(happened.mode, happened.guard) + "' in mode '" +
-                                         system.ModeName(happened.mode) + "'",
+                                 .name = NameOf(system, happened.mode, happened.guard),
                                  .by_state = row.head(n),
                                  .by_control = row.tail(num_controls),
                                  .follows = happened.at_once});
@@ -136,14 +265,14 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
       const ModePoint at{interval.mode, interval.begin, x.data(), u, input.parameters.data()};
       const double value = system.functions().GuardGradient(at, guard, gradient.data());
       if (!(value > 0)) continue;
-      interval.guards.push_back({.name = "guard '" + system.GuardName(interval.mode, guard) + "' in mode '" +
-                                         system.ModeName(interval.mode) + "'",
+      interval.guards.push_back({.name = NameOf(system, interval.mode, guard),
                                  .time = interval.begin,
                                  .value = value,
                                  .by_state = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), n),
                                  .by_control = Eigen::Map<const Eigen::RowVectorXd>(
                                      gradient.data() + gradient.size() - num_controls, num_controls)});
     }
+    within.Add(k, &interval);
     interval.mode = system.functions().BaseMode(interval.mode);
     linear.intervals.push_back(std::move(interval));
   }
