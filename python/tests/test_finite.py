@@ -322,3 +322,20 @@ def test_a_closed_form_is_compared_with_the_flow_with_given_steps_too():
         with pytest.raises(RuntimeError, match="Fly is no closed form of the flow of mode 'm'"):
             saltus.rollout(fixed)
     assert saltus.rollout(problem).final[0] == pytest.approx(math.cos(2))
+
+
+def test_a_pole_of_the_flow_is_no_jump():
+    """A body falls into the centre of an attraction 1 / r^2 from rest at r = 1: at t = pi / sqrt(8)."""
+    def flow(t, x, u, p):
+        cube = np.hypot(x[0], x[1]) ** 3
+        return [x[2], x[3], -x[0] / cube, -x[1] / cube]
+
+    system = saltus.HybridSystem(states={"m": ["x", "y", "v", "w"]}, flow={"m": flow})
+    with pytest.raises(RuntimeError, match=r"grows beyond all bounds at t = 1\.110.*there is no solution after that"):
+        saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1, 0, 0, 0], duration=2.0))
+
+
+def test_steps_that_are_too_long_for_a_flow_are_no_jump_of_it():
+    system = saltus.HybridSystem(states={"m": ["x"]}, flow={"m": lambda t, x, u, p: [np.sin(1e5 * x[0] * x[0])]})
+    with pytest.raises(RuntimeError, match="does not converge|may be stiff"):
+        saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1.0], duration=50.0))

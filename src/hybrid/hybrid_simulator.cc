@@ -32,9 +32,11 @@ constexpr int kHopeless = 6;                // doublings without convergence unt
 constexpr double kBegins = 0.1;             // of the final difference of two motions: where they begin to differ
 constexpr int kScanned = 128;               // points in a step
 constexpr int kBisections = 46;
-constexpr double kJump = 1e-6;      // of a slope, relative
-constexpr double kConverges = 0.3;  // at most, an error in comparison to that of half as many steps
-constexpr int kStalls = 2;          // doublings without convergence after which the error is rounding
+constexpr double kJump = 1e-6;        // of a slope, relative
+constexpr double kPole = 1e6;         // of the slopes at the ends of the step: beside a pole
+constexpr double kSamePlace = 1e-12;  // relative: on both sides of a jump
+constexpr double kConverges = 0.3;    // at most, an error in comparison to that of half as many steps
+constexpr int kStalls = 2;            // doublings without convergence after which the error is rounding
 
 }  // namespace
 
@@ -149,9 +151,23 @@ class HybridSimulator::Impl {
       (before ? high : low) = at;
     }
     if (!(most > 0) || std::abs(high[component] - low[component]) <= kJump * sizes[component]) return "";
-    return "the flow of mode '" + system.ModeName(culprit->mode) + "' jumps at t = " + ToText(culprit->t + from, 10) +
-           ": the derivative of " + system.StateName(culprit->mode, component) + " changes from " +
-           ToText(low[component], 6) + " to " + ToText(high[component], 6) +
+    const std::string what = "the flow of mode '" + system.ModeName(culprit->mode) + "' ";
+    const std::string where = " at t = " + ToText(culprit->t + from, 10);
+    const double beside = std::max(std::abs(slopes.front()[component]), std::abs(slopes.back()[component]));
+    if (std::min(std::abs(low[component]), std::abs(high[component])) > kPole * beside) {
+      return what + "grows beyond all bounds" + where + ", in the derivative of " +
+             system.StateName(culprit->mode, component) + ": there is no solution after that";
+    }
+    // The states on both sides of a jump are the same. Those of steps that are too long for the flow are not.
+    slope_after(from);
+    const std::vector<double> before_jump = after;
+    slope_after(to);
+    for (int i = 0; i < n; ++i) {
+      const double size = std::abs(before_jump[i]) + culprit->h * sizes[i];
+      if (std::abs(after[i] - before_jump[i]) > kSamePlace * size) return "";
+    }
+    return what + "jumps" + where + ": the derivative of " + system.StateName(culprit->mode, component) +
+           " changes from " + ToText(low[component], 6) + " to " + ToText(high[component], 6) +
            ". Declare a switch there (kNumSwitches; a condition of saltus.where in Python), or give each side a mode "
            "of "
            "its own";
@@ -199,7 +215,8 @@ class HybridSimulator::Impl {
                 " steps to integrate the flow to the tolerance; the system may be stiff";
         } else {
           why = run->why() + (same_failures >= kSameFailures
-                                  ? ", however short the steps are: there is no solution after that"
+                                  ? ", however short the steps are: there is no solution after that, or the flow has "
+                                    "no value beside it"
                                   : " with " + std::to_string(n * input.num_intervals) +
                                         " steps of an explicit method: the flow may be stiff or have no solution");
         }
