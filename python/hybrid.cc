@@ -2,6 +2,7 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 #include <optional>
@@ -39,7 +40,7 @@ using ModeTuple =
     std::tuple<std::string, std::vector<std::string>, Outputs, std::vector<TransitionTuple>, std::optional<Outputs>>;
 
 HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<std::string>& controls,
-                        const std::vector<std::string>& parameters) {
+                        const std::vector<std::string>& parameters, bool slides) {
   HybridLayout layout{.num_controls = static_cast<int>(controls.size()),
                       .num_parameters = static_cast<int>(parameters.size()),
                       .control_names = controls,
@@ -56,11 +57,16 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
     if (fly) mode.fly.emplace(ReadFunction(of_guards + layout.num_controls + 1, *fly));
     for (const auto& [guard_name, guard, reset, next_mode, accumulation_mode] : transitions) {
       layout.guard_names.push_back(guard_name);
-      mode.transitions.push_back(
-          {ReadFunction(of_guards, guard), ReadFunction(of_guards, reset), next_mode, accumulation_mode});
+      const bool reads_control = std::ranges::any_of(std::get<1>(guard), [&](const Node& node) {
+        return std::get<0>(node) == "input" && std::get<1>(node) >= of_guards;
+      });
+      mode.transitions.push_back({ReadFunction(of_guards + (reads_control ? layout.num_controls : 0), guard),
+                                  ReadFunction(of_guards, reset),
+                                  next_mode,
+                                  accumulation_mode});
     }
   }
-  return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded)));
+  return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded), slides));
 }
 
 // name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, letters of what
@@ -396,7 +402,7 @@ class Problem {
 
 void BindHybrid(py::module_* module) {
   py::class_<HybridSystem>(*module, "HybridSystem")
-      .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"));
+      .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"), py::arg("slides"));
   py::class_<Problem> problem(*module, "HybridProblem");
   problem
       .def(py::init<const HybridSystem&, const std::vector<TermTuple>&, double, int, bool, int, int>(),

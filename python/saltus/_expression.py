@@ -219,7 +219,8 @@ def _kind(value: Any) -> str:
     return "a number" if isinstance(value, Expression) else type(value).__name__
 
 
-_CONDITIONS = ("less", "less_equal", "and", "or", "not")
+_CONDITIONS = ("less", "less_equal", "and", "or", "not", "larger")
+_MOST_UNKNOWNS = 12  # of linear equations
 
 
 def _as_array(value: Any) -> Any:
@@ -316,6 +317,80 @@ def _log(a: Any, *base: Any) -> Any:
     return _one_argument_log(a) / _one_argument_log(base[0]) if base else _one_argument_log(a)
 
 
+def _is_larger(a: Any, b: Any) -> Any:
+    """Whether |a| > |b|, for choices that change no result: no switch is made of it."""
+    for value in (a, b):
+        if isinstance(value, Expression):
+            return value._apply("larger", a, b)
+    return abs(a) > abs(b)
+
+
+def _either(condition: Any, a: Any, b: Any) -> Any:
+    if not isinstance(condition, Expression):
+        return a if condition else b
+    return a if a is b else Expression._apply(condition, "where", condition, a, b)
+
+
+_SINGULAR = 1e-30  # square of a pivot, of those of the numbers that it is a sum of: rounding
+
+
+def _solve(a: Any, b: Any) -> Any:
+    """numpy.linalg.solve by Gauss's elimination with pivots. Where the matrix is singular, the result is NaN."""
+    matrix, right = _as_array(a), _as_array(b)
+    if not any(isinstance(entry, Expression) for entry in (*matrix.flat, *right.flat)):
+        return np.linalg.solve(a, b)
+    n = len(matrix) if matrix.ndim == 2 else 0
+    if n == 0 or matrix.shape != (n, n) or right.ndim not in (1, 2) or len(right) != n:
+        raise ValueError(f"found a matrix of shape {matrix.shape} and a right-hand side of shape {right.shape}, "
+                         "expected (n, n) and (n,) or (n, k)")
+    if n > _MOST_UNKNOWNS:
+        raise ValueError(f"found {n} unknowns, expected at most {_MOST_UNKNOWNS} in a function that is recorded")
+    # Each row: that of the matrix, of the right-hand side, and squares of the sizes of the numbers that entries are sums of.
+    rows = [[*matrix[i], *np.atleast_1d(right[i]), *(entry * entry for entry in matrix[i])] for i in range(n)]
+    columns = len(rows[0]) - 2 * n
+    sizes = n + columns
+    for k in range(n):
+        for i in range(k + 1, n):
+            swaps = _is_larger(rows[i][k], rows[k][k])
+            pairs = list(zip(rows[k], rows[i]))
+            rows[k] = [_either(swaps, other, one) for one, other in pairs]
+            rows[i] = [_either(swaps, one, other) for one, other in pairs]
+        pivot = rows[k][k]
+        regular = _is_larger(pivot * pivot, _SINGULAR * rows[k][sizes + k])
+        if regular is False or regular is np.False_:
+            raise ValueError("the matrix is singular, whatever the arguments are")
+        rows[k][k] = _either(regular, pivot, math.nan)
+        for i in range(k + 1, n):
+            if not isinstance(rows[i][k], Expression) and rows[i][k] == 0:
+                continue
+            factor = rows[i][k] / rows[k][k]
+            for j in range(k + 1, sizes):
+                rows[i][j] = rows[i][j] - factor * rows[k][j]
+            for j in range(sizes + k + 1, sizes + n):
+                rows[i][j] = rows[i][j] + factor * factor * rows[k][j]
+    result = np.empty((n, columns), dtype=object)
+    for i in reversed(range(n)):
+        for j in range(columns):
+            rest = rows[i][n + j]
+            for k in range(i + 1, n):
+                rest = rest - rows[i][k] * result[k, j]
+            result[i, j] = rest / rows[i][i]
+    return result[:, 0] if right.ndim == 1 else result
+
+
+def _inverse(a: Any) -> Any:
+    return _solve(a, np.eye(len(a)))
+
+
+def _norm(x: Any, *arguments: Any, **keywords: Any) -> Any:
+    array = _as_array(x)
+    if not any(isinstance(entry, Expression) for entry in array.flat):
+        return np.linalg.norm(x, *arguments, **keywords)
+    if arguments or keywords:
+        raise TypeError("numpy.linalg.norm is recorded without further arguments, as the root of the sum of all squares")
+    return _hypot(*array.flat)
+
+
 _RECORDED: dict[str, Callable[..., Any]] = {
     "log": _log,
     "log2": lambda a: _log(a) / math.log(2.0),
@@ -384,8 +459,14 @@ for _name, _function in _UFUNCS.items():
     if not hasattr(Expression, _name):
         setattr(Expression, _name, (lambda f: lambda self, *rest: f(self, *rest))(_function))
 
-# By the identity of a function of math: what records it.
-_OF_MATH = {id(getattr(math, name)): replacement for name, replacement in _MATH.items()}
+# By the identity of a function of math or numpy: what records it.
+_OF_MATH = {
+    **{id(getattr(math, name)): replacement for name, replacement in _MATH.items()},
+    id(np.linalg.solve): _solve,
+    id(np.linalg.inv): _inverse,
+    id(np.linalg.norm): _norm,
+}
+_WITH_SUCH = (math, np, np.linalg)  # modules
 _NOT_OF_USERS = sys.stdlib_module_names | {"numpy", "saltus"}
 
 
@@ -420,7 +501,7 @@ class _Recording:
         if type(value) is functools.partial:
             keywords = {name: self.replace(given) for name, given in value.keywords.items()}
             return functools.partial(self.replace(value.func), *map(self.replace, value.args), **keywords)
-        if isinstance(value, types.ModuleType) and (value is math or _is_users(value.__name__)):
+        if isinstance(value, types.ModuleType) and (value in _WITH_SUCH or _is_users(value.__name__)):
             return self._keep(value, _Module(self, value))
         if type(value) in (list, tuple) and any(map(_may_change, value)):
             return self._keep(value, type(value)(map(self.replace, value)))

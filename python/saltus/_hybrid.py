@@ -68,13 +68,15 @@ class HybridSystem(Closed):
 
     states: the modes, each with the names of its states. controls, parameters: names. SI units, or any others.
     flow: of each mode a function of some of t, x, u and p that returns the derivatives of the states.
-    guards: of each mode that has any, functions of some of t, x and p by the name of the guard; an event happens where one
-    falls through zero.
+    guards: of each mode that has any, functions of some of t, x, u and p by the name of the guard; an event happens where
+    one falls through zero, or where a jump of the control takes it below.
     resets: of each guard a function of some of t, x and p that returns the next mode and its state.
     on_accumulation: of any guard the mode in which a motion goes on where its events accumulate (Zeno behaviour): their
     times converge, or they repeat without time passing.
     fly: of any mode a closed form of its flow, a function of some of t, s, x, u and p that returns the state at t + s of
     the state x at t; it takes the place of the integration. Steps must be so short that no guard crosses zero twice in one.
+    sliding: "filippov": a motion that both sides of a condition drive towards its zero goes on along it, with the average of
+    both flows that keeps it there, until one side leads away. Without it such a motion ends with the reason.
 
     The names of a function's arguments decide what it gets, in any order. A function with other names gets the arguments in
     the order (t, x, u, p), (t, x, p) or (t, s, x, u, p); a name that would stand in the place of another is refused.
@@ -92,7 +94,7 @@ class HybridSystem(Closed):
     what a function raises; each names the mode and the guard.
     """
 
-    _attributes = ("modes", "states", "controls", "parameters", "guards")
+    _attributes = ("modes", "states", "controls", "parameters", "guards", "sliding")
 
     def __init__(
         self,
@@ -105,7 +107,11 @@ class HybridSystem(Closed):
         parameters: Sequence[str] = (),
         on_accumulation: Mapping[str, Mapping[str, str]] | None = None,
         fly: Mapping[str, Callable[..., Any]] | None = None,
+        sliding: str | None = None,
     ):
+        if sliding not in (None, "filippov"):
+            raise ValueError(f"sliding: found {sliding!r}, expected 'filippov' or None")
+        self.sliding = sliding
         self.modes = _names("states", _named("states", states))
         self.states = {mode: _names(f"states of mode '{mode}'", states[mode]) for mode in self.modes}
         self.controls = _names("controls", controls)
@@ -146,14 +152,17 @@ class HybridSystem(Closed):
             of_flow = self._record_flow(mode, given[0][1][mode])
             recorded.append((mode, self.states[mode], of_flow, transitions, closed_form))
         self._record = recorded
-        self._system = _saltus.HybridSystem(recorded, self.controls, self.parameters)
+        self._system = self._make()
+
+    def _make(self) -> Any:
+        return _saltus.HybridSystem(self._record, self.controls, self.parameters, self.sliding is not None)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_system"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._system = _saltus.HybridSystem(self._record, self.controls, self.parameters)
+        self._system = self._make()
 
     def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
         what = f"on_accumulation of mode '{mode}'"
@@ -184,10 +193,11 @@ class HybridSystem(Closed):
         return _outputs(what, tape, _call(what, function, symbols, "tsxup"), len(self.states[mode]))
 
     def _record_guard(self, mode: str, name: str, guard: Any, reset: Any) -> tuple[Any, Any, int]:
-        no_control = {"u": "guards and resets read t, x and p; make the control a state, whose rate the control is"}
-        tape, symbols = self._symbols(mode, control=False)
+        no_control = {"u": "resets read t, x and p; make the control a state, whose rate the control is"}
+        reads_control = callable(guard) and "u" in (parameters_of(guard) or {})
+        tape, symbols = self._symbols(mode, reads_control)
         what = f"guard '{name}' of mode '{mode}'"
-        value = _call(what, guard, symbols, "txp", no_control)
+        value = _call(what, guard, symbols, "txup" if reads_control else "txp")
         if any(isinstance(entry, (Condition, bool, np.bool_)) for entry in np.ravel(_as_array(value))):
             raise TypeError(f"{what}: found a condition; a guard is a number that falls through zero (x - 1 for x < 1)")
         of_guard = _outputs(what, tape, value, 1)

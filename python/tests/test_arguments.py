@@ -45,8 +45,8 @@ def test_flows_get_what_their_arguments_are_named():
     ({"flow": {"m": lambda t, state, p, u: [0, 0]}}, "flow of mode 'm': found an argument 'state', expected some of t, x, u and p"),
     ({"flow": {"m": lambda t, x, u, q: [0, 0]}}, None),  # in the usual order
     ({"flow": {"m": lambda t, x, h: [0, 0]}}, "flow of mode 'm': found an argument 'h'"),
-    ({"guards": {"m": {"g": lambda t, x, u, p: 1 - u[0]}}, "resets": {"m": {"g": lambda x: ("m", x)}}},
-     "guard 'g' of mode 'm': found an argument 'u': guards and resets read t, x and p; make the control a state"),
+    ({"guards": {"m": {"g": lambda t, x, u, p: 1 - u[0]}}, "resets": {"m": {"g": lambda x, u: ("m", x)}}},
+     "reset 'g' of mode 'm': found an argument 'u': resets read t, x and p; make the control a state"),
     ({"guards": {"m": {"g": lambda y: 1}}, "resets": {"m": {"g": lambda x: ("m", x)}}}, "guard 'g' of mode 'm': found an argument 'y'"),
     ({"flow": {"m": lambda t, x, u, p: None}}, "flow of mode 'm': found nothing that the function returns"),
 ])

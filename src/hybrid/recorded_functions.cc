@@ -11,6 +11,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "base/normal_stream.h"
 #include "hybrid/recorded_switches.h"
 #include "hybrid/runge_kutta.h"
 
@@ -39,6 +40,7 @@ constexpr KnownOperation kOperations[] = {
     {Operation::kAnd, "and", 2, [](double a, double b, double) { return double(a != 0 && b != 0); }},
     {Operation::kOr, "or", 2, [](double a, double b, double) { return double(a != 0 || b != 0); }},
     {Operation::kNot, "not", 1, [](double a, double, double) { return double(a == 0); }},
+    {Operation::kLarger, "larger", 2, [](double a, double b, double) { return double(std::abs(a) > std::abs(b)); }},
     {Operation::kWhere, "where", 3, [](double a, double b, double c) { return a != 0 ? b : c; }},
     {Operation::kNegate, "negate", 1, [](double a, double, double) { return -a; }},
     {Operation::kAbs, "abs", 1, [](double a, double, double) { return std::abs(a); }},
@@ -142,6 +144,50 @@ class RecordedFunction::Builder {
   }
 
   Tape Values() const { return Flatten({}); }
+
+  // As the function of this name.
+  ExpressionGraph FlowAlong(int n, int k) && {
+    using enum Operation;
+    const std::vector<int> beside = std::move(outputs_);
+    const auto flow = [&](int number, int row) { return beside[(number + 1) * n + row]; };  // number -1: below all
+    const auto change = [&](int number, int row) { return Make(kSubtract, flow(number, row), flow(-1, row)); };
+    // The rates of the numbers, row by row: those of the changes, and minus that of the flow below all.
+    std::vector<std::vector<int>> rates(k, std::vector<int>(k + 1, Constant(0)));
+    for (int i = 0; i < k; ++i) {
+      const Derivative gradient = DerivativeOf(beside[(k + 1) * n + i]);
+      for (const auto& [input, partial] : gradient) {
+        if (input > n) continue;
+        for (int j = 0; j < k && input < n; ++j) {
+          rates[i][j] = Make(kAdd, rates[i][j], Make(kMultiply, partial, change(j, input)));
+        }
+        const int rate = input < n ? Make(kMultiply, partial, flow(-1, input)) : partial;
+        rates[i][k] = Make(kSubtract, rates[i][k], rate);
+      }
+    }
+    // Gauss's elimination, which finds the weights of the flows above.
+    for (int i = 0; i < k; ++i) {
+      for (int row = 0; row < k; ++row) {
+        if (row == i) continue;
+        const int factor = Make(kDivide, rates[row][i], rates[i][i]);
+        for (int j = i + 1; j <= k; ++j) {
+          rates[row][j] = Make(kSubtract, rates[row][j], Make(kMultiply, factor, rates[i][j]));
+        }
+      }
+    }
+    std::vector<int> weights;
+    for (int i = 0; i < k; ++i) weights.push_back(Make(kDivide, rates[i][k], rates[i][i]));
+    ExpressionGraph along{.num_inputs = num_inputs_};
+    for (int row = 0; row < n; ++row) {
+      int sum = flow(-1, row);
+      for (int i = 0; i < k; ++i) sum = Make(kAdd, sum, Make(kMultiply, weights[i], change(i, row)));
+      along.outputs.push_back(sum);
+    }
+    for (const int weight : weights) {
+      along.outputs.insert(along.outputs.end(), {weight, Make(kSubtract, Constant(1), weight)});
+    }
+    along.nodes = std::move(nodes_);
+    return along;
+  }
 
   Tape Derivatives() {
     std::vector<Tape::Entry> entries;
@@ -374,6 +420,10 @@ class RecordedFunction::Builder {
   std::map<int, Derivative> derivatives_;
 };
 
+ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k) {
+  return RecordedFunction::Builder(beside).FlowAlong(n, k);
+}
+
 RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
     : recording_(recording),
       num_inputs_(recording.num_inputs),
@@ -511,8 +561,8 @@ void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* output
   }
 }
 
-RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
-    : HybridFunctions(std::move(layout)), modes_(std::move(modes)) {
+RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, bool slides)
+    : HybridFunctions(std::move(layout)), modes_(std::move(modes)), slides_(slides) {
   const std::vector<int>& sizes = this->layout().state_sizes;
   CHECK_EQ(modes_.size(), sizes.size());
   for (std::size_t mode = 0; mode < modes_.size(); ++mode) {
@@ -525,7 +575,8 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes)
     }
     CHECK_EQ(static_cast<int>(modes_[mode].transitions.size()), this->layout().num_guards[mode]);
     for (const Transition& transition : modes_[mode].transitions) {
-      CHECK_EQ(transition.guard.num_inputs(), of_guards);
+      CHECK(transition.guard.num_inputs() == of_guards ||
+            transition.guard.num_inputs() == modes_[mode].flow.num_inputs());
       CHECK_EQ(transition.guard.num_outputs(), 1);
       CHECK_EQ(transition.reset.num_inputs(), of_guards);
       CHECK_EQ(transition.reset.num_outputs(), sizes[transition.next_mode]);
@@ -574,18 +625,30 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   std::vector<int> kind = sides;  // but for integer parts
   for (int number = 0; number < switches.count(); ++number) {
     if (sides[number] == RecordedSwitches::kIrrelevant) continue;
-    piece.switches.push_back({number, -1});
-    if (!switches.IsFloor(number)) continue;
-    piece.switches.push_back({number, 1});
-    kind[number] = 0;
+    const bool slides = switches.Slides(number, sides);
+    piece.switches.push_back({number, -1, slides});
+    if (slides || switches.IsFloor(number)) piece.switches.push_back({number, 1, slides});
+    if (switches.IsFloor(number)) kind[number] = 0;
   }
   std::shared_ptr<const Functions>& functions = known_functions_[{base, kind}];
   if (functions == nullptr) {
     const int num_guards = static_cast<int>(modes_[base].transitions.size());
-    Functions made{RecordedFunction(switches.Function(0, sides)), {}, {}};
+    std::vector<ExpressionGraph> along;  // the flow, then the ends of the piece by the switches along which it slides
+    const auto sliding = std::ranges::count_if(piece.switches, [&](const End& end) { return end.slides; }) / 2;
+    if (sliding > 0) {
+      const int n = layout().state_sizes[base];
+      const ExpressionGraph all = FlowAlong(switches.Beside(sides), n, static_cast<int>(sliding));
+      along.assign(1 + 2 * sliding, all);
+      along[0].outputs.resize(n);
+      for (int i = 0; i < 2 * sliding; ++i) along[1 + i].outputs = {all.outputs[n + i]};
+    }
+    Functions made{RecordedFunction(sliding > 0 ? along[0] : switches.Function(0, sides)), {}, {}};
     for (int i = 0; i < num_guards; ++i) made.guards.emplace_back(switches.Function(1 + i, sides));
-    for (const End& end : piece.switches) made.guards.emplace_back(switches.Guard(end.number, end.by, sides));
-    if (modes_[base].fly) made.fly.emplace(switches.Function(1 + num_guards, sides));
+    auto next = along.begin() + (sliding > 0 ? 1 : 0);
+    for (const End& end : piece.switches) {
+      made.guards.emplace_back(end.slides ? *next++ : switches.Guard(end.number, end.by, sides));
+    }
+    if (modes_[base].fly && sliding == 0) made.fly.emplace(switches.Function(1 + num_guards, sides));
     functions = std::make_shared<const Functions>(std::move(made));
   }
   piece.of_piece = functions;
@@ -611,14 +674,69 @@ int RecordedSystem::PieceAt(const ModePoint& point) const {
 int RecordedSystem::PieceBeside(const ModePoint& point, int guard, Side side) const {
   const Evaluated& piece = at(point.mode);
   const End& end = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))];
+  if (side == Side::kSliding) return PieceAlong(point, guard);
   std::vector<int> sides = piece.sides;
   if (switches_[piece.base]->IsFloor(end.number)) {
     if (side == Side::kOn) return -1;
     sides[end.number] += end.by;
+  } else if (side != Side::kOther) {
+    sides[end.number] = static_cast<int>(side);
   } else {
-    sides[end.number] = side == Side::kOther ? -sides[end.number] : static_cast<int>(side);
+    sides[end.number] = end.slides ? end.by : -sides[end.number];
   }
-  return PieceOf(piece.base, SidesAt(point, std::move(sides)));
+  sides = SidesAt(point, std::move(sides));
+  return sides.empty() ? -1 : PieceOf(piece.base, std::move(sides));
+}
+
+// Whether the flow at a point of a piece points at the zero of a switch.
+bool RecordedSystem::PointsAt(const ModePoint& point, int number) const {
+  if (point.mode < 0) return false;
+  const Evaluated& piece = at(point.mode);
+  const auto end = std::ranges::find_if(piece.switches, [&](const End& of) { return of.number == number; });
+  if (end == piece.switches.end()) return false;
+  std::vector<double> slope(size(point.mode));
+  Flow(point, slope.data());
+  double rate = 0;
+  const auto guard = num_guards(point.mode) - (piece.switches.end() - end);
+  GuardRate(point, static_cast<int>(guard), slope.data(), &rate);
+  return rate < 0;
+}
+
+// The piece along a switch at whose zero a point is; -1 unless both sides point at it, and Filippov's convention
+// determines the flow: the only function that depends on the switch is the flow, and its changes at several switches
+// along which it slides add up, at random points nearby as well.
+int RecordedSystem::PieceAlong(const ModePoint& point, int guard) const {
+  constexpr double kApart = 0.1, kSame = 1e-9;  // relative: other points, and what is zero
+  constexpr int kPoints = 3;
+  const Evaluated& piece = at(point.mode);
+  const RecordedSwitches& switches = *switches_[piece.base];
+  const int number = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))].number;
+  if (!slides_ || switches.IsFloor(number)) return -1;
+  for (const Side side : {Side::kBelow, Side::kAbove}) {
+    const ModePoint beside{PieceBeside(point, guard, side), point.t, point.x, point.u, point.p};
+    if (!PointsAt(beside, number)) return -1;
+  }
+  std::vector<int> sides = piece.sides;
+  sides[number] = RecordedSwitches::kSliding;
+  sides = SidesAt(point, std::move(sides));
+  if (sides.empty() || !switches.OnlyFirstFunctionJumps(sides)) return -1;
+  const int along = PieceOf(piece.base, sides);
+  const RecordedFunction mixed(switches.MixedChanges(sides));
+  if (mixed.num_outputs() == 0) return along;
+  const Inputs inputs = InputsAt({along, point.t, point.x, point.u, point.p});
+  std::vector<double> x(point.x, point.x + size(along)), slope(x.size()), changes(mixed.num_outputs());
+  Flow({along, point.t, x.data(), point.u, point.p}, slope.data());
+  NormalStream random(1);
+  for (int i = 0; i < kPoints; ++i) {
+    Inputs near = inputs;
+    near[0].data = x.data();
+    mixed.Evaluate(near, changes.data());
+    for (std::size_t j = 0; j < changes.size(); ++j) {
+      if (std::abs(changes[j]) > kSame * (1 + std::abs(slope[j % slope.size()]))) return -1;
+    }
+    for (double& value : x) value += kApart * (1 + std::abs(value)) * random.Next();
+  }
+  return along;
 }
 
 bool RecordedSystem::IsOn(int mode, int guard) const {
@@ -647,9 +765,9 @@ std::string RecordedSystem::GuardName(int mode, int guard) const {
 
 bool RecordedSystem::ReadsControl(int mode, int guard) const {
   const Evaluated& piece = at(mode);
-  const int first = num_guards(mode) - num_switches(mode);
-  return guard >= first && switches_[piece.base]->ReadsInputsFrom(size(mode) + 1 + num_parameters(),
-                                                                  piece.switches[guard - first].number);
+  const int first = num_guards(mode) - num_switches(mode), first_control = size(mode) + 1 + num_parameters();
+  if (guard < first) return transition(mode, guard).guard.num_inputs() > first_control;
+  return switches_[piece.base]->ReadsInputsFrom(first_control, piece.switches[guard - first].number);
 }
 
 void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
@@ -771,7 +889,10 @@ double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gra
 int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {
   if (IsSwitch(at.mode, guard)) {
     std::copy_n(at.x, size(at.mode), x_plus);
-    return PieceBeside(at, guard, Side::kOther);
+    const Evaluated& piece = this->at(at.mode);
+    const bool leaves = piece.switches[guard - (num_guards(at.mode) - num_switches(at.mode))].slides;
+    const int along = leaves ? -1 : PieceBeside(at, guard, Side::kSliding);
+    return along >= 0 ? along : PieceBeside(at, guard, Side::kOther);
   }
   const Transition& of = transition(at.mode, guard);
   of.reset.Evaluate(InputsOf(of.reset, InputsAt(at)), x_plus);

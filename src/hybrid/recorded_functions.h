@@ -40,7 +40,8 @@ enum class Operation : std::uint8_t {
   kAnd,
   kOr,
   kNot,
-  kWhere,  // the second operand if the first is not 0, otherwise the third
+  kLarger,  // |a| > |b|, for choices that change no value, as of a pivot: never a switch
+  kWhere,   // the second operand if the first is not 0, otherwise the third
   kNegate,
   kAbs,
   kSign,
@@ -87,6 +88,12 @@ struct ExpressionGraph {
 // As "found x, expected y"; empty if nothing is.
 std::string WhatIsWrongWith(const ExpressionGraph& graph);
 
+// The flow along the zeros of k numbers, by Filippov's convention: the combination of the flows beside them, in which
+// each number keeps its value. `beside`: functions of [x t ...] with n states, those of RecordedSwitches::Beside. Its
+// outputs: the flow, and for each number the weight of the flow above zero and that of the flow below; they are above
+// zero while the motion slides.
+ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k);
+
 class RecordedFunction {
  public:
   // Precondition: WhatIsWrongWith(recording) is empty.
@@ -111,6 +118,7 @@ class RecordedFunction {
 
  private:
   friend class RecordedSystem;
+  friend ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k);
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
     struct Instruction {
@@ -136,7 +144,7 @@ class RecordedFunction {
 
 class RecordedSwitches;
 
-// Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard and of a reset [x t p].
+// Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard [x t p] or [x t p u], of a reset [x t p].
 //
 // A mode whose flow or guards decide by numbers that depend on the state or the time (RecordedSwitches) is evaluated as
 // it is recorded. A motion goes through its pieces instead, which are modes of their own: they are created as the
@@ -153,8 +161,9 @@ class RecordedSystem final : public HybridFunctions {
     std::vector<Transition> transitions;  // of each guard
     std::optional<RecordedFunction> fly = {};
   };
-  // Preconditions: sizes are those of the layout.
-  RecordedSystem(HybridLayout layout, std::vector<Mode> modes);
+  // Preconditions: sizes are those of the layout. `slides`: a motion that both sides of a switch drive towards it goes
+  // on along it, by Filippov's convention.
+  RecordedSystem(HybridLayout layout, std::vector<Mode> modes, bool slides = false);
   ~RecordedSystem() override;
 
   int num_modes() const override { return num_modes_.load(std::memory_order_acquire); }
@@ -188,9 +197,10 @@ class RecordedSystem final : public HybridFunctions {
   int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override;
 
  private:
-  // A switch of a piece, and where the piece ends by it: RecordedSwitches::Guard.
+  // A switch of a piece, and where the piece ends by it: RecordedSwitches::Guard, or a weight of FlowAlong.
   struct End {
     int number, by;
+    bool slides;
   };
   struct Functions {
     RecordedFunction flow;
@@ -217,6 +227,8 @@ class RecordedSystem final : public HybridFunctions {
   }
   int Keep(Evaluated mode) const;
   int PieceOf(int base, std::vector<int> sides) const;
+  int PieceAlong(const ModePoint& point, int guard) const;
+  bool PointsAt(const ModePoint& point, int number) const;
   std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
 
   int size(int mode) const { return layout().state_sizes[at(mode).base]; }
@@ -225,10 +237,11 @@ class RecordedSystem final : public HybridFunctions {
   const Transition& transition(int mode, int guard) const { return modes_[at(mode).base].transitions[guard]; }
   using Inputs = std::array<RecordedFunction::Part, 5>;  // of a flow, and the integer parts of a piece
   Inputs InputsAt(const ModePoint& at) const;
-  // The inputs of a guard or a reset: without control, unless it is one of a piece.
+  // The inputs of a guard or a reset: without control, unless it reads it or is one of a piece.
   std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 
   const std::vector<Mode> modes_;
+  const bool slides_;
   std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
   int most_guards_ = 0;
   static constexpr int kBlocks = 24;

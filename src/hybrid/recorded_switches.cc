@@ -173,9 +173,40 @@ class RecordedSwitches::Piece {
   std::vector<int> to_, truth_;
 };
 
-// One pass in the order of the nodes: a switch that is not known gets its side where its number is.
+std::vector<int> RecordedSwitches::Sliding(const Sides& sides) const {
+  std::vector<int> sliding;
+  for (int number = 0; number < count(); ++number) {
+    if (Slides(number, sides)) sliding.push_back(number);
+  }
+  return sliding;
+}
+
+RecordedSwitches::Sides RecordedSwitches::Corner(Sides sides, std::span<const int> above) const {
+  for (const int number : Sliding(sides)) sides[number] = -1;
+  for (const int number : above) sides[number] = 1;
+  return sides;
+}
+
 RecordedSwitches::Sides RecordedSwitches::SidesAt(std::span<const double> inputs, Sides known) const {
   known.resize(count(), kIrrelevant);
+  const std::vector<int> sliding = Sliding(known);
+  Sides sides = RelevantSides(inputs, Corner(known, {}));
+  for (const int above : sliding) {
+    const Sides beside = RelevantSides(inputs, Corner(known, {&above, 1}));
+    for (int number = 0; number < count(); ++number) {
+      if (beside[number] == kIrrelevant) continue;
+      if (sides[number] != kIrrelevant && sides[number] != beside[number] && !Slides(number, known)) return {};
+      sides[number] = beside[number];
+    }
+  }
+  for (const int number : sliding) {
+    if (sides[number] != kIrrelevant) sides[number] = kSliding;
+  }
+  return sides;
+}
+
+// One pass in the order of the nodes: a switch that is not known gets its side where its number is.
+RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> inputs, Sides known) const {
   std::vector<double> values(nodes_.size());
   for (std::size_t i = 0; i < nodes_.size(); ++i) {
     const Node& node = nodes_[i];
@@ -215,8 +246,73 @@ RecordedSwitches::Sides RecordedSwitches::SidesAt(std::span<const double> inputs
   return sides;
 }
 
+bool RecordedSwitches::OnlyFirstFunctionJumps(const Sides& sides) const {
+  const Sides corner = Corner(sides, {});
+  Piece piece(*this, corner);
+  for (std::size_t function = 1; function < outputs_.size(); ++function) {
+    for (const int output : outputs_[function]) piece.Needed(output);
+  }
+  for (int number = 0; number < count(); ++number) {
+    if (sides[number] != kIrrelevant) piece.Needed(switches_[number].node);
+  }
+  return std::ranges::none_of(piece.used, [&](int number) { return Slides(number, sides); });
+}
+
+ExpressionGraph RecordedSwitches::Beside(const Sides& sides) const {
+  ExpressionGraph graph;
+  const std::vector<int> sliding = Sliding(sides);
+  for (std::size_t i = 0; i <= sliding.size(); ++i) {
+    const Sides corner = Corner(sides, std::span(sliding).subspan(i == 0 ? 0 : i - 1, i == 0 ? 0 : 1));
+    Piece piece(*this, corner);
+    piece.graph = std::move(graph);
+    for (const int output : outputs_[0]) {
+      const int node = piece.Needed(output);
+      piece.graph.outputs.push_back(node);
+    }
+    if (i == sliding.size()) {
+      for (const int number : sliding) {
+        const int node = piece.Needed(switches_[number].node);
+        piece.graph.outputs.push_back(node);
+      }
+    }
+    graph = std::move(piece.graph);
+  }
+  graph.num_inputs = FloorInput(count());
+  return graph;
+}
+
+ExpressionGraph RecordedSwitches::MixedChanges(const Sides& sides) const {
+  ExpressionGraph graph;
+  const std::vector<int> sliding = Sliding(sides);
+  for (std::size_t i = 0; i < sliding.size(); ++i) {
+    for (std::size_t j = 0; j < i; ++j) {
+      const std::array<std::vector<int>, 4> above = {
+          {{sliding[i], sliding[j]}, {sliding[i]}, {}, {sliding[j]}}};  // with alternating signs
+      std::vector<int> sums;
+      for (std::size_t k = 0; k < above.size(); ++k) {
+        const Sides corner = Corner(sides, above[k]);
+        Piece piece(*this, corner);
+        piece.graph = std::move(graph);
+        for (std::size_t row = 0; row < outputs_[0].size(); ++row) {
+          const int node = piece.Needed(outputs_[0][row]);
+          if (k == 0) {
+            sums.push_back(node);
+          } else {
+            sums[row] = piece.Push({k % 2 == 1 ? Operation::kSubtract : Operation::kAdd, sums[row], node, -1, 0});
+          }
+        }
+        graph = std::move(piece.graph);
+      }
+      graph.outputs.insert(graph.outputs.end(), sums.begin(), sums.end());
+    }
+  }
+  graph.num_inputs = FloorInput(count());
+  return graph;
+}
+
 ExpressionGraph RecordedSwitches::Function(int function, const Sides& sides) const {
-  Piece piece(*this, sides);
+  const Sides corner = Corner(sides, {});
+  Piece piece(*this, corner);
   for (const int output : outputs_[function]) piece.graph.outputs.push_back(piece.Needed(output));
   piece.graph.num_inputs = FloorInput(count());
   return std::move(piece.graph);
@@ -224,7 +320,8 @@ ExpressionGraph RecordedSwitches::Function(int function, const Sides& sides) con
 
 ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides) const {
   using enum Operation;
-  Piece piece(*this, sides);
+  const Sides corner = Corner(sides, {});
+  Piece piece(*this, corner);
   int output = piece.Needed(switches_[number].node);
   if (IsFloor(number)) {
     const int floor = piece.Push({kInput, FloorInput(number), -1, -1, 0});

@@ -29,15 +29,24 @@ class RecordedSwitches {
   // The number as a formula in the names of the inputs.
   std::string TextOf(int number, std::span<const std::string> inputs) const;
 
-  // Of each switch the sign of its number (-1, 0 or 1) or its integer part, or kIrrelevant where no function depends on
-  // it in this piece.
+  // Of each switch the sign of its number (-1, 0 or 1), kSliding where the motion goes along its zeros, or its integer
+  // part; kIrrelevant where no function depends on it in this piece.
   using Sides = std::vector<int>;
-  static constexpr int kIrrelevant = -(1 << 30);
-  // The sides at these inputs, but of those that are not irrelevant in `known`, which may be empty.
+  static constexpr int kIrrelevant = -(1 << 30), kSliding = 2;
+  bool Slides(int number, const Sides& sides) const { return sides[number] == kSliding && !IsFloor(number); }
+  // The sides at these inputs, but of those that are not irrelevant in `known`, which may be empty. Returns an empty
+  // list if a switch has one side below, and another one above the zero of a number along which the motion slides.
   Sides SidesAt(std::span<const double> inputs, Sides known) const;
 
   // A function in a piece. Its inputs are followed by the integer parts, of all switches that have one.
+  // Precondition: the function does not depend on a switch along which the motion slides.
   ExpressionGraph Function(int function, const Sides& sides) const;
+  // Whether no function but the first, and no number of a switch, depends on a switch along which the motion slides.
+  bool OnlyFirstFunctionJumps(const Sides& sides) const;
+  // Along k numbers: the first function below zero of all of them, above zero of each one alone, and the numbers.
+  ExpressionGraph Beside(const Sides& sides) const;
+  // By how much the changes of the first function at these numbers, two at a time, do not add up.
+  ExpressionGraph MixedChanges(const Sides& sides) const;
   // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part
   // below (by = -1) or above (by = 1), or where the sign changes. On a sign of zero it is the number itself.
   ExpressionGraph Guard(int number, int by, const Sides& sides) const;
@@ -57,6 +66,10 @@ class RecordedSwitches {
   bool IsZero(int node) const { return nodes_[node].operation == Operation::kConstant && nodes_[node].value == 0; }
   // A number with which inputs of functions begin that are integer parts.
   int FloorInput(int number) const;
+  std::vector<int> Sliding(const Sides& sides) const;
+  // The sides above zero of some of the numbers along which the motion slides, and below zero of the others.
+  Sides Corner(Sides sides, std::span<const int> above) const;
+  Sides RelevantSides(std::span<const double> inputs, Sides known) const;
 
   // A graph of nodes of a piece: those that its outputs need.
   class Piece;

@@ -155,6 +155,13 @@ double RolloutRun::Elapsed(double time) const {
 
 void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
+// Whether a guard of the mode jumps where the control does. Modes that are created say themselves, by ModeUnder, where
+// a jump of the control leads to.
+bool RolloutRun::JumpsWithControl(int guard) const {
+  return !functions_.CreatesModes() && functions_.ReadsControl(at_.mode, guard) &&
+         !functions_.IsSwitch(at_.mode, guard);
+}
+
 // The control has jumped: the motion goes on in the mode that the system's functions say.
 bool RolloutRun::SwitchControl() {
   const FlowStep here = StepFrom(0);
@@ -169,8 +176,11 @@ bool RolloutRun::SwitchControl() {
     return Enter(Entry::kAfterReset);
   }
   const int mode = at_.mode;
-  const bool switches = functions_.num_switches(mode) > 0;
-  if (switches || std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero)) {
+  bool enters = std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero);
+  for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
+    enters = enters || functions_.IsSwitch(mode, guard) || JumpsWithControl(guard);
+  }
+  if (enters) {
     const std::size_t events = events_.size();
     if (!Enter(Entry::kControlJump)) return false;
     if (at_.mode != mode && events_.size() == events) {
@@ -281,9 +291,10 @@ bool RolloutRun::SettleSides() {
       const Standing standing = search_.Classify(here, at_.slope.data(), guard, value, Elapsed(at_.t));
       const bool rises = standing == Standing::kArmed || standing == Standing::kRising;
       const bool on = functions_.IsOn(at_.mode, guard);
-      if (on ? StaysOn(here, guard, fastest) : rises) continue;
-      turns = guard;
       using Side = HybridFunctions::Side;
+      const bool stays = on && functions_.PieceBeside(here, guard, Side::kSliding) < 0 && StaysOn(here, guard, fastest);
+      if (on ? stays : rises) continue;
+      turns = guard;
       next = functions_.PieceBeside(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
     if (turns < 0) break;
@@ -291,12 +302,18 @@ bool RolloutRun::SettleSides() {
     seen.push_back(at_.mode);
     const auto known = [&](int piece) { return std::find(seen.begin(), seen.end(), piece) != seen.end(); };
     if (known(next)) {
+      const int along = functions_.PieceBeside(here, turns, HybridFunctions::Side::kSliding);
+      if (along >= 0 && !known(along)) {
+        if (!Fire(turns, /*with_step=*/true, /*at_once=*/true)) return false;
+        continue;
+      }
       const int on = functions_.PieceBeside(here, turns, HybridFunctions::Side::kOn);
       if (on < 0 || known(on)) {
         return Refuse("the flow on both sides of switch '" + system_.GuardName(at_.mode, turns) + "' points at it in " +
                       Where() +
                       ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
-                      "the change of the flow gradual");
+                      "the change of the flow gradual; in Python sliding='filippov' goes on along it, where Filippov's "
+                      "convention determines the flow");
       }
       next = on;
     }
@@ -368,7 +385,7 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
 // On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once. Transitions
 // of guards that are behind belong to the event before and come first; then the earliest event of guards at zero, and
 // of those that rounding does not separate that of the smallest number. Where only the control jumps, guards at zero
-// alone are looked at.
+// are looked at, and those that read the control, whose event is there if it takes them below zero.
 bool RolloutRun::Enter(Entry entry) {
   using Standing = EventSearch::Standing;
   for (;;) {
@@ -388,7 +405,9 @@ bool RolloutRun::Enter(Entry entry) {
     if (switches && (entry == Entry::kStart || (is_reset && !events_.back().is_switch))) RemarkOnSwitches(entry);
     if (entry != Entry::kControlJump) std::fill(at_.at_zero.begin(), at_.at_zero.end(), 0);
     for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
-      if (entry == Entry::kControlJump && at_.at_zero[guard] == 0) continue;
+      const bool jumps = entry == Entry::kControlJump && JumpsWithControl(guard);
+      const bool was_armed = at_.armed[guard] != 0;
+      if (entry == Entry::kControlJump && at_.at_zero[guard] == 0 && !jumps) continue;
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value)) {
         return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
@@ -405,10 +424,14 @@ bool RolloutRun::Enter(Entry entry) {
       if (standing == Standing::kArmed || standing == Standing::kRising) continue;
       if (standing == Standing::kBehind) {
         if (entry == Entry::kStart) {
-          if (options_.wait_behind_guards) continue;
-          return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
-                        ") at the start, in " + Where());
+          if (!options_.wait_behind_guards) {
+            return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
+                          ") at the start, in " + Where());
+          }
+          // A motion that goes on from interval to interval begins with jumps of the control.
+          if (!JumpsWithControl(guard)) continue;
         }
+        if (jumps && !was_armed) continue;
         if (value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) continue;
       }
       if (due >= 0 && (of_due == Standing::kBehind || standing == Standing::kSinking)) continue;
@@ -426,7 +449,7 @@ bool RolloutRun::Enter(Entry entry) {
     if (due < 0) return true;
     const std::string name = "guard '" + system_.GuardName(at_.mode, due) + "'";
     if (entry == Entry::kStart) Remark(name + " has an event at the start");
-    if (entry == Entry::kControlJump)
+    if (entry == Entry::kControlJump && of_due != Standing::kBehind)
       Remark(name + " has an event at t = " + Text(at_.t) + ", where the control jumps");
     if (const std::string why = WhyRepeats(due, of_due); !why.empty()) {
       return GoOnAfterAccumulation(at_.t, at_.mode, due, why);
@@ -454,6 +477,11 @@ std::string RolloutRun::WhyRepeats(int guard, EventSearch::Standing standing) co
     }
   }
   if (count < std::max(options_.most_repeats, 1)) return "";
+  if (events_.back().mode == at_.mode && events_.back().guard == guard && standing == EventSearch::Standing::kFalling) {
+    return "events without time passing (Zeno behaviour) in " + Where() + ": the reset of guard '" +
+           system_.GuardName(at_.mode, guard) +
+           "' leaves it at zero and falling. Let the reset lead to a mode without this guard, or move the state off it";
+  }
   return "more than " + std::to_string(options_.most_repeats) + " events without time passing (Zeno behaviour) in " +
          Where() + ", of guard '" + system_.GuardName(at_.mode, guard) + "': raise most_repeats if they end";
 }
@@ -732,7 +760,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   std::string& remark = tape_.coincidences[number].remark;
   if (remark.empty() && accumulates) {
     remark = name + " has events without time passing at t = " + Text(at_.t) + ", of which the derivative is one-sided";
-  } else if (remark.empty() && events_.size() > events + 1 &&
+  } else if (remark.empty() && events_.size() > events + 1 && !events_[events + 1].is_switch &&
              tape_.entries[begin + 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
     remark = "the reset at t = " + Text(at_.t) + " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'";

@@ -70,6 +70,7 @@ class RolloutRun {
   };
   enum class Entry { kStart, kAfterReset, kControlJump };
 
+  bool JumpsWithControl(int guard) const;
   bool SwitchControl();
   bool SettleSides();
   bool StaysOn(const FlowStep& ahead, int guard, double fastest);
