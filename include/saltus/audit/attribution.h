@@ -14,7 +14,7 @@
 // not, the model itself is run over the interval with far smaller steps: an error that falls was a force that the steps
 // do not resolve.
 //
-// What is due to finite steps only is told apart by doing all of this once more with at least eight times the steps.
+// Effects of finite steps alone are told apart by doing all of this once more with at least eight times the steps.
 #pragma once
 
 #include <functional>

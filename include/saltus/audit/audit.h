@@ -29,7 +29,7 @@ namespace saltus {
 struct GradientError {
   double relative = 0;  // |g - g_exact| / |g_exact|
   double angle = 0;     // between the two, rad
-  // Of an estimate: root mean square of the entries' differences, each in its standard error (those of a control in
+  // The difference of an estimate: root mean square over entries, each in its standard error (those of a control in
   // segments by segment). Chance alone gives 1. Infinite if an entry on which all samples agree differs by more than
   // rounding.
   std::optional<double> in_standard_errors;
@@ -50,7 +50,7 @@ enum class Agreement {
 
 struct OwnDifferences {
   Agreement agreement = Agreement::kUndecided;
-  // Of the direction that differs most, or else of the last one.
+  // The quantity of the direction that differs most, or else of the last one.
   Quantity quantity = Quantity::kPosition;
   double gradient = 0, difference = 0;
 };
@@ -72,14 +72,14 @@ struct AuditOptions {
   // Audited in the place of the model's own gradient, by its error alone: verdict kBiased, no studies.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;  // for its samples, what else is studied, and in the place of refinement.threads
-  // As of RefinementOptions, and before each study too.
+  // The function of RefinementOptions, which is called before each study too.
   std::function<int()> threads_now = nullptr;
   // To stop in the middle: what was found so far stays, and the audit is `interrupted`.
   StopRequest stop = nullptr;
   std::function<void(const std::string&)> status = nullptr;  // as of AttributionOptions
 };
 
-// Of a simulator that is asked from outside (black_box.h), what its final states tell beside its gradient.
+// Properties of a simulator that is asked from outside (black_box.h), from its final states.
 struct BlackBoxFindings {
   enum class Motion { kUnknown, kExact, kConverges, kDoesNotConverge };
   // A head-on impact of the scene's first pair, without forces and friction: medians over where in a step it falls.

@@ -16,7 +16,7 @@
 
 namespace saltus {
 
-// What a black box is asked. It starts each question afresh, whatever it has been asked before.
+// A question for a black box, which starts each one afresh, whatever it has been asked before.
 struct Question {
   enum class Kind {
     kSimulate,  // the final state from an initial one
@@ -43,7 +43,7 @@ struct Answer {
   std::vector<std::pair<std::string, double>> parameters;
 };
 
-// What a black box says of itself and of a scene.
+// The answer of a black box about itself and a scene.
 struct BlackBoxTraits {
   std::string name;            // as it calls itself; may be empty
   std::string not_applicable;  // why it cannot take the scene
@@ -76,7 +76,7 @@ struct AskingOptions {
 // The black box as a contact model of its name, which has no colon, for scenes that it takes like `traits` says.
 Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, const AskingOptions& options = {});
 
-// The same with widths that suit the noise of its answers, which is measured.
+// Makes a contact model of a black box, with widths that suit the noise of its answers, which is measured.
 Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop = nullptr);
 
 // The time, s, within which an audit is planned, from the time that its first gradient takes; 0: no limit.
@@ -85,7 +85,7 @@ struct AuditTime {
   std::function<double()> clock = nullptr;  // s, from any start; null: a steady clock
 };
 
-// What is found of one: as AuditModel(), with differences of final states in place of a gradient that the simulator
+// Audits a black box as AuditModel() does, with differences of final states in place of a gradient that the simulator
 // does not give. The class is that of a head-on impact of the first pair that collides in exact dynamics. If it fails,
 // that is the reason of the gradient. The verdict is kUnknown, and the first remark says why, if answers to the same
 // question differ by so much that they decide derivatives, or if no study that gives a verdict fits into the time.

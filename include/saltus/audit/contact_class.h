@@ -42,7 +42,7 @@ enum class ContactClass {
   kNoRestitution
 };
 const char* ContactClassToString(ContactClass contact_class);  // "impulse at a step boundary"
-// What the class means for gradients, in one sentence.
+// Returns in one sentence how the class affects gradients.
 const char* MeaningOf(ContactClass contact_class);
 
 struct ContactRecognition {

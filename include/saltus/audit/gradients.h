@@ -18,15 +18,15 @@ struct ModelGradient {
   std::string reason;  // why there is none: the model cannot take the scene, or its rollout fails, and where
   int num_steps = 0;   // K of the control's shape
   bool spins = false;  // the scene has discs that spin
-  // Of the scene, in the units of the gradient: with the duration for time, entries by position, by velocity per time
-  // by force times mass per time squared, and by angle per length have one unit.
+  // Scales of the scene in units of the gradient: with the duration for time, entries by position, velocity per time
+  // by force times mass per time squared, and angle per length have one unit.
   double duration = 1, mass = 1, length = 1, loss_scale = 1;
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
   int unresolved_steps = 0;   // of an event-driven model (events.h); if any, it is not exact
-  // Of an exact gradient: its entries by the initial state that are derivatives from one side, or from none.
+  // Entries of an exact gradient by the initial state that are derivatives from one side, or from none.
   std::vector<OneSided> one_sided;
 
   // Where another order of impacts at the same time leads elsewhere: the gradient is that of one order, and the loss
@@ -36,7 +36,7 @@ struct ModelGradient {
 
   // If set, `gradient` is biased: this surrogate of the loss's derivative, not the derivative itself.
   std::optional<Surrogate> surrogate;
-  // Of every entry of a smoothed gradient, which has none by parameters; else empty.
+  // Standard errors of the entries of a smoothed gradient, which has none by parameters; else empty.
   std::vector<double> initial_error, control_error;
 
   bool ok() const { return reason.empty(); }

@@ -45,7 +45,7 @@ using StepFunction = std::function<int(const SchemeStep&, double* next, std::str
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
                    double* jacobian, std::string* error, double precision = std::numeric_limits<double>::epsilon());
 
-// Of a struct that describes a hybrid system (hybrid_system.h) and has
+// Makes a scheme of a struct that describes a hybrid system (hybrid_system.h) and has
 //
 //   template <typename T>
 //   int Step(int mode, const T& t, const T* x, const T* u, const T* p, const T& h, T* next) const;
@@ -97,7 +97,7 @@ struct SegmentError {
   double time = 0;          // of the first event, s
   std::string mode, guard;  // of it
   int step = 0;             // in which it happens, of steps numbered from 0
-  // Of the costate that is pulled back through the part by the scheme's steps from the exact state at its beginning,
+  // The error of the costate that the scheme's steps pull back through the part from the exact state at its beginning,
   // relative to the exact one; infinite if the scheme ends in another mode.
   double error = 0;
   bool stays = false;  // with eight times the steps it is more than a quarter of this

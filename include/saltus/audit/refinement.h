@@ -63,7 +63,7 @@ const char* QuantityToString(Quantity quantity);
 // `intervals`.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
-// Of derivatives of the loss by that quantity in the units `from`: multiply by it to have them in `to`.
+// Returns the factor that takes derivatives of the loss by that quantity from the units `from` to those of `to`.
 double GradientFactor(Quantity quantity, const Units& from, const Units& to);
 
 struct RefinementOptions {
@@ -75,7 +75,7 @@ struct RefinementOptions {
   double rounding = 1e-9;       // errors below this need not fall
   int most_intervals = 8;       // parts of the horizon over which the control is compared
   bool parameters = true;       // whether derivatives by parameters of the scene are studied too
-  // Of one level, in steps times discs, or 24 times what touches in the steps if that is more, as in a model that
+  // Most work of one level, in steps times discs, or 24 times the contacts of the steps if that is more, where a model
   // lets everything touch always. Levels finer than the fourth are left out above it.
   double budget = 1.5e6;
   // On which the step counts of a level are run; results are the same for any number. More than one needs a contact
@@ -121,7 +121,7 @@ struct Conditioning {
   // Decimal digits of the exact gradient that rounding takes, of the 16 of double precision.
   double DigitsLost() const;
 };
-// Of the event-driven model; nothing where that one cannot take the scene or fails. Where discs meet again and again,
+// The gradient of the event-driven model; none where that cannot take the scene or fails. Where discs meet often,
 // each impact magnifies what was there before: after a few dozen of them the last bits of the initial state, and the
 // rounding of every step since, may decide the leading digits of the derivative. A gradient that differs from the exact
 // one by no more than the exact one differs from itself is not wrong: nobody can tell.

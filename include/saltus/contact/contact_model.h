@@ -1,4 +1,4 @@
-// What a contact model is, what it sees of the world in one step, and what it promises.
+// The interface of a contact model: its functions, the data of one step, and its promises.
 //
 // A contact model is a small class with one templated function, its step
 //

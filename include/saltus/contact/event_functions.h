@@ -25,7 +25,7 @@ class CostFunction;
 namespace saltus {
 
 struct EventFunctions {
-  // Of one plane. Parameter blocks of both: position, velocity and radius of a disc (5 numbers: m, m/s, m), then all
+  // Functions for a plane. Parameter blocks of both: position, velocity, radius of a disc (5 numbers: m, m/s, m), all
   // parameters. Must not keep state.
   struct Plane {
     std::shared_ptr<const ceres::CostFunction> event = nullptr;   // one residual, c, m
@@ -39,7 +39,7 @@ struct EventFunctions {
   double spread = 10;
 };
 
-// As "found x, expected y"; empty if nothing is. The scene must be valid.
+// Returns the first error as "found x, expected y"; empty if there is none. The scene must be valid.
 std::string WhatIsWrongWith(const EventFunctions& events, const Scene& scene);
 
 // The gap of a plane at some angle and distance, and a linear update:
@@ -55,7 +55,7 @@ EventFunctions AffineEvents(const Scene& scene);
 // 0.999, at least 0.001). Precondition: width >= 1.
 EventFunctions ProfileEvents(const Scene& scene, int width);
 
-// What they say of a disc.
+// Their values for a disc.
 struct EventAt {
   double value = 0;              // c, m
   Vec2d normal = Vec2d::Zero();  // of length 1, along the gradient of c by the position

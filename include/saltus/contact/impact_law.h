@@ -43,10 +43,10 @@ struct ImpactLaw {
   bool HasFriction() const;
 };
 
-// As "found x, expected y"; empty if nothing is.
+// Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const ImpactLaw& law);
 
-// What a law says. Precondition: nothing is wrong with it.
+// The values of a law. Precondition: nothing is wrong with it.
 struct ImpactLawAt {
   double restitution = 0;                                 // not a number where the law has no value
   double friction = 0;                                    // 0 if the law says nothing of it
@@ -60,7 +60,7 @@ ImpactLawAt EvaluateLaw(const ImpactLaw& law, double speed, double sliding);
 // hand), restitution in (0, 1).
 ImpactLaw RestitutionNetwork(int width, double speed, double restitution);
 
-// The same with both speeds for inputs, and a second output that the exponential makes a coefficient of friction.
+// A network with both speeds for inputs, and a second output that the exponential makes a coefficient of friction.
 // Precondition: friction > 0.
 ImpactLaw ImpulseNetwork(int width, double speed, double restitution, double friction);
 

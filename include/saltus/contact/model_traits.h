@@ -1,4 +1,4 @@
-// What a contact model says of itself, and which numbers of its own users may set.
+// Traits of a contact model, and the numbers of its own that users may set.
 #pragma once
 
 #include <string_view>
@@ -13,7 +13,7 @@ enum class Rebound {
   kPlastic,      // not at all: restitution is not read
 };
 
-// What a model says of itself. Tests, the audit and the programs take their exceptions from here, never from its name.
+// Traits of a model. Tests, the audit and the programs take their exceptions from here, never from its name.
 struct ModelTraits {
   std::string_view name;            // the value of --contact
   std::string_view summary;         // one line
@@ -34,7 +34,7 @@ struct ModelTraits {
   double push_gap = 0;           // m, gap from which on bodies push each other
   bool allocates = false;        // solves with matrices of its own on the heap in steps with contact
   double accuracy = 0;           // relative error that the iterations of a step leave; 0: rounding
-  // What discs do to each other depends on their relative motion only, and momentum is conserved: spares their
+  // Forces between discs depend on their relative motion only, and momentum is conserved: spares their
   // derivatives a pass. A model that claims it and is not so gets a wrong gradient.
   bool relative = false;
   bool spins = false;  // discs turn by its source, whatever the scene says of their inertia, and friction turns them

@@ -1,4 +1,4 @@
-// What the iterations of a step have found, so that its derivatives need none.
+// The solution that the iterations of a step have found, so that its derivatives need none.
 #pragma once
 
 #include <cstddef>

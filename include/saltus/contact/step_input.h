@@ -14,7 +14,7 @@
 
 namespace saltus {
 
-// What the rotation of a disc is in models of scenes with discs that spin: angle, rad, and angular velocity, rad/s. Of
+// The rotation of a disc in models of scenes with discs that spin: angle, rad, and angular velocity, rad/s. For
 // discs that cannot spin both are zero.
 inline constexpr int kSpin = 2;
 
@@ -103,7 +103,7 @@ struct StepInput {
   std::string_view* failure = nullptr;    // if given, the step says there why it has no result
   std::vector<TiedContact>* ties = nullptr;  // if given, the step appends ties; only event-driven models know them
   int tie_order = 0;                         // in which order they take tied impacts (event_ties.h); 0: their own
-  // Of the walls, for event-driven models only.
+  // Extents of the walls, for event-driven models only.
   std::span<const WallExtent> extents = {};  // where each of them counts, if given
   int table = -1;                            // which of them is the table that discs slide on; -1: none
   int first_pocket = 0, num_pockets = 0;     // which of them are pockets
@@ -186,7 +186,7 @@ struct StepInput {
   T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
   // 1 / (1/m_a + 1/m_b), kg.
   T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
-  // The same along the tangent, where discs that spin give way by turning: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
+  // The mass along the tangent, where discs that spin give way by turning: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
   T TangentialMass(const Candidate& c) const {
     const auto turning = [&](int i) { return T(bodies[i].radius * bodies[i].radius * bodies[i].inverse_inertia); };
     T mobility = InverseMassA(c) + InverseMassB(c) + turning(c.a);

@@ -23,9 +23,9 @@ class Batch {
   Batch(const Contact& contact, const Scene& scene, Precision precision, int threads = 0,
         SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
 
-  // As Simulator::set_memory_limit, for each thread.
+  // Sets the limit of Simulator::set_memory_limit for each thread.
   void set_memory_limit(std::size_t bytes);
-  // As Simulator::set_stop; a loss whose rollout was stopped is NaN.
+  // Sets the request of Simulator::set_stop; a loss whose rollout was stopped is NaN.
   void set_stop(const StopRequest& stop);
 
   int num_variables() const { return shootings_.front()->num_variables(); }

@@ -26,10 +26,10 @@ std::string ContactSequenceToString(const Scene& scene, const ContactSequence& s
 // Every pair that could collide: discs by index pairs, then discs against planes.
 ContactSequence AllPairs(const Scene& scene);
 
-// What discs meet or lie on in `scene` that is neither disc nor plane, which is all that sequences, closed forms and
+// Names an obstacle of `scene` that is neither disc nor plane, which is all that sequences, closed forms and
 // conditions of optimality know; empty if there is nothing.
 std::string BeyondPlanes(const Scene& scene);
-// The same, or discs that spin: for what knows only those that do not.
+// Names such an obstacle, or discs that spin: for methods that know only discs that do not.
 std::string BeyondPlainDiscs(const Scene& scene);
 
 }  // namespace saltus

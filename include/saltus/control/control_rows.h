@@ -15,7 +15,7 @@ namespace saltus {
 // Numbers of a row for one controlled disc, 2 or 3.
 int ControlColumns(const Scene& scene);
 
-// What is wrong with such rows, with the number of the interval and the disc; empty if nothing is.
+// Returns the error in such rows, with the number of the interval and the disc; empty if there is none.
 std::string WhyNoControl(const Scene& scene, std::span<const double> rows);
 
 // From one to the other and back. Preconditions: the scene is valid, a whole number of intervals.

@@ -13,8 +13,8 @@
 
 namespace saltus {
 
-// What a scene asks for besides terminal terms and effort, in words: bounds, constraints, or costs on the way. Empty if
-// it asks for nothing else. Its loss is then not all that counts, or not that of the functions below, which know
+// Returns in words the parts of a problem besides terminal terms and effort: bounds, constraints, costs on the way; or
+// nothing. With such parts the loss is not all that counts, or not that of the functions below, which know
 // terminal terms that are not hard and the effort only.
 std::string BeyondTerminalCost(const Scene& scene);
 

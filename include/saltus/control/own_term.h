@@ -1,4 +1,4 @@
-// What a user asks of a motion beside what scene files can say: costs and constraints written as functions for Ceres.
+// Costs and constraints of a motion beside those of scene files: functions for Ceres that a user writes.
 //
 //   struct Drag {  // 0.1 |v|^2, integrated over time
 //     template <typename T>
@@ -26,7 +26,7 @@ namespace saltus {
 
 struct OwnTerm {
   enum class At { kEachStep, kEnd };
-  // Of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
+  // The role of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
   enum class Role { kCost, kEquality, kInequality };
 
   std::string name = "own term";  // for messages
@@ -49,12 +49,12 @@ struct OwnTerm {
   // Must not keep state: it is evaluated for every step.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
 
-  // Of a constraint, > 0: the residual whose violation is as bad as a miss by the size of the scene. Constraints are
+  // The scale of a constraint, > 0: a residual as bad as a miss by the size of the scene. Constraints are
   // met to 1e-8 of it.
   double scale = 1;
 };
 
-// As "found x, expected y"; empty if nothing is.
+// Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene);
 
 }  // namespace saltus

@@ -29,7 +29,7 @@ class ShootingFunction {
   virtual bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) = 0;
   virtual void ResidualJacobian(double* jacobian) = 0;
 
-  // What z stands for: initial state, control, lengths of the control intervals (empty if the final time is given), and
+  // The data in z: initial state, control, lengths of the control intervals (empty if the final time is given), and
   // parameters of a hybrid system.
   virtual std::vector<double> InitialStateAt(std::span<const double> z) const = 0;
   virtual std::vector<double> ControlAt(std::span<const double> z) const = 0;

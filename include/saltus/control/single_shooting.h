@@ -45,9 +45,9 @@ class SingleShooting final : public ShootingFunction {
 
   const Scene& scene() const { return simulator_->scene(); }
   const Simulator& simulator() const { return *simulator_; }
-  // As Simulator::set_memory_limit.
+  // Sets the limit of Simulator::set_memory_limit.
   void set_memory_limit(std::size_t bytes) { simulator_->set_memory_limit(bytes); }
-  // As Simulator::set_stop and stopped(); what returns false "if not finite" does so too if it was stopped.
+  // Sets the request of Simulator::set_stop. Functions that return false "if not finite" do so too if stopped.
   void set_stop(StopRequest stop) {
     stop_ = stop;
     simulator_->set_stop(std::move(stop));

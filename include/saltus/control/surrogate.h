@@ -24,7 +24,7 @@ enum class SurrogateKind { kComplementarityAware, kSmoothedZeroth, kSmoothedFirs
 struct Surrogate {
   SurrogateKind kind = SurrogateKind::kSmoothedZeroth;
 
-  // Of smoothing only.
+  // Options of smoothing alone.
   double sigma = 0.01;     // standard deviation of samples about the point, in the variables' units: m, m/s, N; > 0
   int samples = 2000;      // even, at least 4
   std::uint64_t seed = 1;  // of the first estimate of a run; the k-th after it takes seed + k

@@ -13,7 +13,7 @@
 //   its
 //     contact lasts, and while it does, is not compared.
 //
-// Of a hybrid system, the motion is continued by the flow of the mode; of a scene, by free flight of the discs of the
+// A motion of a hybrid system is continued by the flow of the mode; that of a scene by free flight of the discs of the
 // event, with a constant angular velocity.
 #pragma once
 
@@ -46,7 +46,7 @@ struct Plan {
   std::vector<Eigen::VectorXd> states = {};  // K + 1: at the beginning of each interval, and at the end
   std::vector<int> phases = {};              // K + 1: how many events have happened then
   std::vector<EventLabel> events = {};
-  // Of each event: the motion before it, continued to the beginnings of intervals `first` and later that follow it and
+  // Each event has the motion before it, continued to the beginnings of intervals `first` and later that follow it and
   // precede the next event; and the motion after it, continued backwards to those between the event before and it. The
   // control and the gain are those of `interval`.
   struct Branch {
@@ -54,8 +54,8 @@ struct Plan {
     std::vector<Eigen::VectorXd> states = {};
   };
   std::vector<Branch> late = {}, early = {};
-  // Of each event of a scene, the discs in it that move: events that share none may change places. None of a hybrid
-  // system, whose events may not.
+  // Each event of a scene has the discs in it that move: events that share none may change places. A hybrid system has
+  // none, as its events may not.
   std::vector<std::vector<int>> discs = {};
   // A contact of a scene that lasts from node `from` to interval `to`. The events of the pair from `event` to `from`,
   // those with which it comes to rest, count as one; none (-1) if it lasts from the start. Later ones do not count.
@@ -67,7 +67,7 @@ struct Plan {
 
   int num_intervals() const { return static_cast<int>(phases.size()) - 1; }
 };
-// Of the last rollout, which succeeded, of `input` or under `control`.
+// Makes the plan of the last rollout, which succeeded, of `input` or under `control`.
 Plan MakePlan(HybridSimulator& motion, const HybridInput& input);
 Plan MakePlan(const Simulator& motion, std::span<const double> control);
 
@@ -89,7 +89,7 @@ ScenePlan PlanScene(Scene scene, const std::vector<double>& initial, const std::
 bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, int k, const Eigen::VectorXd& x,
                      std::span<const EventLabel> events, std::span<double> u);
 
-// What is controlled: it advances by one interval after the other.
+// The system under control, which advances by one interval after the other.
 class Plant {
  public:
   virtual ~Plant() = default;

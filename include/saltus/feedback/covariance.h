@@ -25,7 +25,7 @@ struct Noise {
   Eigen::MatrixXd measurement = {};  // V, of the measured state at the beginning of each interval
 };
 
-// As "found x, expected y"; empty if nothing is: sizes, and whether they are symmetric and positive semidefinite.
+// Returns "found x, expected y", or nothing: checks sizes, symmetry, and that matrices are positive semidefinite.
 std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
 
 // The sequence of events may change here.

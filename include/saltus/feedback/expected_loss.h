@@ -18,10 +18,10 @@ namespace saltus {
 
 // Covariance matrices, symmetric and positive semidefinite, one of them not zero. None: no error.
 struct Errors {
-  // Of the initial state of a hybrid system, or that of a scene in the shape of simulator.h (initial_size() numbers).
+  // Covariance of the initial state of a hybrid system, or of a scene as in simulator.h (initial_size() numbers).
   // In a scene, only of positions, velocities and angular velocities.
   Eigen::MatrixXd initial = {};
-  // Of the decision variables, as in SingleShooting or HybridShooting: such as of the velocity of a shot.
+  // Covariance of the variables of SingleShooting or HybridShooting, such as of the velocity of a shot.
   Eigen::MatrixXd variables = {};
 };
 

@@ -42,7 +42,7 @@ class SaltedKalmanFilter {
   // is empty, and `parameters` has as many finite numbers as the system has parameters.
   SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode, Eigen::VectorXd mean,
                      Eigen::MatrixXd covariance, HybridOptions integration = {});
-  // Of a scene, whose states are those of simulator.h and whose controls are rows of the scene's control; its initial
+  // Filters a scene, whose states are those of simulator.h and whose controls are rows of its control; its initial
   // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene, and
   // WhatIsWrongWithEstimate(mean, covariance, InitialSize(scene)) is empty.
   SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance);
@@ -63,7 +63,7 @@ class SaltedKalmanFilter {
   // state of n numbers, z and h have r numbers, C is r x n, and V is r x r.
   std::optional<double> Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C,
                                const Eigen::MatrixXd& V);
-  // Of h(x) = C x.
+  // Updates by a measurement of h(x) = C x.
   std::optional<double> Update(const Eigen::VectorXd& z, const Eigen::MatrixXd& C, const Eigen::MatrixXd& V) {
     return Update(z, C * mean_, C, V);
   }

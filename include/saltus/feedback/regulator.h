@@ -54,9 +54,9 @@ struct LinearMotion {
   double end = 0;                              // s
 };
 
-// Of the last rollout, which succeeded, of `input`. Precondition: WhyNotDifferentiable() is empty.
+// Linearizes the last rollout, which succeeded, of `input`. Precondition: WhyNotDifferentiable() is empty.
 LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input);
-// Of a rollout of a scene under a control (K rows of the scene's control width); du_k is a row of it. The event-driven
+// Linearizes a rollout of a scene under a control (K rows of its control width); du_k is a row. The event-driven
 // model has its saltation matrices in A_k and B_k; other models have what they make of contact.
 // Precondition: Rollout returned true.
 LinearMotion Linearize(const Simulator& motion, std::span<const double> control);
@@ -82,7 +82,7 @@ struct Regulator {
   std::vector<AtEvent> events = {};
 };
 
-// As "found x, expected y"; empty if nothing is: sizes, and whether matrices are symmetric and R positive definite.
+// Returns "found x, expected y", or nothing: checks sizes, symmetry, and that R is positive definite.
 std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
 // Checks gains in the same way: their number, their shapes, and whether they are finite.
 std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);

@@ -1,4 +1,4 @@
-// What a user asks of the motion of a hybrid system: costs and constraints as functions for Ceres, and what may be
+// An optimal control problem of a hybrid system: costs and constraints as functions for Ceres, and what may be
 // changed for them.
 //
 //   HybridProblem problem{.system = HybridSystem(BouncingBall()),
@@ -27,7 +27,7 @@ struct HybridTerm {
 
   // Whether the loss gains something.
   bool IsCost() const { return role == Role::kCost || role == Role::kValue; }
-  // What the loss gains from a residual, and the derivative of that by the residual. Precondition: IsCost().
+  // Returns the part of the loss that a residual has, and its derivative by the residual. Precondition: IsCost().
   double LossOf(double residual) const { return role == Role::kValue ? residual : residual * residual; }
   double SlopeOf(double residual) const { return role == Role::kValue ? 1 : 2 * residual; }
 
@@ -63,7 +63,7 @@ HybridTerm MakeEffortCost(double weight, int num_controls);
 // weight T of the final time T.
 HybridTerm MakeDurationCost(double weight);
 
-// What solvers may change, from the values of the guess. Bounds: none, or one number for each of what they bound.
+// The unknowns of solvers, which begin at the guess. Bounds: none, or one number for each unknown that they bound.
 struct HybridFree {
   bool control = false;
   std::vector<double> control_min = {}, control_max = {};  // of each of the m controls, in all intervals
@@ -83,7 +83,7 @@ struct HybridProblem {
   HybridOptions integration = {};
 };
 
-// As "found x, expected y"; empty if nothing is.
+// Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const HybridProblem& problem);
 
 }  // namespace saltus

@@ -17,7 +17,7 @@
 // of equal steps in each control interval; a step that meets an event ends there, and the next one ends where it would
 // have. So the motion is a smooth function of its input until the sequence of events changes.
 //
-// What is guaranteed of events: a guard that is below zero at the end of a step has its event in it. A guard that falls
+// Events are found by these rules. A guard that is below zero at the end of a step has its event in it. One that falls
 // below zero and returns within one step is found if it falls at the beginning of the step and rises at the end, and
 // the cubic through its values and rates there comes within a half of the smaller value of zero. The number of steps is
 // chosen so that these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names
@@ -34,7 +34,7 @@
 
 namespace saltus {
 
-// What a motion depends on.
+// The data that a motion depends on.
 struct HybridInput {
   int mode = 0;                         // at the beginning
   std::vector<double> initial = {};     // state at the beginning, of the size of that mode
@@ -92,7 +92,7 @@ struct HybridTie {
   bool ambiguous = false;
 };
 
-// What a cotangent or a derivative of a motion is by. Sizes as in HybridInput.
+// Derivatives by the data of a motion. Sizes as in HybridInput.
 struct HybridGradient {
   std::vector<double> initial, control, parameters;
   double duration = 0;
@@ -131,11 +131,11 @@ class HybridSimulator {
   // kept from an earlier rollout and is not enough, it is chosen anew. The check costs about half a rollout.
   bool RolloutAccurately(const HybridInput& input);
   const std::string& WhyFailed() const;
-  // Of a motion whose events accumulate (Zeno behaviour): at about which time. Rollout has returned false then, unless
+  // The time, about, at which events accumulate in a motion (Zeno behaviour). Rollout has returned false then, unless
   // the system names a mode in which the motion goes on.
   std::optional<double> accumulation() const;
 
-  // Of the last rollout. If it failed, what came before.
+  // Results of the last rollout; if it failed, of the motion before that.
   int final_mode() const;
   std::span<const double> final_state() const;
   const std::vector<HybridEvent>& events() const;
@@ -181,7 +181,7 @@ class HybridSimulator {
   // The derivative of a function of the last motion, given its derivative by what it reads: one reverse sweep, whose
   // cost does not depend on the number of controls. Precondition: the rollout succeeded.
   HybridGradient Adjoint(const HybridCotangent& cotangent);
-  // The same for a function of the final state.
+  // Returns the gradient of a function of the final state with this cotangent.
   HybridGradient Adjoint(std::span<const double> final_cotangent);
 
   // All derivatives by forward sweeps; costs D times more.
@@ -196,7 +196,7 @@ class HybridSimulator {
   std::unique_ptr<Impl> impl_;
 };
 
-// As "found x, expected y"; empty if nothing is.
+// Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system);
 
 // The closed form of the saltation matrix of an event,

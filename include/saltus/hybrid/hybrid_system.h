@@ -81,13 +81,13 @@ class HybridSystem {
       functions_ = std::make_shared<HybridFunctionsOf<S>>(std::move(system));
     }
   }
-  // Of functions that are no C++ templates. Precondition: not null.
+  // Makes a system of functions that are no C++ templates. Precondition: not null.
   explicit HybridSystem(std::shared_ptr<const HybridFunctions> functions) : functions_(std::move(functions)) {}
 
   const HybridFunctions& functions() const { return *functions_; }
   const HybridLayout& layout() const { return functions_->layout(); }
 
-  // So far, of a system that creates modes as a motion meets them. The pieces of modes with switches are modes
+  // The number of modes, so far if a motion creates them as it meets them. Pieces of modes with switches are modes
   // (HybridFunctions::BaseMode); those of the user come first.
   int num_modes() const { return functions_->num_modes(); }
   int num_controls() const { return layout().num_controls; }

@@ -116,7 +116,7 @@ struct MechanicalImpact {
   double coupling = 0;
 };
 
-// What a motion of a mechanical system went through.
+// The impacts of a motion of a mechanical system, with their energies.
 struct MechanicalReport {
   std::vector<MechanicalImpact> impacts;
   double slowest_impact = 0;       // smallest |v_n| before an impact, of contacts that hit; infinite if there is none
@@ -172,7 +172,7 @@ class MechanicalSystem {
   MechanicalImpact ImpactAt(int mode, int contact, std::span<const double> x, std::span<const double> u,
                             std::span<const double> p, double t = 0) const;
 
-  // Of the last rollout of a simulator of hybrid().
+  // Examines the last rollout of a simulator of hybrid().
   MechanicalReport Examine(const HybridSimulator& simulator, const HybridInput& input) const;
 
  private:

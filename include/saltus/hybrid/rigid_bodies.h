@@ -59,7 +59,7 @@ struct RigidScene2D {
 // A rectangle with these half sizes.
 std::vector<Point2D> BoxPolygon(double half_width, double half_height);
 
-// As "found x, expected y"; empty if nothing is.
+// Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const RigidBody2D& body);
 std::string WhatIsWrongWith(const RigidScene2D& scene);
 
@@ -160,13 +160,13 @@ class RigidBodies2D {
     RowOf(of.b, PoseAt(of.b, q), at.x, at.y, at.normal_y, -at.normal_x, entries);
     for (int i = 0; i < Count(of.b); ++i) row[first_[of.b] + i] -= entries[i];
   }
-  // Of a vertex on an edge: from the line through the edge, where the gap has a kink at the ends of the edge.
+  // The distance of a vertex from the line through the edge, where the gap has a kink at the ends of the edge.
   template <typename T>
   T Distance(int contact, const T* q, const T*) const {
     const Closest<T> at = At(contact, q);
     return contacts_[contact].kind == Contact::kVertexEdge ? at.from_line : at.gap;
   }
-  // Of a vertex on an edge: how far it is from the lines through the edges beside it.
+  // The reach of a vertex on an edge: its distance from the lines through the edges beside it.
   template <typename T>
   T Reach(int contact, const T* q, const T*) const {
     return At(contact, q).reach;

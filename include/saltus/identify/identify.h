@@ -45,9 +45,9 @@ struct IdentifyOptions {
   int starts = 12;             // at most
   double outlier = 4;          // |r| in sigmas from which on a sample is named an outlier
   int max_iterations = 100;    // of each fit
-  // Of the impacts, with its parameters as unknowns beside the others; only with `event`, whose motion it then changes.
+  // A law of the impacts, with its parameters as unknowns beside the others; only `event` takes it, in its motion too.
   std::optional<ImpactLaw> law = std::nullopt;
-  // Of the scene's planes, likewise; not with a law.
+  // Functions for the scene's planes, whose parameters are unknowns too; not together with a law.
   std::optional<EventFunctions> events = std::nullopt;
   int threads = 1;
   StopRequest stop = nullptr;
@@ -93,7 +93,7 @@ enum class FitVerdict {
 };
 const char* FitVerdictToString(FitVerdict verdict);
 
-// What a law says of impacts at these speeds, m/s.
+// The values of a law for impacts at these speeds, m/s.
 struct LawPoint {
   double speed = 0, sliding = 0;  // of approach, of sliding
   double restitution = 0, restitution_error = 0;

@@ -48,10 +48,10 @@ struct RecordingError {
 std::variant<Recording, RecordingError> ParseRecording(std::string_view text, const std::string& name,
                                                        const Scene& scene);
 
-// The same of a file.
+// Reads a recording from a file.
 std::variant<Recording, RecordingError> LoadRecording(const std::string& path, const Scene& scene);
 
-// What is wrong with samples, wherever they come from: the same rules. Sorts them by time, then by body.
+// Returns the first error in samples, by the rules of files. Sorts the samples by time, then by body.
 std::optional<RecordingError> CheckRecording(const Scene& scene, Recording* recording);
 
 }  // namespace saltus

@@ -41,7 +41,7 @@ StepInput<T, H> LoneDisc(const H& h, const BodyConstants<T>& body, const Vec2<T>
 // Free flight of all discs over a number of steps, under the forces and torques of each.
 template <typename S>
 struct FlightInput {
-  // What acts on a disc in the first step.
+  // The force and torque on a disc in the first step.
   struct Control {
     const S* force = nullptr;  // [u_x u_y], N; null: no force
     const S* turn = nullptr;   // torque / radius, N; null: no torque
@@ -65,7 +65,7 @@ class ContactStep {
 
   virtual ~ContactStep() = default;
 
-  // What contact_model.h says of M::kTraits, M::kLinearRotation, M::kTapedFrom (none: no number of discs is that
+  // Properties by contact_model.h: M::kTraits, M::kLinearRotation, M::kTapedFrom (none: no number of discs is that
   // large), M::Linearize and M::InitialRotation (for a disc at the origin and at rest).
   struct Properties {
     const ModelTraits* traits = nullptr;
@@ -89,7 +89,7 @@ class ContactStep {
   // them.
   virtual void Fly(const FlightInput<S>& in, State* first) const = 0;
   // Free flight of one disc in several motions, each from *at[lane] to the state after its steps, with the same bits.
-  // What has no steps need not be there. Precondition: kInLanes.
+  // Discs without steps need not be there. Precondition: kInLanes.
   static constexpr bool kInLanes = kRotation == 0 && std::is_same_v<S, double>;
   virtual void FlyTogether(const FlightsInput& in, const std::array<State*, kLanes>& at) const = 0;
   // Free flight of disc 0 in Jets; and over a length that is a Jet, which some models do not have: returns false then.

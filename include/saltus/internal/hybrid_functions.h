@@ -45,14 +45,14 @@ class HybridFunctions {
   virtual ~HybridFunctions() = default;
   const HybridLayout& layout() const { return layout_; }
 
-  // Of modes. A mode that a reset has returned exists from then on. Precondition: 0 <= mode < num_modes().
+  // The number of modes. A mode that a reset has returned exists from then on. Precondition: 0 <= mode < num_modes().
   virtual int num_modes() const { return static_cast<int>(layout_.state_sizes.size()); }
   virtual int state_size(int mode) const { return layout_.state_sizes[mode]; }
   virtual int num_guards(int mode) const { return layout_.num_guards[mode]; }
   virtual std::string ModeName(int mode) const;
   virtual std::string GuardName(int mode, int guard) const;
   virtual std::string StateName(int mode, int component) const;
-  // Of any mode.
+  // The largest number of states of any mode.
   int most_states() const { return *std::max_element(layout_.state_sizes.begin(), layout_.state_sizes.end()); }
 
   virtual void Flow(const ModePoint& at, double* xdot) const = 0;
@@ -85,7 +85,7 @@ class HybridFunctions {
   }
   // And its derivative by [x t p u]: n + 1 + P + m numbers.
   virtual double GuardGradient(const ModePoint& at, int guard, double* gradient) const = 0;
-  // The same of all guards of a mode, a row each.
+  // Computes the values and gradients of all guards of a mode, a row each.
   virtual void GuardGradients(const ModePoint& at, double* values, double* gradients) const {
     const int columns = state_size(at.mode) + 1 + layout().num_parameters + layout().num_controls;
     for (int guard = 0; guard < num_guards(at.mode); ++guard) {
@@ -123,7 +123,7 @@ class HybridFunctions {
   // Whether modes are created as a motion meets them. Their states are all of one size, and which of them a reset leads
   // to does not change the state after it, which is finite, even if there is no next mode, where it is known.
   virtual bool CreatesModes() const { return false; }
-  // Of these: the modes that a guard's reset may lead to, or with guard -1 a jump of the control.
+  // Returns the modes that a guard's reset may lead to, or with guard -1 a jump of the control.
   virtual std::vector<int> NextModes(int /*mode*/, int /*guard*/, const double* /*p*/) const { return {}; }
 
   // Whether a guard depends on the control.

@@ -49,7 +49,7 @@ class Lanes {
   Pack pack_;
 };
 
-// As of doubles (base/smooth_math.h).
+// Functions of lanes like those of doubles (base/smooth_math.h).
 inline Lanes Divide(const Lanes& a, const Lanes& b) { return a / b; }
 inline Lanes SafeSqrt(const Lanes& x) {
   return Lanes(Lanes::Pack{std::sqrt(x[0]), std::sqrt(x[1]), std::sqrt(x[2]), std::sqrt(x[3])});

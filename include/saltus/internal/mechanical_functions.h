@@ -144,7 +144,7 @@ TimeJet<S> abs(const TimeJet<S>& x) {
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
-// What a mechanical system is made of; see saltus/hybrid/mechanical_system.h for the meaning of each function.
+// The parts of a mechanical system; see saltus/hybrid/mechanical_system.h for the meaning of each function.
 struct MechanicalLayout {
   int num_coordinates = 0, num_controls = 0, num_parameters = 0, num_contacts = 0;
   std::vector<char> has_friction = {};  // of each contact
@@ -171,13 +171,13 @@ class MechanicalFunctions {
   virtual TimeJet<double> Gap(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
   virtual TimeJet<Jet> Gap(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const = 0;
 
-  // What a closed contact keeps at zero: the gap, continued smoothly past the end of what it is measured from.
+  // The distance that a closed contact keeps at zero: the gap, continued smoothly past the end of its edge.
   virtual double Distance(int contact, const double* q, const double* p) const = 0;
   virtual Jet Distance(int contact, const Jet* q, const Jet* p) const = 0;
   virtual TimeJet<double> Distance(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
   virtual TimeJet<Jet> Distance(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const = 0;
 
-  // Of a contact with friction: the tangential coordinate, whose derivative is the row T; or else the row itself.
+  // The tangential coordinate of a contact with friction, whose derivative is the row T; or else the row itself.
   virtual bool has_rows() const = 0;
   virtual Jet Slide(int contact, const Jet* q, const Jet* p) const = 0;
   virtual TimeJet<double> Slide(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;

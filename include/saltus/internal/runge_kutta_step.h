@@ -120,7 +120,7 @@ template <int kRow, int kSize>
   }
   if (kSize % 2 == 1) out[kSize - 1] = x[kSize - 1] + h * last;
 }
-// The same of a state whose size is known as the program runs.
+// Combines slopes of a state whose size is known only as the program runs.
 inline void Combine(int row, int size, double h, const double* x, const double* slopes, double* out) {
   for (int i = 0; i < size; ++i) {
     double sum = 0;
@@ -145,7 +145,7 @@ struct ModePoint {
 // Where a step begins and how long it is.
 struct FlowStep : ModePoint {
   double h = 0;
-  // What follows is put onto the equations of the mode (HybridFunctions::Project).
+  // Whether the state after a step is put onto the equations of the mode (HybridFunctions::Project).
   bool projects = false;
 };
 

@@ -71,7 +71,7 @@ class Taped {
   double value() const { return value_; }
   int place() const { return place_; }  // 0: it is constant
 
-  // What a and b give, with these derivatives. Not inline: the models' functions would be several times larger.
+  // Returns a function of a and b with these derivatives. Not inline: the models' functions would be far larger.
   static Taped Of(double value, const Taped& a, double by_a);
   static Taped Of(double value, const Taped& a, double by_a, const Taped& b, double by_b);
 
@@ -110,7 +110,7 @@ struct BaseScalar<Taped> {
 
 inline double Value(const Taped& x) { return x.value(); }
 
-// As in smooth_math.h.
+// Functions with the derivatives of those of smooth_math.h.
 inline Taped Divide(const Taped& a, const Taped& b) {
   const double quotient = a.value() / b.value(), inverse = 1 / b.value();
   return Taped::Of(quotient, a, inverse, b, -quotient * inverse);

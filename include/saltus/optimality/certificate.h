@@ -110,7 +110,7 @@ struct Certificate {
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
   std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
-  // Of the scene's design parameters: one more condition, of stationarity. Where no control is optimized, it and the
+  // Stationarity by the scene's design parameters, one more condition. Where no control is optimized, it and the
   // derivatives by the initial velocities or positions that are, in `initial`, are all conditions.
   std::vector<ParameterCertificate> parameters;
   std::optional<double> initial;
@@ -153,7 +153,7 @@ std::string VerdictInWords(const Certificate& certificate);
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
-// The same certificate in other units; its residuals have none.
+// Returns the certificate in other units; its residuals have none.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
 // The curvature at a control that need not be stationary; nodes move with impacts that are on them. Returns

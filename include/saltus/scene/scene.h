@@ -202,7 +202,7 @@ struct Objective {
   bool operator==(const Objective&) const = default;
 };
 
-// Of what a scene's numbers are multiples: powers of two in SI units, so that going from one set of units to another
+// The units of a scene's numbers: powers of two in SI units, so that going from one set of units to another
 // changes no bit. Units that are not named follow: that of a speed is length / time.
 struct Units {
   double length = 1;             // m
@@ -263,10 +263,10 @@ struct DesignParameter {
   bool operator==(const DesignParameter&) const = default;
 };
 
-// What the solvers may change, beside Scene::design.
+// The unknowns of the solvers, beside Scene::design.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
 
-// As written in scene files: "control", "velocity", "position", "none".
+// Returns the word of scene files: "control", "velocity", "position", "none".
 const char* OptimizeToString(Optimize optimize);
 
 struct Scene {
@@ -300,7 +300,7 @@ struct Scene {
   std::vector<int> free;
   // For kVelocity: whose angular velocities too. Indices of bodies that spin, without repetition.
   std::vector<int> free_spin = {};
-  // What solvers may change too; without repetition. Offsets and angles are 0 in the scene as it stands.
+  // Parameters that solvers may change too; none twice. Offsets and angles are 0 in the scene as it stands.
   std::vector<DesignParameter> design = {};
   Units units = {};  // SI in every scene that users give
 

@@ -18,7 +18,7 @@
 //   free                                     a list of names; default, for velocity and position: all bodies that move
 // SI units, radians; every vector is [x, y]. What the values must satisfy stands in scene/scene.h.
 //
-// Of YAML, a scene file uses one document of maps, lists and scalars in UTF-8. Anchors, aliases, tags, repeated keys,
+// A scene file is one YAML document of maps, lists and scalars in UTF-8. Anchors, aliases, tags, repeated keys,
 // nesting deeper than kMaxSceneDepth and texts longer than kMaxSceneBytes are refused.
 #pragma once
 

@@ -1,4 +1,4 @@
-// What never moves, as contact knows it: lines and circles (geometry.h), each the part of its scene that a disc can
+// Obstacles that never move: lines and circles (geometry.h), each the part of its scene that a disc can
 // meet from one side. Planes have one part, segments two sides and two ends, arcs likewise, polygons one side each
 // edge.
 //

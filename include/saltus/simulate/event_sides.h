@@ -34,7 +34,7 @@ struct OneSided {
 
   bool operator==(const OneSided&) const = default;
 };
-// As in JSON: "position" or "velocity"; "+", "-" or "none".
+// Returns the name that JSON uses: "position" or "velocity"; "+", "-" or "none".
 const char* QuantityToString(OneSided::Quantity quantity);
 const char* SideToString(OneSided::Side side);
 

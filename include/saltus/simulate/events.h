@@ -27,7 +27,7 @@ struct Tie {
 // contacts that press for a while (in each of their modes). Empty for models that resolve no impact times.
 std::vector<StepTouch> EventTouches(const Simulator& simulator);
 
-// The same, by name.
+// Returns the events of the last rollout, with discs and walls by name.
 std::vector<Event> EventsOf(const Simulator& simulator);
 
 // The ambiguous ties of the simulator's last rollout, in order of time. Empty for models that resolve no impact times.

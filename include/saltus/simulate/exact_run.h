@@ -26,7 +26,7 @@ struct ExactRun {
   std::vector<double> end;  // final state as an initial state; if not ok, of the motion in `reason`, or empty
   std::vector<Event> events;
   std::vector<Candidate> contacts;  // of the events, by indices of the scene
-  // Of the events: the control interval, and the time since its start, s.
+  // The place of an event: its control interval, and the time since the start of that, s.
   struct Place {
     int interval = 0;
     double time = 0;

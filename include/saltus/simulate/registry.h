@@ -23,7 +23,7 @@ struct OptionValue {
   double value;
 };
 
-// What is known of one contact model.
+// A contact model with its traits.
 struct ContactEntry {
   ModelTraits traits;
   std::vector<ListedOption> options;
@@ -43,7 +43,7 @@ class Contact {
 
   // Its name, and the options that were set.
   const std::string& name() const { return name_; }
-  // The same with one more: "kappa=1e-6".
+  // Returns this contact model with one more option, such as "kappa=1e-6".
   Contact With(std::string_view option) const;
   // Null if there is no model of that name.
   const ContactEntry* entry() const;
@@ -62,7 +62,7 @@ const ModelTraits* FindContactModel(const Contact& contact);
 // The options of a model. Precondition: there is one.
 const std::vector<ListedOption>& OptionsOf(const Contact& contact);
 
-// What is wrong with a contact model's name and options, as "found 'x', expected y"; empty if nothing is.
+// Returns the error in a contact model's name or options, as "found 'x', expected y"; empty if there is none.
 std::string WhatIsWrongWith(const Contact& contact);
 
 // Whether options are set that bias the derivative. Precondition: nothing is wrong with the name.

@@ -45,7 +45,7 @@ struct StepTie {
   TiedContact contact;  // disc and plane indices of the scene
 };
 
-// What went wrong in a rollout; without words, a state that is not finite.
+// The reason why a rollout failed; without words, a state is not finite.
 struct RolloutFailure {
   int step = -1;
   int body = -1;  // one of those concerned; -1: none in particular
@@ -124,7 +124,7 @@ class StepLinearization {
 // Free flight for some time, and its derivative by that time.
 struct FlightOver {
   StepLinearization::FreeFlight flight, by_time;
-  // The same of the angle, the angular velocity and the angular acceleration of discs that spin.
+  // The free flight of the angle, by the angular velocity and the angular acceleration, of discs that spin.
   StepLinearization::FreeFlight turn = {}, turn_by_time = {};
 };
 
@@ -156,10 +156,10 @@ class Simulator {
   // Why the last rollout returned false, with the model, the step and the disc; empty if it returned true.
   std::string WhyFailed() const;
 
-  // Of the last rollout: state k = 0..K (state_size() numbers), and what touched, in order of steps.
+  // Results of the last rollout: state k = 0..K (state_size() numbers), and the contacts, in order of steps.
   virtual void GetState(int k, std::span<double> x) const = 0;
   virtual const std::vector<StepTouch>& touches() const = 0;
-  // Of the last rollout: impacts whose order decided what followed, in order of steps. Those of one tie stand together.
+  // Impacts of the last rollout whose order decided what followed, in order of steps; those of a tie stand together.
   const std::vector<StepTie>& ties() const { return ties_; }
 
   // The gradient of a function of the final state of the last rollout, by the adjoint: `cotangent` is its derivative
@@ -208,7 +208,7 @@ class Simulator {
   Simulator(const Scene& scene, Precision precision, int grid_steps)
       : scene_(scene), precision_(precision), num_steps_(scene.steps / grid_steps) {}
 
-  // Of a simulator that another one is made of.
+  // Returns the failure of a simulator that another one is made of.
   static const std::optional<RolloutFailure>& FailureOf(const Simulator& simulator) { return simulator.failure_; }
 
   Scene scene_;

@@ -1,4 +1,4 @@
-// What every solver takes and reports, and the registry of solvers: one line each in solver.cc.
+// The request and the report of every solver, and the registry of solvers: one line each in solver.cc.
 //
 // A solver knows no contact model: it gets a name and asks the registry of simulate/ for a simulator.
 #pragma once
@@ -23,7 +23,7 @@ namespace saltus {
 enum class Termination { kConverged, kIterationLimit, kNoProgress, kFailed, kInterrupted, kNotApplicable };
 const char* TerminationToString(Termination termination);
 
-// What to solve, under which dynamics.
+// A problem, and the dynamics under which it is solved.
 struct SolveRequest {
   Scene scene;
   Contact contact;
@@ -32,9 +32,9 @@ struct SolveRequest {
   std::vector<OwnTerm> terms = {};
 };
 
-// What a search over collision sequences may use, and where it begins. What runs out first ends it.
+// Limits of a search over collision sequences, and where it begins. The limit that is reached first ends it.
 struct SearchOptions {
-  // Of all its solves together: the gradients and Jacobians that are computed, each counted with about as many
+  // Most work of all its solves together: the gradients and Jacobians, each counted with about as many
   // microseconds as it takes one core. No clock is read, so that the answer depends neither on the machine nor on the
   // number of threads. 0: no limit.
   double work = 2e7;
@@ -75,13 +75,13 @@ struct SolverOptions {
   // its mean over each of them. The intervals fill the scene's duration; if that is free, theirs is the first.
   std::optional<ControlGuess> guess = std::nullopt;
 
-  // What stands in for the gradient, of the solvers that take such a thing; samples are evaluated on `threads` threads,
+  // A replacement of the gradient, for solvers that take one; samples are evaluated on `threads` threads,
   // as are the solves of a search. Results are the same for any number.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;
 
   std::size_t memory_limit = std::size_t{1} << 30;  // bytes, as Simulator::set_memory_limit
-  // Of one motion, for solvers by shooting: one that has more interrupts them.
+  // Most impacts of one motion, for solvers by shooting: a motion that has more interrupts them.
   std::optional<int> most_impacts = std::nullopt;
 
   // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
@@ -100,7 +100,7 @@ struct LocalOptimum {
   std::vector<double> times;  // of the impacts, s
 };
 
-// What a search over collision sequences has tried and proved.
+// Sequences that a search has tried, and bounds that it has proved.
 struct Searched {
   int sequences = 0;       // along which it solved
   int starts = 0;          // motions of its own from which it began, the initial guess included
