@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Words, links and spelling of the pages, the help texts and lists of the programs, their messages, and the Python module.
+"""Words, links and spelling of the pages, the help texts and lists of the programs, their messages, and the Python module;
+and comments of public headers that need the line before them to be understood.
 
 usage: words_test.py [--build=DIR]        Spelling by codespell, where it is installed.
 
@@ -60,6 +61,16 @@ def python_texts(text):
     return "\n".join(lines)
 
 
+UNFINISHED = re.compile(r"^[ \t]*// (Of|The same|Those|As|Likewise|So far|Such|What|Whether and)\b")
+
+
+def unfinished_comments(text):
+    """The numbers of the lines at which a comment begins with a word that refers to what was said before it."""
+    lines = text.split("\n")
+    return [k + 1 for k, line in enumerate(lines)
+            if UNFINISHED.match(line) and not (k > 0 and lines[k - 1].lstrip().startswith("//"))]
+
+
 def slug(title):
     return re.sub(r"[^a-z0-9 _-]", "", title.lower().replace("`", "")).strip().replace(" ", "-")
 
@@ -97,6 +108,9 @@ def main():
             for pattern, instead in words:
                 for match in pattern.finditer(line):
                     found.append(f"{name}:{k + 1}: \"{match[0]}\" is ruled out; write: {instead}")
+    for file in sorted((SOURCE / "include").rglob("*.h")):
+        found += [f"{file.relative_to(SOURCE)}:{line}: the comment cannot be read alone; begin with a verb or with the thing"
+                  for line in unfinished_comments(file.read_text(encoding="utf-8"))]
     anchors = {page: {slug(m[1]) for m in re.finditer(r"^#+ (.*)$", prose(texts[str(page.relative_to(SOURCE))]), re.M)}
                for page in pages}
     for page in pages:
