@@ -7,6 +7,7 @@ packages=(
   g++ mold cmake ninja-build pkg-config
   libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
   coinor-libipopt-dev # the optional solver ipopt
+  libboost-dev # interval arithmetic
   libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev libsqlite3-dev
   libopenmpi-dev openmpi-bin # sweeps on many machines
   gnuplot-nox fonts-dejavu-core # figures, and a font for them

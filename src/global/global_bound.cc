@@ -1,0 +1,356 @@
+#include "saltus/global/global_bound.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <queue>
+#include <tuple>
+#include <utility>
+
+#include "global/relaxation.h"
+#include "saltus/control/objective.h"
+
+namespace saltus {
+namespace {
+
+using global::BoxBound;
+using global::ImpactBox;
+using global::kLargestTau;
+using global::kMostParameters;
+using global::Relaxation;
+
+constexpr int kQuarters = 4;
+constexpr double kAppendWidth = 0.26;  // of the whole range: open boxes below are continued, above are halved
+constexpr double kNear = 1.05;         // open boxes with a bound below this times the upper bound are continued
+constexpr std::size_t kBoxesPerCheck = 256;
+
+struct Node {
+  ImpactBox box;
+  double lower = 0, at_middle = 0;
+  int split = -1;
+};
+
+std::size_t BytesOf(const Node& node) {
+  return sizeof(Node) + node.box.sequence.size() * (sizeof(Candidate) + sizeof(int)) +
+         2 * sizeof(double) * node.box.low.size() + 64;
+}
+
+class BranchAndBound {
+ public:
+  BranchAndBound(const Scene& scene, double upper, const GlobalOptions& options)
+      : scene_(scene),
+        options_(options),
+        relaxation_(scene),
+        pairs_(AllPairs(scene)),
+        pushed_(scene.num_bodies(), false),
+        aimed_(scene.num_bodies(), false),
+        start_(std::chrono::steady_clock::now()) {
+    out_.upper = upper;
+    for (const int body : scene.control.bodies) pushed_[body] = true;
+    for (const TerminalTerm& term : scene.objective.terminal) aimed_[term.body] = aimed_[term.body] || term.weight > 0;
+  }
+
+  GlobalBound Run() {
+    Node root;
+    root.box.open = true;
+    Push(std::move(root));
+    while (!queue_.empty()) {
+      out_.lower = std::max(out_.lower, std::min({queue_.front().lower, final_lowest_, out_.upper}));
+      if (out_.gap() <= options_.gap) break;
+      if (IsOver()) {
+        out_.interrupted = true;
+        break;
+      }
+      Node node = Pop();
+      if (!IsStuck(node) || !Divide(node)) Halve(node);
+    }
+    if (queue_.empty()) out_.lower = std::max(out_.lower, std::min(final_lowest_, out_.upper));
+    Report();
+    return std::move(out_);
+  }
+
+ private:
+  static bool IsWorse(const Node& a, const Node& b) { return a.lower > b.lower; }
+
+  void Push(Node node) {
+    bytes_ += BytesOf(node);
+    queue_.push_back(std::move(node));
+    std::push_heap(queue_.begin(), queue_.end(), IsWorse);
+  }
+  Node Pop() {
+    std::pop_heap(queue_.begin(), queue_.end(), IsWorse);
+    Node node = std::move(queue_.back());
+    queue_.pop_back();
+    bytes_ -= BytesOf(node);
+    return node;
+  }
+
+  bool IsOver() {
+    if (options_.boxes > 0 && out_.boxes >= options_.boxes) return true;
+    if (bytes_ > options_.memory) return true;
+    if (out_.boxes < next_check_) return false;
+    next_check_ = out_.boxes + kBoxesPerCheck;
+    if (options_.progress) options_.progress(out_);
+    if (options_.stop && options_.stop()) return true;
+    const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - start_;
+    return options_.seconds > 0 && passed.count() > options_.seconds;
+  }
+
+  double WholeRange(const ImpactBox& box, int parameter) const {
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      if (box.TimeIndex(static_cast<int>(i)) == parameter) return scene_.duration;
+    }
+    return 2 * kLargestTau;
+  }
+
+  // True if halving the box is not expected to exclude it.
+  bool IsStuck(const Node& node) const {
+    if (node.split < 0) return true;
+    if (!(node.at_middle < kNear * out_.upper)) return false;
+    for (int j = 0; j < node.box.num_parameters(); ++j) {
+      if (node.box.high[j] - node.box.low[j] > kAppendWidth * WholeRange(node.box, j)) return false;
+    }
+    return true;
+  }
+
+  // True if every impact decides about the loss.
+  bool IsRelevant(const ContactSequence& sequence) const {
+    std::vector<bool> relevant = aimed_;
+    for (auto pair = sequence.rbegin(); pair != sequence.rend(); ++pair) {
+      if (!relevant[pair->a] && (pair->plane || !relevant[pair->b])) return false;
+      relevant[pair->a] = true;
+      if (!pair->plane) relevant[pair->b] = true;
+    }
+    return true;
+  }
+
+  bool Moves(const Candidate& pair, bool is_a) const {
+    return is_a ? !scene_.bodies[pair.a].fixed : !pair.plane && !scene_.bodies[pair.b].fixed;
+  }
+
+  // True if a pair may touch again before one of its discs touches another one: it needs a force, or gravity towards
+  // what does not move. Otherwise it parts in straight lines.
+  bool MayRepeat(const Candidate& pair) const {
+    for (const bool is_a : {true, false}) {
+      if (Moves(pair, is_a) && pushed_[is_a ? pair.a : pair.b]) return true;
+    }
+    return !(Moves(pair, true) && Moves(pair, false)) && scene_.gravity != Vec2d::Zero();
+  }
+
+  // True if no disc of the pair touches another one since its last impact: then the pair repeats that one.
+  bool IsRepetition(const ContactSequence& sequence, const Candidate& pair) const {
+    for (auto last = sequence.rbegin(); last != sequence.rend(); ++last) {
+      if (*last == pair) return true;
+      const auto has = [&](int body) { return last->a == body || (!last->plane && last->b == body); };
+      for (const bool is_a : {true, false}) {
+        if (Moves(pair, is_a) && has(is_a ? pair.a : pair.b)) return false;
+      }
+    }
+    return false;
+  }
+
+  // Replaces a node by others that together have all its motions. Returns false if there are none.
+  bool Divide(const Node& node) {
+    const ImpactBox& box = node.box;
+    if (!box.open) return Unfold(node);
+    if (box.free_normal) {
+      if (box.num_parameters() + 1 > kMostParameters) return false;
+      for (int quarter = 0; quarter < kQuarters; ++quarter) {
+        Node child = node;
+        child.box.free_normal = false;
+        child.box.quarters.back() = quarter;
+        child.box.low.push_back(-kLargestTau);
+        child.box.high.push_back(kLargestTau);
+        Bound(std::move(child));
+      }
+      return true;
+    }
+    if (box.num_parameters() + 1 > kMostParameters) return false;
+    if (!box.sequence.empty()) {
+      Node repeated = node;
+      repeated.box.repeated.back() = MayRepeat(box.sequence.back());
+      Continue(repeated);
+    } else {
+      Continue(node);
+    }
+    return true;
+  }
+
+  // No further relevant impact, or one of another pair.
+  void Continue(const Node& node) {
+    if (IsRelevant(node.box.sequence)) {
+      Node closed = node;
+      closed.box.open = false;
+      Bound(std::move(closed));
+    }
+    const int impacts = static_cast<int>(node.box.sequence.size());
+    for (const Candidate& pair : pairs_) {
+      if (IsRepetition(node.box.sequence, pair)) continue;
+      Node child = node;
+      ImpactBox& box = child.box;
+      box.sequence.push_back(pair);
+      box.quarters.push_back(0);
+      box.repeated.push_back(false);
+      box.free_normal = !pair.plane;
+      box.low.push_back(impacts == 0 ? 0.0 : node.box.low[node.box.TimeIndex(impacts - 1)]);
+      box.high.push_back(scene_.duration);
+      Bound(std::move(child));
+    }
+  }
+
+  // Divides the motions of the first impact that may be repeated: it is not, or a second one follows, which may be.
+  bool Unfold(const Node& node) {
+    const auto& flags = node.box.repeated;
+    const int i = static_cast<int>(std::find(flags.begin(), flags.end(), true) - flags.begin());
+    if (i == static_cast<int>(flags.size())) return false;
+    const Candidate pair = node.box.sequence[i];
+    if (node.box.num_parameters() + (pair.plane ? 1 : 2) > kMostParameters) return false;
+    Node once = node;
+    once.box.repeated[i] = false;
+    Bound(once);
+    const int end = node.box.EndOfRepetition(i);
+    for (int at = i + 1; at <= end; ++at) {  // where the second one stands
+      for (int quarter = 0; quarter < (pair.plane ? 1 : kQuarters); ++quarter) {
+        Node twice = once;
+        ImpactBox& box = twice.box;
+        const int parameter = box.TimeIndex(at);
+        const double begin = box.low[box.TimeIndex(i)];
+        box.sequence.insert(box.sequence.begin() + at, pair);
+        box.quarters.insert(box.quarters.begin() + at, quarter);
+        box.repeated.insert(box.repeated.begin() + at, true);
+        if (!pair.plane) {
+          box.low.insert(box.low.begin() + parameter, -kLargestTau);
+          box.high.insert(box.high.begin() + parameter, kLargestTau);
+        }
+        box.low.insert(box.low.begin() + parameter, begin);
+        box.high.insert(box.high.begin() + parameter, scene_.duration);
+        Bound(std::move(twice));
+      }
+    }
+    return true;
+  }
+
+  void Halve(const Node& node) {
+    const int j = node.split;
+    if (j < 0) return Finish(node);
+    const double middle = 0.5 * (node.box.low[j] + node.box.high[j]);
+    if (!(node.box.low[j] < middle && middle < node.box.high[j])) return Finish(node);
+    Node lower = node, upper = node;
+    lower.box.high[j] = middle;
+    upper.box.low[j] = middle;
+    Bound(std::move(lower));
+    Bound(std::move(upper));
+  }
+
+  // Cuts off what is not in the order of time. Returns false if nothing remains.
+  static bool Order(ImpactBox* box) {
+    const int impacts = static_cast<int>(box->sequence.size());
+    for (int i = 1; i < impacts; ++i) {
+      const int before = box->TimeIndex(i - 1), at = box->TimeIndex(i);
+      box->low[at] = std::max(box->low[at], box->low[before]);
+    }
+    for (int i = impacts - 2; i >= 0; --i) {
+      const int at = box->TimeIndex(i), after = box->TimeIndex(i + 1);
+      box->high[at] = std::min(box->high[at], box->high[after]);
+    }
+    for (int j = 0; j < box->num_parameters(); ++j) {
+      if (box->low[j] > box->high[j]) return false;
+    }
+    return true;
+  }
+
+  void Bound(Node node) {
+    if (!Order(&node.box)) return;
+    ++out_.boxes;
+    const BoxBound bound = relaxation_.Bound(node.box, out_.upper);
+    if (bound.lower > node.lower) node.lower = bound.lower;
+    node.at_middle = bound.at_middle;
+    node.split = bound.split;
+    if (node.lower >= out_.upper) {
+      Count(node, &excluded_);
+    } else {
+      Push(std::move(node));
+    }
+  }
+
+  void Finish(Node node) {
+    final_lowest_ = std::min(final_lowest_, node.lower);
+    final_.push_back(std::move(node));
+  }
+
+  using Key = std::vector<int>;
+  static Key KeyOf(const ImpactBox& box) {
+    Key key{box.open ? 1 : 0, box.free_normal ? 1 : 0};
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      const Candidate& pair = box.sequence[i];
+      key.insert(key.end(), {pair.a, pair.b, pair.plane ? 1 : 0, box.repeated[i]});
+    }
+    return key;
+  }
+  static void Count(const Node& node, std::map<Key, SequenceBound>* bounds) {
+    SequenceBound& bound = (*bounds)[KeyOf(node.box)];
+    if (bound.boxes == 0) {
+      bound = {node.box.sequence, node.box.repeated, node.box.open, node.lower, 0};
+    }
+    bound.lower = std::min(bound.lower, node.lower);
+    ++bound.boxes;
+  }
+  static std::vector<SequenceBound> Sorted(const std::map<Key, SequenceBound>& bounds) {
+    std::vector<SequenceBound> sorted;
+    for (const auto& [key, bound] : bounds) sorted.push_back(bound);
+    std::stable_sort(
+        sorted.begin(), sorted.end(), [](const SequenceBound& a, const SequenceBound& b) { return a.lower < b.lower; });
+    return sorted;
+  }
+
+  void Report() {
+    std::map<Key, SequenceBound> left;
+    for (const Node& node : queue_) Count(node, &left);
+    for (const Node& node : final_) Count(node, &left);
+    out_.left = Sorted(left);
+    out_.excluded = Sorted(excluded_);
+  }
+
+  const Scene& scene_;
+  const GlobalOptions& options_;
+  const Relaxation relaxation_;
+  const ContactSequence pairs_;
+  std::vector<bool> pushed_, aimed_;  // by disc
+  const std::chrono::steady_clock::time_point start_;
+  std::vector<Node> queue_;  // a heap
+  std::vector<Node> final_;  // which cannot be divided any more
+  double final_lowest_ = std::numeric_limits<double>::infinity();
+  std::map<Key, SequenceBound> excluded_;
+  std::size_t bytes_ = 0, next_check_ = 0;
+  GlobalBound out_;
+};
+
+}  // namespace
+
+std::string WhyNotBounded(const Scene& scene) {
+  if (scene.optimize != Optimize::kControl) return "the global bound needs a scene whose control is optimized";
+  if (!scene.design.empty()) return "the global bound does not support design parameters";
+  if (std::string found = BeyondPlainDiscs(scene); !found.empty()) {
+    return "the global bound supports discs and planes only; the scene has " + found;
+  }
+  if (scene.contact.friction > 0) return "the global bound supports contacts without friction only";
+  if (!(scene.objective.effort > 0)) return "the global bound needs an effort above 0";
+  Scene without_bounds = scene;  // bounds on forces are left out, which only lowers the bound
+  without_bounds.control.max.clear();
+  without_bounds.control.max_norm.clear();
+  if (std::string found = BeyondTerminalCost(without_bounds); !found.empty()) {
+    return "the global bound supports terminal costs and effort only; the scene has " + found;
+  }
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.component) return "the global bound supports quadratic terminal costs only; the scene has a linear one";
+  }
+  return "";
+}
+
+GlobalBound BoundGlobally(const Scene& scene, double upper, const GlobalOptions& options) {
+  return BranchAndBound(scene, upper, options).Run();
+}
+
+}  // namespace saltus

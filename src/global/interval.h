@@ -1,0 +1,26 @@
+// Interval arithmetic with outward rounding by the hardware (Boost), and the same functions for doubles.
+//
+// Intervals are computed while the processor rounds upward: keep a RoundUpward alive around each use. Only files that
+// are compiled with -frounding-math may include this header, since otherwise the compiler moves and merges operations
+// as if their rounding were fixed.
+#pragma once
+
+#include <boost/numeric/interval.hpp>
+
+namespace saltus::global {
+
+using ProtectedInterval = boost::numeric::interval<
+    double, boost::numeric::interval_lib::policies<
+                boost::numeric::interval_lib::save_state<boost::numeric::interval_lib::rounded_arith_opp<double>>,
+                boost::numeric::interval_lib::checking_base<double>>>;
+using Interval = boost::numeric::interval_lib::unprotect<ProtectedInterval>::type;
+
+// While it lives, the processor rounds upward. The mode before is restored at the end.
+using RoundUpward = ProtectedInterval::traits_type::rounding;
+
+inline double Square(double a) { return a * a; }
+inline double Reciprocal(double a) { return 1 / a; }
+inline Interval Square(const Interval& a) { return boost::numeric::square(a); }
+inline Interval Reciprocal(const Interval& a) { return Interval(1.0) / a; }
+
+}  // namespace saltus::global

@@ -1,0 +1,841 @@
+#include "global/relaxation.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <type_traits>
+#include <vector>
+
+#include "global/interval.h"
+#include "global/jet.h"
+
+namespace saltus::global {
+namespace {
+
+constexpr int kMostMultipliers = 48;
+constexpr int kWeightRounds = 6;
+constexpr double kRegularization = 1e-11;  // relative to the largest curvature of the dual
+using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostMultipliers, 1>;
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostMultipliers, kMostMultipliers>;
+
+template <typename S>
+struct Pair {
+  S x = S(0), y = S(0);
+  Pair& operator+=(const Pair& b) {
+    x += b.x;
+    y += b.y;
+    return *this;
+  }
+  Pair& operator-=(const Pair& b) {
+    x -= b.x;
+    y -= b.y;
+    return *this;
+  }
+  friend Pair operator+(Pair a, const Pair& b) { return a += b; }
+  template <typename F>
+  friend Pair operator*(const F& f, const Pair& a) {
+    return {f * a.x, f * a.y};
+  }
+};
+template <typename A, typename B>
+auto Dot(const Pair<A>& a, const Pair<B>& b) {
+  return a.x * b.x + a.y * b.y;
+}
+
+Interval Positive(const Interval& a) { return boost::numeric::max(a, Interval(0.0)); }
+double Positive(double a) { return std::max(a, 0.0); }
+Interval SquareRoot(const Interval& a) { return boost::numeric::sqrt(a); }
+double SquareRoot(double a) { return std::sqrt(a); }
+
+// The numbers of a scene, with quotients and roots of them enclosed if B is an interval.
+template <typename B>
+struct Numbers {
+  struct Disc {
+    bool pushed = false, fixed = false;
+    Pair<B> position, velocity;
+    B price;  // 1 / (4 effort m^2)
+  };
+  struct Touch {
+    Candidate pair;
+    bool b_fixed = false;  // a wall, or a fixed disc
+    B distance;      // of the centres of two discs, or of the centre from the line through the origin along the wall
+    Pair<B> normal;  // of a wall
+    Pair<B> place;   // of a fixed disc b
+    B share_a, share_b;  // (1 + restitution) times the other's part of the mass
+    B fall;              // the largest acceleration with which gravity brings the two together
+  };
+  struct Term {
+    int body = 0, count = 1;  // count: of terms of the position of this disc
+    bool position = true;
+    Pair<B> target;
+    B inverse;  // 1 / (4 weight)
+    B mass;
+  };
+  B duration, effort, lightest, total_mass, first_root;
+  bool has_gravity = false, starts = false;  // starts: discs move or fall by themselves
+  Pair<B> gravity;
+  B gravity_size;
+  std::vector<Disc> discs;
+  std::vector<Touch> touches;
+  std::vector<Term> terms;
+
+  static Pair<B> Of(const Vec2d& a) { return {B(a[0]), B(a[1])}; }
+
+  explicit Numbers(const Scene& scene)
+      : duration(scene.duration),
+        effort(scene.objective.effort),
+        lightest(0),
+        total_mass(0),
+        first_root(0),
+        has_gravity(scene.gravity != Vec2d::Zero()),
+        gravity(Of(scene.gravity)),
+        gravity_size(SquareRoot(Square(gravity.x) + Square(gravity.y))) {
+    double lightest_mass = std::numeric_limits<double>::infinity();
+    B energy(0);
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      const Body& body = scene.bodies[i];
+      const std::vector<int>& pushed = scene.control.bodies;
+      Disc disc{std::find(pushed.begin(), pushed.end(), i) != pushed.end(),
+                body.fixed,
+                Of(body.position),
+                Of(body.velocity),
+                B(0)};
+      const B mass(body.mass);
+      if (disc.pushed) {
+        disc.price = B(1) / (B(4) * effort * mass * mass);
+        lightest_mass = std::min(lightest_mass, body.mass);
+      }
+      if (!body.fixed) {
+        total_mass += mass;
+        energy += mass * (Square(disc.velocity.x) + Square(disc.velocity.y));
+      }
+      discs.push_back(disc);
+    }
+    lightest = B(lightest_mass);
+    first_root = SquareRoot(energy);
+    starts = has_gravity || std::any_of(scene.bodies.begin(), scene.bodies.end(), [](const Body& body) {
+               return body.velocity != Vec2d::Zero();
+             });
+    for (const Candidate& pair : AllPairs(scene)) touches.push_back(TouchOf(scene, pair));
+    for (const TerminalTerm& term : scene.objective.terminal) {
+      const Body& body = scene.bodies[term.body];
+      if (term.weight == 0) continue;
+      int count = 0;
+      for (const TerminalTerm& other : scene.objective.terminal) {
+        count += other.body == term.body && other.quantity == TerminalTerm::Quantity::kPosition;
+      }
+      terms.push_back({term.body,
+                       count,
+                       term.quantity == TerminalTerm::Quantity::kPosition,
+                       Of(term.target),
+                       B(1) / (B(4) * B(term.weight)),
+                       B(body.mass)});
+    }
+  }
+
+  static Touch TouchOf(const Scene& scene, const Candidate& pair) {
+    const Body& a = scene.bodies[pair.a];
+    const B bounce = B(1) + B(scene.contact.restitution);
+    Touch touch{pair, true, B(a.radius), {}, {}, bounce, B(0), B(0)};
+    const Pair<B> gravity = Of(scene.gravity);
+    if (pair.plane) {
+      const Plane& plane = scene.planes[pair.b];
+      const Pair<B> normal = Of(plane.normal);
+      const B length = SquareRoot(Square(normal.x) + Square(normal.y));
+      touch.normal = {normal.x / length, normal.y / length};
+      touch.distance += Dot(touch.normal, Of(plane.point));
+      touch.fall = Positive(-Dot(touch.normal, gravity));
+      return touch;
+    }
+    const Body& b = scene.bodies[pair.b];
+    touch.distance += B(b.radius);
+    if (a.fixed || b.fixed) {
+      touch.place = Of(a.fixed ? a.position : b.position);
+      touch.fall = SquareRoot(Square(gravity.x) + Square(gravity.y));
+      if (a.fixed) std::swap(touch.pair.a, touch.pair.b);
+      return touch;
+    }
+    touch.b_fixed = false;
+    const B mass = B(a.mass) + B(b.mass);
+    touch.share_a = bounce * B(b.mass) / mass;
+    touch.share_b = bounce * B(a.mass) / mass;
+    return touch;
+  }
+
+  const Touch& Find(const Candidate& pair) const {
+    return *std::find_if(touches.begin(), touches.end(), [&](const Touch& touch) {
+      return touch.pair == pair ||
+             (!pair.plane && !touch.pair.plane && touch.pair.a == pair.b && touch.pair.b == pair.a);
+    });
+  }
+};
+
+// How multipliers are numbered: two of each term, then those of each impact: two of a place (one at a wall), then one
+// of the approach, which must not be negative. A last touch whose normal is free has no approach.
+struct Layout {
+  int terms = 0;
+  std::vector<int> place, approach;  // by impact; -1 if there is none
+  int size = 0;
+
+  Layout(int num_terms, const ImpactBox& box) : terms(num_terms), size(2 * num_terms) {
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      place.push_back(size);
+      size += box.sequence[i].plane ? 1 : 2;
+      approach.push_back(box.IsFree(static_cast<int>(i)) ? -1 : size++);
+    }
+  }
+};
+
+// Numbers by which the dual function is a quadratic one, whatever they are: the bound holds for any, and is best for
+// one.
+//
+// After an open sequence discs get further with more effort E. With multipliers a_i of the terms, a disc's reach enters
+// as the least of E - (root of the sum of |a_i|^2 / m_i) * push * root of E, of which effort is shared out: a part
+// `share` to the forces before, the rest to the reach.
+struct Weights {
+  double share = 1;  // in (0, 1]; of 1 there are no terms in an open sequence
+  double reach = 1;  // > 0: about the root of the sum of |a_i|^2 / m_i
+  double place = 1;  // > 0: about the length of the place's multipliers of a last touch whose normal is free
+  // Of impacts that are repeated, and each of the two discs: how its effort is shared out to its own costate and those
+  // of the two through repeated impacts. Each > 0, with a sum below 1.
+  std::vector<std::array<std::array<double, 3>, 2>> parts = {};
+  std::vector<double> fall = {};  // > 0: about the length of the costates of velocity of repeated impacts under gravity
+};
+
+// Parts of the dual function at given multipliers, by which weights are improved.
+struct Record {
+  double spent = 0;  // subtracted for effort before the end of an open sequence, times the share
+  std::vector<std::array<std::array<double, 3>, 2>> parts;  // integrals of squares
+  std::vector<double> lengths, durations;                   // integrals of squares, and times, of repeated impacts
+};
+
+// A quadratic function of the multipliers: constant + linear . z - z . curvature z / 2.
+struct Quadratic {
+  double constant = 0;
+  Vector linear;
+  Matrix curvature;
+
+  explicit Quadratic(int size) : linear(Vector::Zero(size)), curvature(Matrix::Zero(size, size)) {}
+  double At(const Vector& z) const { return constant + linear.dot(z) - 0.5 * z.dot(curvature * z); }
+};
+
+// A linear function of the multipliers.
+struct Linear {
+  Vector by;
+
+  Linear& operator+=(const Linear& b) {
+    by += b.by;
+    return *this;
+  }
+  Linear& operator-=(const Linear& b) {
+    by -= b.by;
+    return *this;
+  }
+  friend Linear operator+(Linear a, const Linear& b) { return a += b; }
+  friend Linear operator*(double factor, Linear a) {
+    a.by *= factor;
+    return a;
+  }
+};
+
+// dual += factor, factor * a and factor * a^2.
+void AddConstant(double factor, Quadratic* dual) { dual->constant += factor; }
+void Add(double factor, const Linear& a, Quadratic* dual) { dual->linear += factor * a.by; }
+void AddSquare(double factor, const Linear& a, Quadratic* dual) {
+  dual->curvature.noalias() -= (2 * factor * a.by) * a.by.transpose();
+}
+template <typename P, typename S>
+void AddConstant(const P& factor, S* dual) {
+  *dual += factor;
+}
+template <typename P, typename S>
+void Add(const P& factor, const S& a, S* dual) {
+  *dual += factor * a;
+}
+template <typename P, typename S>
+void AddSquare(const P& factor, const S& a, S* dual) {
+  *dual += factor * Square(a);
+}
+
+// The normal of an impact between discs, towards the first of its pair.
+template <typename B, typename P>
+Pair<P> NormalAt(const P& tau, int quarter) {
+  const P scale = Reciprocal(P(B(1)) + Square(tau));
+  const P along = B(2) * scale - P(B(1)), across = B(2) * (tau * scale);
+  const P minus_along = B(-1) * along, minus_across = B(-1) * across;
+  switch (quarter) {
+    case 0:
+      return {along, across};
+    case 1:
+      return {minus_across, along};
+    case 2:
+      return {minus_along, minus_across};
+    default:
+      return {across, minus_along};
+  }
+}
+
+// The Lagrangian, minimised over all controls: a lower bound of the loss at impacts with parameters `theta` for any
+// multipliers z whose approaches are not negative. It is a concave quadratic function of z.
+//
+// Repeated impacts. After an impact of a pair its discs part. By d^2|r|/dt^2 >= n.w, with r between the discs and w
+// their relative acceleration in flight, they approach before the next impact with at most the integral of |w| since
+// the last one. So all later impacts together change the velocity of disc a by at most share_a times the integral of
+// |w|. With |w| <= sum of |u| / m over the pushed ones of the two (and gravity at what is fixed), a force u at time t
+// is as good as a change of velocity by share_a |u| / m in any direction at any later time before the pair is parted,
+// and enters the Lagrangian by the largest costate of velocity from t on.
+template <typename B, typename P, typename S, typename D>
+void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& layout, const P* theta, const S* z,
+                     const S& zero, const Weights& weights, D* dual, Record* record = nullptr) {
+  const int impacts = static_cast<int>(box.sequence.size());
+  const size_t discs = n.discs.size();
+  std::vector<Pair<S>> of_position(discs, {zero, zero}), of_velocity(discs, {zero, zero});
+  std::vector<char> active(discs, false), has_velocity(discs, false);
+  struct Repeated {
+    int impact;
+    const typename Numbers<B>::Touch* touch;
+    Pair<S> end_a, end_b;  // costates of velocity where it ends
+    bool has_end_a, has_end_b;
+  };
+  std::vector<Repeated> running;
+  // Begins, backwards in time, the repetitions of the impacts that end before impact `next`.
+  const auto begin_before = [&](int next) {
+    for (int j = 0; j < impacts; ++j) {
+      if (!box.repeated[j] || box.EndOfRepetition(j) != next) continue;
+      const auto& touch = n.Find(box.sequence[j]);
+      const int a = touch.pair.a, b = touch.b_fixed ? a : touch.pair.b;
+      running.push_back({j,
+                         &touch,
+                         of_velocity[a],
+                         of_velocity[b],
+                         static_cast<bool>(has_velocity[a]),
+                         !touch.b_fixed && has_velocity[b]});
+    }
+  };
+  P end(n.duration);
+  if (box.open && impacts > 0) end = theta[box.TimeIndex(impacts - 1)];
+  // How far discs get after an open sequence: the root of the sum of m |displacement|^2 is at most
+  // start + push * root of the effort.
+  const P rest = P(n.duration) - end, mean_time = B(0.5) * (P(n.duration) + end);
+  const P push_square = Reciprocal(n.effort * n.lightest) * (Square(rest) * mean_time);
+  const P start = n.first_root * rest + (n.gravity_size * SquareRoot(n.total_mass)) * (rest * mean_time);
+  for (size_t i = 0; i < n.terms.size(); ++i) {
+    const auto& term = n.terms[i];
+    if (box.open && (!term.position || weights.share == 1)) continue;
+    const Pair<S> alpha{z[2 * i], z[2 * i + 1]};
+    Add(P(-term.target.x), alpha.x, dual);
+    Add(P(-term.target.y), alpha.y, dual);
+    P by_square(term.inverse);
+    if (box.open) {
+      const B by_mass = B(term.count) / term.mass;  // |sum of a_i|^2 <= count * sum of |a_i|^2
+      by_square += (B(0.25) * by_mass / (B(1) - B(weights.share))) * push_square;
+      if (n.starts) by_square += B(0.5) * by_mass / B(weights.reach) * start;
+    }
+    AddSquare(B(-1) * by_square, alpha.x, dual);
+    AddSquare(B(-1) * by_square, alpha.y, dual);
+    (term.position ? of_position : of_velocity)[term.body] += alpha;
+    active[term.body] = true;
+    if (!term.position) has_velocity[term.body] = true;
+  }
+  begin_before(impacts);
+  if (box.open && n.starts && weights.share < 1) AddConstant(B(-0.5) * B(weights.reach) * start, dual);
+
+  const auto spend = [&](const P& factor, const S& a) {
+    AddSquare(B(-1) / B(weights.share) * factor, a, dual);
+    if constexpr (std::is_same_v<S, double>) {
+      if (record != nullptr) record->spent += factor * a * a;
+    }
+  };
+  const auto fly = [&](const P& duration) {
+    const P twelfth = B(1) / B(12) * duration;
+    std::vector<Pair<S>> gain(discs, {zero, zero}), mean(discs, {zero, zero});
+    for (size_t i = 0; i < discs; ++i) {
+      if (!active[i] || n.discs[i].fixed) continue;
+      gain[i] = duration * of_position[i];
+      mean[i] = of_velocity[i] + B(0.5) * gain[i];
+      if (n.has_gravity) {
+        Add(n.gravity.x * duration, mean[i].x, dual);
+        Add(n.gravity.y * duration, mean[i].y, dual);
+      }
+      if (!n.discs[i].pushed) continue;
+      B price = n.discs[i].price;
+      for (const Repeated& repeated : running) {
+        const bool is_a = repeated.touch->pair.a == static_cast<int>(i);
+        const bool is_b = !repeated.touch->b_fixed && repeated.touch->pair.b == static_cast<int>(i);
+        if (!is_a && !is_b) continue;
+        price = price / B(weights.parts[repeated.impact][is_a ? 0 : 1][0]);
+        if constexpr (std::is_same_v<S, double>) {
+          if (record != nullptr) {
+            record->parts[repeated.impact][is_a ? 0 : 1][0] +=
+                duration * (Square(mean[i].x) + Square(mean[i].y)) + twelfth * (Square(gain[i].x) + Square(gain[i].y));
+          }
+        }
+      }
+      spend(price * duration, mean[i].x);
+      spend(price * duration, mean[i].y);
+      spend(price * twelfth, gain[i].x);
+      spend(price * twelfth, gain[i].y);
+    }
+    for (const Repeated& repeated : running) {
+      const auto& touch = *repeated.touch;
+      for (const bool is_a : {true, false}) {  // the disc whose velocity changes
+        if (!is_a && touch.b_fixed) continue;
+        const int i = is_a ? touch.pair.a : touch.pair.b;
+        if (!active[i]) continue;
+        const B share = Square(is_a ? touch.share_a : touch.share_b);
+        const Pair<S>& at_end = is_a ? repeated.end_a : repeated.end_b;
+        const bool has_end = is_a ? repeated.has_end_a : repeated.has_end_b;
+        // Calls use(factor, a) for squares a^2 whose sum, with factors, is an integral of the largest square from t on.
+        const auto for_squares = [&](const auto& use) {
+          use(duration, mean[i].x);
+          use(duration, mean[i].y);
+          use(twelfth, gain[i].x);
+          use(twelfth, gain[i].y);
+          if (!has_end) return;
+          use(duration, at_end.x);
+          use(duration, at_end.y);
+        };
+        for (const int source : {0, 1}) {  // the disc that is pushed
+          if (source == 1 && touch.b_fixed) continue;
+          const auto& disc = n.discs[source == 0 ? touch.pair.a : touch.pair.b];
+          if (!disc.pushed) continue;
+          const B price = share * disc.price / B(weights.parts[repeated.impact][source][is_a ? 1 : 2]);
+          for_squares([&](const P& factor, const S& a) { spend(price * factor, a); });
+          if constexpr (std::is_same_v<S, double>) {
+            if (record != nullptr) {
+              for_squares([&](double factor, double a) {
+                record->parts[repeated.impact][source][is_a ? 1 : 2] += share * factor * a * a;
+              });
+            }
+          }
+        }
+        if (n.has_gravity && touch.b_fixed) {
+          const B half = B(0.5) * touch.share_a * touch.fall;
+          for_squares([&](const P& factor, const S& a) {
+            AddSquare(B(-1) * half / B(weights.fall[repeated.impact]) * factor, a, dual);
+          });
+          AddConstant(B(-1) * half * B(weights.fall[repeated.impact]) * duration, dual);
+          if constexpr (std::is_same_v<S, double>) {
+            if (record != nullptr) {
+              for_squares([&](double factor, double a) { record->lengths[repeated.impact] += factor * a * a; });
+              record->durations[repeated.impact] += duration;
+            }
+          }
+        }
+      }
+    }
+    for (size_t i = 0; i < discs; ++i) {
+      if (!active[i] || n.discs[i].fixed) continue;
+      of_velocity[i] += gain[i];
+      has_velocity[i] = true;
+    }
+  };
+
+  for (int i = impacts - 1; i >= 0; --i) {
+    const int at = box.TimeIndex(i);
+    if (i + 1 < impacts || !box.open) fly(end - theta[at]);
+    end = theta[at];
+    const auto& touch = n.Find(box.sequence[i]);
+    const int a = touch.pair.a, b = touch.pair.b;
+    std::erase_if(running, [&](const Repeated& repeated) { return repeated.impact == i; });
+    active[a] = has_velocity[a] = true;
+    if (!touch.b_fixed) active[b] = has_velocity[b] = true;
+    const S* mu = z + layout.place[i];
+    if (touch.pair.plane) {
+      const Pair<P> normal{P(touch.normal.x), P(touch.normal.y)};
+      of_position[a] += {normal.x * mu[0], normal.y * mu[0]};
+      Add(P(-touch.distance), mu[0], dual);
+    } else {
+      const Pair<S> force{mu[0], mu[1]};
+      of_position[a] += force;
+      if (touch.b_fixed) {
+        Add(P(-touch.place.x), force.x, dual);
+        Add(P(-touch.place.y), force.y, dual);
+      } else {
+        of_position[b] -= force;
+      }
+      if (layout.approach[i] < 0) {  // the discs are no further apart
+        const B by_square = B(-0.5) * touch.distance / B(weights.place);
+        AddSquare(P(by_square), force.x, dual);
+        AddSquare(P(by_square), force.y, dual);
+        AddConstant(P(B(-0.5) * touch.distance * B(weights.place)), dual);
+        begin_before(i);
+        continue;
+      }
+    }
+    Pair<P> normal{P(touch.normal.x), P(touch.normal.y)};
+    if (!touch.pair.plane) {
+      normal = NormalAt<B, P>(theta[at + 1], box.quarters[i]);
+      const B distance = a == box.sequence[i].a ? touch.distance : -touch.distance;  // towards the first of the pair
+      Add(-distance * normal.x, mu[0], dual);
+      Add(-distance * normal.y, mu[1], dual);
+      if (a != box.sequence[i].a) normal = B(-1) * normal;
+    }
+    // The impact and its approach, seen by the velocities before.
+    S jump = touch.share_a * (normal.x * of_velocity[a].x + normal.y * of_velocity[a].y);
+    if (!touch.b_fixed) jump -= touch.share_b * (normal.x * of_velocity[b].x + normal.y * of_velocity[b].y);
+    jump -= z[layout.approach[i]];
+    const Pair<S> kick{normal.x * jump, normal.y * jump};
+    of_velocity[a] -= kick;
+    if (!touch.b_fixed) of_velocity[b] += kick;
+    begin_before(i);
+  }
+  fly(end);
+  for (size_t i = 0; i < discs; ++i) {
+    if (!active[i]) continue;
+    const auto& disc = n.discs[i];
+    Add(P(disc.position.x), of_position[i].x, dual);
+    Add(P(disc.position.y), of_position[i].y, dual);
+    if (disc.fixed) continue;
+    Add(P(disc.velocity.x), of_velocity[i].x, dual);
+    Add(P(disc.velocity.y), of_velocity[i].y, dual);
+  }
+}
+
+}  // namespace
+
+int ImpactBox::TimeIndex(int i) const {
+  int index = 0;
+  for (int j = 0; j < i; ++j) index += sequence[j].plane ? 1 : 2;
+  return index;
+}
+
+int ImpactBox::EndOfRepetition(int i) const {
+  const int impacts = static_cast<int>(sequence.size());
+  const Candidate& pair = sequence[i];
+  for (int j = i + 1; j < impacts; ++j) {
+    const Candidate& later = sequence[j];
+    const auto has = [&](int body) { return later.a == body || (!later.plane && later.b == body); };
+    if (has(pair.a) || (!pair.plane && has(pair.b))) return j;
+  }
+  return impacts;
+}
+
+class Relaxation::Impl {
+ public:
+  explicit Impl(const Scene& scene) : plain_(scene), rounded_(MakeRounded(scene)) {}
+
+  BoxBound Bound(const ImpactBox& box, double upper) const {
+    switch (box.num_parameters()) {
+      case 0:
+      case 1:
+        return BoundOf<1>(box, upper);
+      case 2:
+        return BoundOf<2>(box, upper);
+      case 3:
+        return BoundOf<3>(box, upper);
+      case 4:
+        return BoundOf<4>(box, upper);
+      case 5:
+      case 6:
+        return BoundOf<6>(box, upper);
+      case 7:
+      case 8:
+        return BoundOf<8>(box, upper);
+      default:
+        return BoundOf<kMostParameters>(box, upper);
+    }
+  }
+
+ private:
+  static Numbers<Interval> MakeRounded(const Scene& scene) {
+    const RoundUpward rounding;
+    return RoundedNumbers(scene);
+  }
+  [[gnu::noinline]] static Numbers<Interval> RoundedNumbers(const Scene& scene) { return Numbers<Interval>(scene); }
+
+  // Multipliers as affine functions of the parameters' differences from the middle.
+  struct Multipliers {
+    Vector at_middle;
+    std::vector<Vector> slopes;  // by parameter; none if they are constant
+  };
+
+  template <int N>
+  BoxBound BoundOf(const ImpactBox& box, double upper) const {
+    const int parameters = box.num_parameters();
+    const Layout layout(static_cast<int>(plain_.terms.size()), box);
+    std::vector<double> middle(parameters);
+    for (int j = 0; j < parameters; ++j)
+      middle[j] = std::clamp(0.5 * (box.low[j] + box.high[j]), box.low[j], box.high[j]);
+
+    Weights weights;
+    if (box.open) weights.share = 0.5;
+    weights.parts.assign(box.sequence.size(), {{{0.3, 0.3, 0.3}, {0.3, 0.3, 0.3}}});
+    weights.fall.assign(box.sequence.size(), 1.0);
+    const bool weighted = box.open || std::count(box.repeated.begin(), box.repeated.end(), true) > 0;
+    const Vector none = Vector::Zero(layout.size);
+    Quadratic quadratic = QuadraticAt(box, layout, middle, weights);
+    std::vector<char> free;
+    Vector z = Maximize(quadratic, layout, weights, box.open, &free, none);
+    for (int k = 0; k < kWeightRounds && weighted; ++k) {
+      if (!Improve(box, layout, middle, z, &weights)) break;
+      quadratic = QuadraticAt(box, layout, middle, weights);
+      z = Maximize(quadratic, layout, weights, box.open, &free, none);
+    }
+
+    BoxBound bound;
+    bound.at_middle = quadratic.At(z);
+    bound.lower = -std::numeric_limits<double>::infinity();
+    const auto keep = [&](const Multipliers& multipliers) {
+      const BoxBound now = Enclose<N>(box, layout, middle, multipliers, weights);
+      if (now.lower > bound.lower || bound.split < 0) bound.split = now.split;
+      bound.lower = std::max(bound.lower, now.lower);
+    };
+    Multipliers constant{z, {}};
+    const double enough = 3 * upper;
+    const std::vector<Vector> drifts = Drifts(quadratic, layout, z, box, middle, weights);
+    if (bound.at_middle > enough) {
+      // A part of the multipliers is enough, and is better away from the middle: constant + a s - b s^2 = enough.
+      const double a = quadratic.linear.dot(z), b = 0.5 * z.dot(quadratic.curvature * z);
+      const double c = enough - quadratic.constant;
+      const double root = a * a - 4 * b * c;
+      if (root >= 0 && c > 0 && a > 0) {
+        const double part = 2 * c / (a + std::sqrt(root));
+        if (part < 1) constant.at_middle = part * z;
+      }
+      keep(constant);
+      if (bound.lower < upper) keep({Cautious(quadratic, layout, weights, box, middle), {}});
+    } else {
+      keep(Following(quadratic, layout, free, z, drifts, box));
+      // What is not excluded now is worth more time only if it may be.
+      const bool poor = bound.lower < 0.5 * bound.at_middle;
+      if (bound.lower < upper && (bound.at_middle > upper || poor))
+        keep({Cautious(quadratic, layout, weights, box, middle), {}});
+    }
+    return bound;
+  }
+
+  // Moves the weights to those that are best for z. Returns false if they are so already.
+  bool Improve(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta, const Vector& z,
+               Weights* weights) const {
+    Weights next = *weights;
+    bool changed = false;
+    const auto move = [&](double* weight, double to) {
+      changed = changed || std::abs(*weight - to) > 0.01 * *weight;
+      *weight = to;
+    };
+    const size_t impacts = box.sequence.size();
+    Record record{0,
+                  std::vector(impacts, std::array<std::array<double, 3>, 2>{}),
+                  std::vector(impacts, 0.0),
+                  std::vector(impacts, 0.0)};
+    double dual = 0;
+    AddDualFunction<double>(plain_, box, layout, theta.data(), z.data(), 0.0, *weights, &dual, &record);
+    if (!layout.approach.empty() && layout.approach.back() < 0) {
+      move(&next.place, std::max(1e-12, std::hypot(z[layout.place.back()], z[layout.place.back() + 1])));
+    }
+    if (weights->share < 1) {
+      double square = 0;
+      for (int i = 0; i < layout.terms; ++i) {
+        const auto& term = plain_.terms[i];
+        if (term.position) square += term.count / term.mass * (z[2 * i] * z[2 * i] + z[2 * i + 1] * z[2 * i + 1]);
+      }
+      if (plain_.starts) move(&next.reach, std::max(1e-12, std::sqrt(square)));
+      // The parts of the dual function that fall with 1 / share and 1 / (1 - share).
+      const double end = impacts == 0 ? 0 : theta[box.TimeIndex(static_cast<int>(impacts) - 1)];
+      const double rest = plain_.duration - end;
+      const double push = rest * rest * 0.5 * (plain_.duration + end) / (plain_.effort * plain_.lightest);
+      const double after = std::sqrt(0.25 * push * square), before = std::sqrt(record.spent);
+      double share = before + after > 0 ? before / (before + after) : 1;
+      share = share > 1 - 1e-4 ? 1 : std::max(share, 1e-4);
+      changed = changed || std::abs(share - weights->share) > 0.01 * (1 - weights->share);
+      move(&next.share, share);
+    }
+    for (size_t i = 0; i < impacts; ++i) {
+      if (!box.repeated[i]) continue;
+      for (int source = 0; source < 2; ++source) {
+        std::array<double, 3> roots;
+        double sum = 0;
+        for (int k = 0; k < 3; ++k) sum += roots[k] = std::sqrt(record.parts[i][source][k]);
+        if (sum == 0) continue;
+        double all = 0;
+        for (double& root : roots) all += root = std::max(root / sum, 1e-5);
+        for (int k = 0; k < 3; ++k) move(&next.parts[i][source][k], (1 - 1e-12) * roots[k] / all);
+      }
+      if (record.durations[i] > 0) {
+        move(&next.fall[i], std::max(1e-9, std::sqrt(record.lengths[i] / record.durations[i])));
+      }
+    }
+    if (changed) *weights = next;
+    return changed;
+  }
+
+  Quadratic QuadraticAt(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta,
+                        const Weights& weights) const {
+    std::vector<Linear> z(layout.size, {Vector::Zero(layout.size)});
+    const Linear zero = {Vector::Zero(layout.size)};
+    for (int i = 0; i < layout.size; ++i) z[i].by[i] = 1;
+    Quadratic out(layout.size);
+    AddDualFunction<double>(plain_, box, layout, theta.data(), z.data(), zero, weights, &out);
+    return out;
+  }
+
+  // The maximum over the multipliers in floating point, by an active set of the approaches.
+  Vector Maximize(const Quadratic& q, const Layout& layout, const Weights& weights, bool open, std::vector<char>* free,
+                  const Vector& penalty) const {
+    const int m = layout.size;
+    free->assign(m, true);
+    for (int i = 0; i < layout.terms; ++i) {
+      if (open && (weights.share == 1 || !plain_.terms[i].position)) (*free)[2 * i] = (*free)[2 * i + 1] = false;
+    }
+    std::vector<int> approach = layout.approach;
+    if (!approach.empty() && approach.back() < 0) approach.pop_back();
+    for (const int i : approach) (*free)[i] = false;
+    Vector z = Vector::Zero(m);
+    for (int round = 0; round < 3 * m + 3; ++round) {
+      z = SolveFree(q, *free, q.linear, penalty);
+      int worst = -1;
+      for (const int i : approach) {
+        if (z[i] < 0 && (worst < 0 || z[i] < z[worst])) worst = i;
+      }
+      if (worst >= 0) {
+        (*free)[worst] = false;
+        z[worst] = 0;
+        continue;
+      }
+      const Vector gradient = q.linear - q.curvature * z - penalty.cwiseProduct(z);
+      for (const int i : approach) {
+        if (!(*free)[i] && gradient[i] > 1e-9 * (1 + std::abs(q.linear[i])) &&
+            (worst < 0 || gradient[i] > gradient[worst]))
+          worst = i;
+      }
+      if (worst < 0 || round > 2 * m) break;
+      (*free)[worst] = true;
+    }
+    for (const int i : approach) z[i] = std::max(0.0, z[i]);
+    return z;
+  }
+
+  static Vector SolveFree(const Quadratic& q, const std::vector<char>& free, const Vector& side,
+                          const Vector& penalty) {
+    const int m = static_cast<int>(side.size());
+    Matrix matrix = q.curvature;
+    Vector right = side;
+    const double shift = kRegularization * std::max(1e-300, matrix.diagonal().maxCoeff());
+    for (int i = 0; i < m; ++i) {
+      matrix(i, i) += shift + penalty[i];
+      if (free[i]) continue;
+      matrix.row(i).setZero();
+      matrix.col(i).setZero();
+      matrix(i, i) = 1;
+      right[i] = 0;
+    }
+    const Vector z = matrix.ldlt().solve(right);
+    return z.allFinite() ? z : Vector::Zero(m);
+  }
+
+  // The derivatives of the gradient by the multipliers at z, by each parameter.
+  std::vector<Vector> Drifts(const Quadratic& q, const Layout& layout, const Vector& z, const ImpactBox& box,
+                             const std::vector<double>& middle, const Weights& weights) const {
+    std::vector<Vector> drifts;
+    for (size_t j = 0; j < middle.size(); ++j) {
+      std::vector<double> theta = middle;
+      const double step = std::max(1e-6, 0.01 * (box.high[j] - box.low[j]));
+      theta[j] += step;
+      const Quadratic there = QuadraticAt(box, layout, theta, weights);
+      drifts.push_back((there.linear - q.linear - (there.curvature - q.curvature) * z) / step);
+    }
+    return drifts;
+  }
+
+  // The best multipliers, which follow the parameters.
+  static Multipliers Following(const Quadratic& q, const Layout& layout, const std::vector<char>& free, const Vector& z,
+                               const std::vector<Vector>& drifts, const ImpactBox& box) {
+    Multipliers out{z, {}};
+    for (const Vector& drift : drifts) out.slopes.push_back(SolveFree(q, free, drift, Vector::Zero(layout.size)));
+    for (const int i : layout.approach) {  // none becomes negative in the box
+      double spread = 0;
+      for (size_t j = 0; j < drifts.size() && i >= 0; ++j) {
+        spread += 0.5 * std::abs(out.slopes[j][i]) * (box.high[j] - box.low[j]);
+      }
+      if (i < 0 || 1.001 * spread < z[i]) continue;
+      for (Vector& slope : out.slopes) slope[i] = 0;
+    }
+    return out;
+  }
+
+  // Constant multipliers that are smaller where the gradient changes much in the box: about the best of
+  // dual - sum of |z_i| spread_i, by iterated quadratic penalties.
+  Vector Cautious(const Quadratic& q, const Layout& layout, const Weights& weights, const ImpactBox& box,
+                  const std::vector<double>& middle) const {
+    std::vector<char> free;
+    Vector penalty = 1e-2 * q.curvature.diagonal();
+    Vector z = Maximize(q, layout, weights, box.open, &free, penalty);
+    for (int k = 0; k < 4; ++k) {
+      const std::vector<Vector> drifts = Drifts(q, layout, z, box, middle, weights);
+      Vector spread = Vector::Zero(layout.size);
+      for (size_t j = 0; j < drifts.size(); ++j) spread += 0.5 * (box.high[j] - box.low[j]) * drifts[j].cwiseAbs();
+      const double least = 1e-6 * (1e-300 + z.cwiseAbs().maxCoeff());
+      for (int i = 0; i < layout.size; ++i) penalty[i] = spread[i] / std::max(std::abs(z[i]), least);
+      z = Maximize(q, layout, weights, box.open, &free, penalty);
+    }
+    return z;
+  }
+
+  // The rigorous bound over the box: of the natural extension, and of the mean-value form.
+  template <int N>
+  BoxBound Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
+                   const Multipliers& multipliers, const Weights& weights) const {
+    const RoundUpward rounding;
+    return EncloseRounded<N>(box, layout, middle, multipliers, weights);
+  }
+
+  // Called while the processor rounds upward. A function of its own, so that no operation is moved out of that time.
+  template <int N>
+  [[gnu::noinline]] BoxBound EncloseRounded(const ImpactBox& box, const Layout& layout,
+                                            const std::vector<double>& middle, const Multipliers& multipliers,
+                                            const Weights& weights) const {
+    using S = Jet<Interval, N>;
+    const int parameters = box.num_parameters();
+    std::vector<S> theta(N), z(layout.size);
+    std::vector<Interval> thin(N, Interval(0.0)), thin_z(layout.size), offset(N, Interval(0.0));
+    for (int j = 0; j < parameters; ++j) {
+      theta[j] = S(Interval(box.low[j], box.high[j]));
+      theta[j].slope[j] = Interval(1.0);
+      thin[j] = Interval(middle[j]);
+      offset[j] = theta[j].value - thin[j];
+    }
+    for (int i = 0; i < layout.size; ++i) {
+      thin_z[i] = Interval(multipliers.at_middle[i]);
+      z[i] = S(thin_z[i]);
+      for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
+        const Interval slope(multipliers.slopes[j][i]);
+        z[i].value += slope * offset[j];
+        z[i].slope[j] = slope;
+      }
+    }
+    S range;
+    AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &range);
+    Interval centered(0.0);
+    AddDualFunction<Interval>(rounded_, box, layout, thin.data(), thin_z.data(), Interval(0.0), weights, &centered);
+    BoxBound bound;
+    for (const int i : layout.approach) {
+      if (i >= 0 && !(z[i].value.lower() >= 0)) centered = Interval(-std::numeric_limits<double>::infinity());
+    }
+    double largest = 0;
+    for (int j = 0; j < parameters; ++j) {
+      const Interval change = range.slope[j] * offset[j];
+      centered += change;
+      const double width = change.upper() - change.lower();
+      if (width > largest && box.low[j] < box.high[j]) {
+        largest = width;
+        bound.split = j;
+      }
+    }
+    bound.lower = centered.lower();
+    return bound;
+  }
+
+  const Numbers<double> plain_;
+  const Numbers<Interval> rounded_;
+};
+
+Relaxation::Relaxation(const Scene& scene) : impl_(std::make_unique<Impl>(scene)) {}
+Relaxation::~Relaxation() = default;
+
+BoxBound Relaxation::Bound(const ImpactBox& box, double upper) const { return impl_->Bound(box, upper); }
+
+}  // namespace saltus::global

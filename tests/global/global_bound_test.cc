@@ -1,0 +1,315 @@
+#include "saltus/global/global_bound.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "base/random.h"
+#include "global/relaxation.h"
+#include "saltus/solve/solver.h"
+#include "simulate/flight.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using global::BoxBound;
+using global::ImpactBox;
+using global::kLargestTau;
+using global::Relaxation;
+
+constexpr double kTwoBalls = 1.396542160123;  // data/references.json
+
+// The least loss of two_balls at the time s of its impact and the angle psi between normal and line of centres.
+double TwoBallsLoss(double s, double psi) {
+  const double e = 0.1, c = std::sqrt(2.0) * std::cos(psi), d = c - 0.4;
+  const double a = (1 - s) * (1 - s) + 4 * e / s, b = (1 - s) * c + 6 * e * d / (s * s);
+  return 2 + e * (12 * d * d + 6 - 3 * c * c) / (s * s * s) - b * b / a;
+}
+
+// A box around parameters, with the normal towards the first disc of each pair.
+class BoxMaker {
+ public:
+  void Add(const Candidate& pair, double time, const Vec2d& normal) {
+    box.sequence.push_back(pair);
+    box.repeated.push_back(false);
+    at.push_back(time);
+    box.quarters.push_back(0);
+    if (pair.plane) return;
+    const double angle = std::atan2(normal[1], normal[0]), quarter = std::round(angle / M_PI_2);
+    box.quarters.back() = (static_cast<int>(quarter) + 4) % 4;
+    at.push_back(std::tan(0.5 * (angle - quarter * M_PI_2)));
+  }
+  // Of widths drawn up to `width`, in which the parameters are anywhere.
+  ImpactBox Around(double width, Random* random) const {
+    ImpactBox out = box;
+    for (const double x : at) {
+      out.low.push_back(x - width * random->Unit() - 1e-9);
+      out.high.push_back(x + width * random->Unit() + 1e-9);
+    }
+    return out;
+  }
+
+  ImpactBox box;
+  std::vector<double> at;
+};
+
+TEST(Relaxation, IsTheClosedFormOfOneImpact) {
+  const Relaxation relaxation(ProblemScene("two_balls"));
+  for (const double s : {0.3, 0.5, 0.68322, 0.9}) {
+    for (const double psi : {-1.1, -0.4, 0.0, 0.2, 0.9}) {
+      BoxMaker point;
+      point.Add({0, 1, false}, s, {std::cos(1.25 * M_PI + psi), std::sin(1.25 * M_PI + psi)});
+      ImpactBox box = point.box;
+      box.low = box.high = point.at;
+      const BoxBound bound = relaxation.Bound(box, 1e3);
+      const double exact = TwoBallsLoss(s, psi);
+      EXPECT_NEAR(bound.at_middle, exact, 1e-8 * exact) << s << " " << psi;
+      EXPECT_NEAR(bound.lower, exact, 1e-7 * exact) << s << " " << psi;
+      EXPECT_LE(bound.lower, exact * (1 + 1e-12)) << s << " " << psi;
+    }
+  }
+}
+
+TEST(Relaxation, KeepsEveryBoxWithTheOptimum) {
+  const Relaxation relaxation(ProblemScene("two_balls"));
+  Random random(1);
+  BoxMaker optimum;
+  optimum.Add({0, 1, false}, 0.68322, {std::cos(1.25 * M_PI), std::sin(1.25 * M_PI)});
+  for (int i = 0; i < 300; ++i) {
+    ImpactBox box = optimum.Around(std::pow(10, -4 * random.Unit()), &random);
+    for (const bool open : {false, true}) {
+      box.open = open;
+      EXPECT_LE(relaxation.Bound(box, kTwoBalls).lower, kTwoBalls + 1e-9);
+    }
+  }
+}
+
+TEST(Relaxation, ConvergesWithTheSquareOfTheWidth) {
+  const Relaxation relaxation(ProblemScene("two_balls"));
+  for (const double width : {0.01, 0.001}) {
+    BoxMaker point;
+    point.Add({0, 1, false}, 0.6, {-0.8, -0.6});
+    ImpactBox box = point.box;
+    double least = INFINITY;  // of the closed form on the box
+    for (const double x : point.at) {
+      box.low.push_back(x - width);
+      box.high.push_back(x + width);
+    }
+    for (int i = -10; i <= 10; ++i) {
+      for (int j = -10; j <= 10; ++j) {
+        const double tau = point.at[1] + 0.1 * j * width;
+        least = std::min(least, TwoBallsLoss(0.6 + 0.1 * i * width, M_PI + 2 * std::atan(tau) - 1.25 * M_PI));
+      }
+    }
+    const double lower = relaxation.Bound(box, 100).lower;
+    EXPECT_LE(lower, least);
+    EXPECT_GE(lower, least - 1000 * width * width);
+  }
+}
+
+TEST(GlobalBound, TwoBalls) {
+  const GlobalBound bound = BoundGlobally(ProblemScene("two_balls"), kTwoBalls + 1e-9, {.gap = 1e-6, .boxes = 100000});
+  EXPECT_FALSE(bound.interrupted);
+  EXPECT_GE(bound.lower, kTwoBalls - 1e-6);
+  EXPECT_LE(bound.lower, kTwoBalls + 1e-9);
+  ASSERT_FALSE(bound.left.empty());
+  EXPECT_EQ(bound.left.front().sequence, (ContactSequence{{0, 1, false}}));
+  EXPECT_FALSE(bound.left.front().open);
+  EXPECT_FALSE(bound.excluded.empty());
+}
+
+// Nothing that has the optimum is excluded, though all that is known is worse.
+TEST(GlobalBound, IsBelowTheOptimumWhateverIsKnown) {
+  const std::pair<const char*, double> optima[] = {{"two_balls", kTwoBalls}, {"single_collision", 0.311416870358}};
+  for (const auto& [name, optimum] : optima) {
+    const GlobalBound bound = BoundGlobally(ProblemScene(name), 1.1 * optimum, {.gap = 1e-6, .boxes = 20000});
+    EXPECT_TRUE(bound.interrupted) << name;
+    EXPECT_LE(bound.lower, optimum + 1e-11) << name;  // optima are known to 12 digits
+    EXPECT_GE(bound.lower, 0.3 * optimum) << name;
+  }
+}
+
+TEST(GlobalBound, NeverFallsAndEndsAtItsLimits) {
+  std::vector<double> lowers;
+  GlobalOptions options{.gap = 1e-6, .boxes = 4000};
+  options.progress = [&](const GlobalBound& bound) { lowers.push_back(bound.lower); };
+  const Scene scene = ProblemScene("two_balls");
+  const GlobalBound limited = BoundGlobally(scene, kTwoBalls, options);
+  EXPECT_TRUE(limited.interrupted);
+  EXPECT_TRUE(std::is_sorted(lowers.begin(), lowers.end()));
+  EXPECT_GT(lowers.size(), 5u);
+  EXPECT_LT(limited.lower, kTwoBalls);
+  ASSERT_FALSE(limited.left.empty());
+  EXPECT_GE(limited.left.front().lower, limited.lower);
+
+  options.stop = [] { return true; };
+  const GlobalBound stopped = BoundGlobally(scene, kTwoBalls, options);
+  EXPECT_TRUE(stopped.interrupted);
+  EXPECT_LT(stopped.boxes, limited.boxes);
+}
+
+// ------------------------------------------------------------------------------------------- against real motions
+
+// Two or three discs, perhaps one of them fixed, walls and gravity.
+Scene SmallProblem(Random* random) {
+  Scene scene;
+  scene.name = "small";
+  scene.duration = random->Uniform(0.5, 1.5);
+  scene.steps = 8;
+  scene.contact.restitution = random->Uniform(0.3, 1);
+  scene.optimize = Optimize::kControl;
+  scene.objective.effort = random->Uniform(0.01, 0.1);
+  if (random->Below(2) == 0) scene.gravity = {random->Symmetric(), -random->Uniform(0, 3)};
+  const int discs = 2 + random->Below(2);
+  for (int i = 0; i < discs; ++i) {
+    Body disc{.name = "disc" + std::to_string(i), .radius = random->Uniform(0.1, 0.3), .mass = random->Uniform(0.5, 2)};
+    disc.position = {0.8 * i, 0.3 * random->Symmetric()};
+    if (random->Below(2) == 0) disc.velocity = {random->Symmetric(), random->Symmetric()};
+    if (i == 2 && random->Below(3) == 0) {
+      disc.fixed = true;
+      disc.velocity = {0, 0};
+    }
+    scene.bodies.push_back(disc);
+  }
+  scene.control = {{0}, {{0, 0}}};
+  if (random->Below(4) == 0) scene.control = {{0, 1}, {{0, 0}, {0, 0}}};
+  if (random->Below(2) == 0) scene.planes.push_back({"ground", {0, -0.9}, {0.1 * random->Symmetric(), 1}});
+  if (random->Below(3) == 0) scene.planes.push_back({"wall", {1.6 + 0.6, 0}, {-1, 0.2 * random->Symmetric()}});
+  scene.objective.terminal = {{.body = 1, .target = {1 + random->Symmetric(), random->Symmetric()}}};
+  if (random->Below(3) == 0) {
+    scene.objective.terminal.push_back({.body = 0,
+                                        .quantity = TerminalTerm::Quantity::kVelocity,
+                                        .target = {0, 0},
+                                        .weight = random->Uniform(0.01, 1)});
+  }
+  return scene;
+}
+
+// True if no disc of the pair is in another impact since its last one.
+bool IsRepetition(const Scene& scene, const ContactSequence& sequence, const Candidate& pair, size_t* last) {
+  for (size_t i = sequence.size(); i-- > 0;) {
+    const Candidate& other = sequence[i];
+    *last = i;
+    if (other == pair) return true;
+    const auto has = [&](int body) {
+      return !scene.bodies[body].fixed && (other.a == body || (!other.plane && other.b == body));
+    };
+    if (has(pair.a) || (!pair.plane && has(pair.b))) return false;
+  }
+  return false;
+}
+
+// The boxes around the first impacts that decide about the loss, one more each, and in the end closed. If `merged`,
+// what repeats an impact is left to that one.
+std::vector<ImpactBox> BoxesOf(const Scene& scene, const Flight& flight, double width, bool merged, Random* random) {
+  std::vector<bool> relevant(scene.num_bodies(), false);
+  for (const TerminalTerm& term : scene.objective.terminal) relevant[term.body] = true;
+  std::vector<const Flight::Hit*> hits;
+  for (size_t i = flight.hits().size(); i-- > 0;) {
+    const Flight::Hit& hit = flight.hits()[i];
+    const Candidate& pair = hit.contact;
+    if (!relevant[pair.a] && (pair.plane || !relevant[pair.b])) continue;
+    relevant[pair.a] = true;
+    if (!pair.plane) relevant[pair.b] = true;
+    hits.insert(hits.begin(), &hit);
+  }
+  BoxMaker maker;
+  std::vector<ImpactBox> boxes;
+  for (const Flight::Hit* hit : hits) {
+    if (maker.at.size() + 2 > static_cast<size_t>(global::kMostParameters)) return boxes;
+    const Candidate& pair = hit->contact;
+    size_t last = 0;
+    if (merged && IsRepetition(scene, maker.box.sequence, pair, &last)) {
+      maker.box.repeated[last] = true;
+      continue;
+    }
+    const Vec2d between = pair.plane ? Vec2d::Zero() : Vec2d(hit->before.p[pair.a] - hit->before.p[pair.b]);
+    maker.Add(pair, hit->time, between);
+    ImpactBox box = maker.Around(width, random);
+    box.open = true;
+    boxes.push_back(box);
+    if (!pair.plane) {
+      box.free_normal = true;
+      box.low.pop_back();
+      box.high.pop_back();
+      boxes.push_back(box);
+    }
+  }
+  boxes.push_back(maker.Around(width, random));
+  return boxes;
+}
+
+TEST(Relaxation, IsBelowTheLossOfEveryMotion) {
+  constexpr int kScenes = 300, kControls = 6;
+  Random random(7);
+  int checked = 0, with_impacts = 0, tight = 0;
+  std::ptrdiff_t repeated = 0;
+  for (int number = 0; number < kScenes; ++number) {
+    const Scene scene = SmallProblem(&random);
+    if (Validate(scene)) continue;
+    ASSERT_EQ(WhyNotBounded(scene), "");
+    const Relaxation relaxation(scene);
+    for (int k = 0; k < kControls; ++k) {
+      const double strength = 10 * random.Unit();
+      std::vector<double> control(scene.steps * scene.control_width());
+      const Vec2d mean(strength * random.Symmetric() + 3, strength * random.Symmetric());
+      for (size_t i = 0; i < control.size(); ++i) control[i] = mean[i % 2] + 0.3 * strength * random.Symmetric();
+      if (k == 0 && number % 5 == 0) {  // a good one, near which bounds are tight
+        Scene pushed = scene;
+        for (Vec2d& force : pushed.control.initial) force = mean;
+        const SolveReport report = Solve("ceres_lm", {pushed, "event"}, {.iterations = 30});
+        if (!report.control.empty()) control = report.control;
+      }
+      const std::vector<double> durations(scene.steps, scene.dt());
+      const std::vector<double> initial = InitialState(scene);
+      const ExactRun run = SimulateUpTo(20, scene, initial, control, durations);
+      if (!run.ok || !run.only_impacts || !run.ambiguous.empty()) continue;
+      const Flight flight(scene, initial, control, durations, run);
+      const double width = k % 3 == 0 ? 0 : std::pow(10, -3 * random.Unit());
+      std::vector<ImpactBox> boxes = BoxesOf(scene, flight, width, false, &random);
+      const std::vector<ImpactBox> merged = BoxesOf(scene, flight, width, true, &random);
+      boxes.insert(boxes.end(), merged.begin(), merged.end());
+      for (const ImpactBox& box : boxes) {
+        for (const double upper : {run.loss, 0.3 * run.loss}) {
+          const BoxBound bound = relaxation.Bound(box, upper);
+          EXPECT_LE(bound.lower, run.loss * (1 + 1e-9))
+              << "scene " << number << ", control " << k << ", width " << width << ", " << box.sequence.size()
+              << " impacts, open " << box.open << ", free " << box.free_normal;
+          ++checked;
+          if (!box.sequence.empty()) ++with_impacts;
+          repeated += std::count(box.repeated.begin(), box.repeated.end(), true);
+          if (bound.lower > 0.3 * run.loss) ++tight;
+        }
+      }
+    }
+  }
+  EXPECT_GT(checked, 2000);
+  EXPECT_GT(with_impacts, 1000);
+  EXPECT_GT(tight, 200);
+  EXPECT_GT(repeated, 100);
+}
+
+TEST(GlobalBound, RefusesWhatItDoesNotSupport) {
+  Scene scene = ProblemScene("two_balls");
+  EXPECT_EQ(WhyNotBounded(scene), "");
+  scene.contact.friction = 0.1;
+  EXPECT_NE(WhyNotBounded(scene).find("friction"), std::string::npos);
+  scene.contact.friction = 0;
+  scene.objective.effort = 0;
+  EXPECT_NE(WhyNotBounded(scene).find("effort"), std::string::npos);
+  scene.objective.effort = 0.1;
+  scene.objective.terminal[0].component = 0;
+  EXPECT_NE(WhyNotBounded(scene).find("linear"), std::string::npos);
+  scene = ProblemScene("two_balls");
+  scene.optimize = Optimize::kNone;
+  EXPECT_NE(WhyNotBounded(scene).find("control"), std::string::npos);
+  scene = ProblemScene("two_balls");
+  scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
+  EXPECT_NE(WhyNotBounded(scene).find("spin"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace saltus
