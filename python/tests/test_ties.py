@@ -261,3 +261,21 @@ def test_limits_are_arguments_and_are_named():
         run(1, most_repeats=0)
     with pytest.raises(TypeError, match="most_events: found float, expected a whole number"):
         run(1, most_events=1.5)
+
+
+def remark_of_a_solve(flow, reset, guard, initial):
+    """A control on two intervals, a jump between them at t = 1 that the solver keeps, and an event at t = 1.0004."""
+    system = saltus.HybridSystem(
+        states={"m": ["y", "v", "z"]}, controls=["u"], flow={"m": flow}, guards={"m": {"hit": guard}}, resets={"m": {"hit": reset}})
+    problem = saltus.HybridProblem(system, mode="m", initial=initial, duration=2.0, control=[[1.0], [2.0]],
+                                   costs=[saltus.residuals(lambda x: [x[2] - 3.0]), saltus.effort(1e-6)])
+    return saltus.solve(problem, solver="ceres_lm", optimize=["control"], iterations=1).reason
+
+
+@pytest.mark.parametrize("flow, reset, kink", [
+    (lambda x, u: [x[1], 0, u[0]], lambda x: ("m", [0, -x[1], x[2]]), False),  # the control acts on what does not strike
+    (lambda x, u: [x[1], 0, u[0]], lambda x: ("m", [0, -x[1], 0.5 * x[2]]), True),  # what it acts on is reset
+])
+def test_an_event_near_a_jump_of_the_control(flow, reset, kink):
+    reason = remark_of_a_solve(flow, reset, lambda x: x[0], [1.0004, -1.0, 0.0])
+    assert ("where the control jumps and the loss has a kink" in reason) == kink, reason

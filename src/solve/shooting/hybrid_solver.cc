@@ -2,6 +2,7 @@
 
 #include <ceres/problem.h>
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -19,13 +20,44 @@
 namespace saltus {
 namespace {
 
-constexpr double kNearJump = 1e-3;  // of an interval: how near to a jump of the control an event is named
+constexpr double kNearJump = 1e-3;       // of an interval: how near to a jump of the control an event is named
+constexpr double kSameSaltation = 1e-9;  // relative
+
+// Whether it may change the derivative on which side of a jump of the control, at the beginning of interval k, an event
+// happens: its saltation matrix depends on the control, or its time on parameters alone. Modes that are created need
+// not exist under the other control.
+bool MayHaveKink(const HybridSystem& system, const HybridInput& input, const HybridEvent& event, int k) {
+  if (system.functions().CreatesModes()) return true;
+  const auto m = static_cast<std::size_t>(system.num_controls());
+  const int n = system.state_size(event.mode), num_parameters = system.num_parameters();
+  Eigen::RowVectorXd gradient(n + 1 + num_parameters + system.num_controls());
+  const ModePoint at{event.mode,
+                     event.time,
+                     event.before.data(),
+                     &input.control[m * static_cast<std::size_t>(k)],
+                     input.parameters.data()};
+  system.functions().GuardGradient(at, event.guard, gradient.data());
+  if (gradient.head(n).isZero(0)) return !gradient.tail(gradient.size() - n - 1).isZero(0);
+  const auto saltation = [&](int interval) {
+    const std::span<const double> control(input.control);
+    const std::span<const double> u = control.subspan(m * static_cast<std::size_t>(interval), m);
+    return SaltationMatrix(system, event.mode, event.guard, event.time, event.before, u, input.parameters);
+  };
+  const std::vector<double> before = saltation(k - 1), after = saltation(k);
+  double largest = 0, change = before.size() == after.size() ? 0 : 1;
+  for (std::size_t i = 0; i < std::min(before.size(), after.size()); ++i) {
+    largest = std::max({largest, std::abs(before[i]), std::abs(after[i])});
+    change = std::max(change, std::abs(before[i] - after[i]));
+  }
+  return !(change <= kSameSaltation * largest);
+}
 
 // The events that happen so near to a jump of the control that the solver may have stopped at the kink there.
 std::string EventsNearJumps(const HybridSimulator& simulator, const HybridInput& input) {
   std::string near;
   for (const HybridEvent& event : simulator.events()) {
-    if (ControlJumpNear(input, simulator.system().num_controls(), event.time, kNearJump) < 0) continue;
+    const int k = ControlJumpNear(input, simulator.system().num_controls(), event.time, kNearJump);
+    if (k < 0 || !MayHaveKink(simulator.system(), input, event, k)) continue;
     char text[64];
     std::snprintf(text, sizeof text, "' has an event at t = %.8g, ", event.time);
     near += (near.empty() ? "" : "; ") + ("guard '" + simulator.system().GuardName(event.mode, event.guard)) + text +
