@@ -29,8 +29,9 @@ constexpr double kRoundingOfMotion = 1e-7;  // an error that more steps do not l
 constexpr int kMostWithoutJump = 512;       // steps of a motion after which a jump of the flow is looked for
 constexpr int kMostWithoutEnd = 1 << 14;    // likewise, after which an error that does not fall ends the search
 constexpr int kHopeless = 6;                // doublings without convergence until then
-constexpr double kBegins = 0.1;             // of the final difference of two motions: where they begin to differ
-constexpr int kScanned = 128;               // points in a step
+constexpr double kFirstOrder = 4e-3;  // of an error before as many doublings: it falls hardly faster than the step
+constexpr double kBegins = 0.1;       // of the final difference of two motions: where they begin to differ
+constexpr int kScanned = 128;         // points in a step
 constexpr int kBisections = 46;
 constexpr double kJump = 1e-6;        // of a slope, relative
 constexpr double kPole = 1e6;         // of the slopes at the ends of the step: beside a pole
@@ -194,6 +195,7 @@ class HybridSimulator::Impl {
     int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals, stalls = 0;
     std::unique_ptr<RolloutRun> best, finer;
     double least = std::numeric_limits<double>::infinity(), reference = least, last_failure = least;
+    std::vector<double> slow;  // differences, of steps that do not resolve the guards
     int same_failures = 0;
     why.clear();
     RolloutEnd end = run->Run(input, n);
@@ -224,9 +226,25 @@ class HybridSimulator::Impl {
       }
       if (!finer) finer = std::make_unique<RolloutRun>(system, options);
       const RolloutEnd end_of_finer = finer->Run(input, 2 * n, /*compare_guards=*/true);
-      if (end == RolloutEnd::kDone && end_of_finer == RolloutEnd::kDone &&
-          (finer->ResolvesGuards() || 4.0 * n * input.num_intervals > kMostForGuards)) {
-        const double now = Difference(*run, *finer);
+      const bool both = end == RolloutEnd::kDone && end_of_finer == RolloutEnd::kDone;
+      const bool resolves = both && (finer->ResolvesGuards() || 4.0 * n * input.num_intervals > kMostForGuards);
+      const double now = both ? Difference(*run, *finer) : std::numeric_limits<double>::infinity();
+      const auto why_hopeless = [&] {
+        return "the integration does not converge: the difference between " + std::to_string(n) + " and " +
+               std::to_string(2 * n) + " steps per interval is still " + ToText(now, 2) +
+               ". The flow may have no solution, or be too sensitive to be computed";
+      };
+      if (both && !resolves) {
+        slow.push_back(now);
+        const double before = slow.size() > kHopeless ? slow[slow.size() - 1 - kHopeless] : least;
+        const bool falls = !std::isfinite(before) || now <= std::max(kFirstOrder * before, kRoundingOfMotion);
+        if (!falls && n * input.num_intervals >= kMostWithoutEnd) {
+          why = finer->unresolved().what + "; " + why_hopeless();
+          steps = 0;
+          return false;
+        }
+      }
+      if (resolves) {
         stalls = now > kConverges * reference ? stalls + 1 : 0;
         if (stalls == 0) reference = now;
         if (now < least) {
@@ -239,11 +257,7 @@ class HybridSimulator::Impl {
         }
         const RolloutRun& coarse = run ? *run : *best;
         if (n * input.num_intervals >= kMostWithoutJump && std::isfinite(now)) why = FindJump(coarse, *finer, now);
-        if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) {
-          why = "the integration does not converge: the difference between " + std::to_string(n) + " and " +
-                std::to_string(2 * n) + " steps per interval is still " + ToText(now, 2) +
-                ". The flow may have no solution, or be too sensitive to be computed";
-        }
+        if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
           if (!run) run = std::move(best);
           steps = 0;
