@@ -281,12 +281,13 @@ Pair<P> NormalAt(const P& tau, int quarter) {
 // The Lagrangian, minimised over all controls: a lower bound of the loss at impacts with parameters `theta` for any
 // multipliers z whose approaches are not negative. It is a concave quadratic function of z.
 //
-// Repeated impacts. After an impact of a pair its discs part. By d^2|r|/dt^2 >= n.w, with r between the discs and w
-// their relative acceleration in flight, they approach before the next impact with at most the integral of |w| since
-// the last one. So all later impacts together change the velocity of disc a by at most share_a times the integral of
-// |w|. With |w| <= sum of |u| / m over the pushed ones of the two (and gravity at what is fixed), a force u at time t
-// is as good as a change of velocity by share_a |u| / m in any direction at any later time before the pair is parted,
-// and enters the Lagrangian by the largest costate of velocity from t on.
+// Repeated impacts. After an impact of a pair its discs part: |r|' >= 0, with r between the discs. In flight
+// |r|'' >= n.w, with w their relative acceleration. So if the next impact is h later, the integral of t |w| over that
+// time is at least h times the speed a of approach. The impact changes the velocity of disc a by share_a * a, which is
+// at most the integral of share_a (t / h) |w|. With |w| <= sum of |u| / m over the pushed ones of the two (and gravity
+// at what is fixed), and effort quadratic in u, all later impacts together enter the Lagrangian by no more than a third
+// of the square of share_a times the largest costate of velocity from t on: the mean of (t / h)^2 is 1 / 3, that of t /
+// h 1 / 2. At a plane the velocity changes along its normal only.
 template <typename B, typename P, typename S, typename D>
 void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& layout, const P* theta, const S* z,
                      const S& zero, const Weights& weights, D* dual, Record* record = nullptr) {
@@ -385,18 +386,22 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
         if (!is_a && touch.b_fixed) continue;
         const int i = is_a ? touch.pair.a : touch.pair.b;
         if (!active[i]) continue;
-        const B share = Square(is_a ? touch.share_a : touch.share_b);
+        const B share = Square(is_a ? touch.share_a : touch.share_b) / B(3);
         const Pair<S>& at_end = is_a ? repeated.end_a : repeated.end_b;
         const bool has_end = is_a ? repeated.has_end_a : repeated.has_end_b;
         // Calls use(factor, a) for squares a^2 whose sum, with factors, is an integral of the largest square from t on.
         const auto for_squares = [&](const auto& use) {
-          use(duration, mean[i].x);
-          use(duration, mean[i].y);
-          use(twelfth, gain[i].x);
-          use(twelfth, gain[i].y);
-          if (!has_end) return;
-          use(duration, at_end.x);
-          use(duration, at_end.y);
+          const auto of = [&](const P& factor, const Pair<S>& v) {
+            if (touch.pair.plane) {  // only along the normal
+              use(factor, P(touch.normal.x) * v.x + P(touch.normal.y) * v.y);
+            } else {
+              use(factor, v.x);
+              use(factor, v.y);
+            }
+          };
+          of(duration, mean[i]);
+          of(twelfth, gain[i]);
+          if (has_end) of(duration, at_end);
         };
         for (const int source : {0, 1}) {  // the disc that is pushed
           if (source == 1 && touch.b_fixed) continue;
@@ -413,7 +418,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
           }
         }
         if (n.has_gravity && touch.b_fixed) {
-          const B half = B(0.5) * touch.share_a * touch.fall;
+          const B half = B(0.25) * touch.share_a * touch.fall;
           for_squares([&](const P& factor, const S& a) {
             AddSquare(B(-1) * half / B(weights.fall[repeated.impact]) * factor, a, dual);
           });
