@@ -49,7 +49,7 @@ constexpr double kMotionOrder = 0.5, kMotionFar = 1e-2, kExactMotion = 1e-9, kMo
 // The width sweep: widths in what moves in a step.
 constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisyTo = 0.2, kWideFrom = 2, kWideTo = 8;
 constexpr double kLatestNarrow = 1e-2;  // where narrow widths begin at the latest, if few runs are left
-constexpr int kSpeeds = 32;  // states at which speeds are measured, about
+constexpr int kSpeeds = 32;             // states at which speeds are measured, about
 // Runs of the simulator that an audit takes, unless a gradient by differences needs more for a verdict.
 constexpr int kMostCalls = 2000;
 constexpr double kRebounds = 0.5, kLost = 0.5;
