@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <map>
 #include <memory>
+#include <utility>
 
 #include "base/number_text.h"
 #include "base/parallel_for.h"
@@ -16,7 +17,20 @@ namespace {
 
 constexpr double kFarthest = 7;  // that a bounded unknown may go from its start, in its coordinate: 1000 times as much
 constexpr double kSmallGain = 1e-5;  // of the cost, below which a law is learned: far below what noise does to it
-constexpr int kDenseColumns = 300;   // up to which covariances are computed from a dense Jacobian
+
+// A loss up to a length of residuals, beyond which it is constant.
+class CutLoss final : public ceres::LossFunction {
+ public:
+  CutLoss(std::unique_ptr<ceres::LossFunction> loss, double cut) : loss_(std::move(loss)), cut_(cut * cut) {}
+  void Evaluate(double squared, double rho[3]) const override {
+    loss_->Evaluate(std::min(squared, cut_), rho);
+    if (squared > cut_) rho[1] = rho[2] = 0;
+  }
+
+ private:
+  const std::unique_ptr<ceres::LossFunction> loss_;
+  const double cut_;
+};
 
 std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
   switch (loss) {
@@ -29,9 +43,13 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
   }
   return std::make_unique<ceres::TrivialLoss>();
 }
+std::unique_ptr<ceres::LossFunction> MakeLoss(const FitProblem& problem, double scale) {
+  auto loss = MakeLoss(problem.options->loss, scale);
+  if (!problem.drops_outliers) return loss;
+  return std::make_unique<CutLoss>(std::move(loss), problem.options->outlier);
+}
 
-// The parameter blocks of a fit in one array, in the order in which the problem gets them. Ceres orders the columns of
-// a covariance by the addresses of the blocks: in separate allocations its last digits would differ from run to run.
+// The parameter blocks of a fit in one array, in the order in which the problem gets them.
 class Blocks {
  public:
   Blocks(const FitProblem& problem, FitPoint* point) : problem_(problem), point_(*point), values_(point->coordinates) {
@@ -207,37 +225,6 @@ int NumFitted(const FitProblem& problem, const FitPoint& point, const std::vecto
   return count;
 }
 
-// Covariance of the unknowns' values; empty if the Jacobian has not the rank.
-std::vector<std::vector<double>> CovarianceOf(const FitProblem& problem, const std::vector<bool>& held, Blocks* blocks,
-                                              ceres::Problem* ceres_problem) {
-  ceres::Covariance::Options options;
-  options.apply_loss_function = false;
-  const bool dense = ceres_problem->NumParameters() <= kDenseColumns;
-  options.algorithm_type = dense ? ceres::DENSE_SVD : ceres::SPARSE_QR;
-  if (dense) options.null_space_rank = -1;
-  ceres::Covariance covariance(options);
-  std::vector<std::pair<const double*, const double*>> pairs;
-  const std::size_t count = problem.unknowns.size();
-  const auto is_held = [&](std::size_t i) { return !held.empty() && held[i]; };
-  for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t j = i; j < count; ++j) {
-      if (!is_held(i) && !is_held(j)) pairs.emplace_back(blocks->coordinate(i), blocks->coordinate(j));
-    }
-  }
-  if (pairs.empty() || !covariance.Compute(pairs, ceres_problem)) return {};
-  std::vector<std::vector<double>> out(count, std::vector<double>(count, 0.0));
-  for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t j = i; j < count; ++j) {
-      if (is_held(i) || is_held(j)) continue;
-      double entry = 0;
-      covariance.GetCovarianceBlock(blocks->coordinate(i), blocks->coordinate(j), &entry);
-      out[i][j] = out[j][i] = entry * SlopeAt(problem.unknowns[i], *blocks->coordinate(i)) *
-                              SlopeAt(problem.unknowns[j], *blocks->coordinate(j));
-    }
-  }
-  return out;
-}
-
 }  // namespace
 
 Scene FitProblem::SceneAt(const std::vector<double>& coordinates) const {
@@ -281,20 +268,20 @@ Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, cons
   return residual;
 }
 
-LossAt EvaluateLoss(RobustLoss loss, double scale, double squared) {
+LossAt EvaluateLoss(const FitProblem& problem, double scale, double squared) {
   LossAt at;
-  MakeLoss(loss, scale)->Evaluate(squared, at.rho);
+  MakeLoss(problem, scale)->Evaluate(squared, at.rho);
   return at;
 }
 
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held, bool with_covariance, double gain) {
+                       const std::vector<bool>& held, double gain) {
   FitResult result;
   result.point = start;
   FitPoint& point = result.point;
   Blocks blocks(problem, &point);
   Motions motions(problem, &point, &blocks);
-  const auto loss = MakeLoss(problem.options->loss, loss_scale);
+  const auto loss = MakeLoss(problem, loss_scale);
   ceres::Problem::Options problem_options;
   problem_options.evaluation_callback = &motions;
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -331,7 +318,6 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
     result.ok = false;
     result.reason = motion.reason;
   }
-  if (with_covariance && result.ok) result.covariance = CovarianceOf(problem, held, &blocks, &ceres_problem);
   result.evaluations = motions.evaluations();
   return result;
 }

@@ -19,6 +19,7 @@ struct FitProblem {
   int num_plain = 0;  // unknowns but for the parameters of what is learned, which are the last
   double sigma = 0;   // m, of samples that state none; of velocities by the time that the scene needs for its length
   double sigma_velocity = 0;
+  bool drops_outliers = false;  // the loss is constant beyond IdentifyOptions::outlier
 
   // `law` or `events` as at the point at hand, if one of them is learned.
   MotionRequest RequestOf(const Segment& segment, const std::optional<ImpactLaw>& law,
@@ -52,8 +53,7 @@ struct FitResult {
   int num_fitted = 0;  // numbers that the samples were to determine: unknowns that are not held, and initial states
   int iterations = 0, evaluations = 0;
   FitPoint point;
-  std::vector<MotionAtSamples> motion;          // of each segment, at the end, with derivatives
-  std::vector<std::vector<double>> covariance;  // of the unknowns' values, if asked for: (J^T J)^-1
+  std::vector<MotionAtSamples> motion;  // of each segment, at the end, with derivatives
 };
 
 // What is learned, of whichever kind: where its parameters begin, and how far they may go.
@@ -67,7 +67,7 @@ std::optional<LearnedStart> LearnedStartOf(const IdentifyOptions& options);
 // an iteration (or, of what is learned, by a larger one of its own). Unknowns in `held` stay as they are.
 inline constexpr double kNoGain = 1e-12;
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
-                       const std::vector<bool>& held = {}, bool with_covariance = false, double gain = kNoGain);
+                       const std::vector<bool>& held = {}, double gain = kNoGain);
 
 // Standardised residual of a sample: of its position, then of its velocity if it was measured.
 Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state);
@@ -78,6 +78,6 @@ Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample);
 struct LossAt {
   double rho[3];
 };
-LossAt EvaluateLoss(RobustLoss loss, double scale, double squared);
+LossAt EvaluateLoss(const FitProblem& problem, double scale, double squared);
 
 }  // namespace saltus

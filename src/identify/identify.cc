@@ -33,13 +33,11 @@ constexpr double kFewOutliers = 0.12;      // share of samples, of a motion that
 constexpr double kMostOutliers = 1.0 / 3;  // that noise and slips of the pen do not make
 constexpr double kMostScatter = 0.1;       // estimated sigma, of the extent of the motion, of a fit that says something
 constexpr double kMostWaves = 0.01;        // the same, if residuals are systematic
-constexpr double kFewRuns = 3;             // standard deviations below what independent errors make
 constexpr double kAsWell = 2;   // squares of the interval's quantile by which a motion explains samples as well
 constexpr int kScreened = 100;  // starts that are compared, by kind of line
 constexpr int kFitted = 5;      // times the starts, of which these are fitted a little
 constexpr double kGainOfScreening = 0.1;  // share of the cost that an iteration of these must gain
 constexpr int kFewLeft = 20;              // the same, below which one outlier may look like noise
-constexpr double kMostMeanSquare = 2.5;   // standard deviations by which a mean square may then exceed that of noise
 constexpr double kNoOutlier = 0.005;      // estimated sigma, of the extent of the motion, that then is no outlier
 constexpr int kManyLeft = 60;             // numbers more than unknowns, from which on one start may be enough
 constexpr double kFirstSigma = 1e-3;      // of the scene's length, until it is estimated
@@ -414,8 +412,7 @@ class Identification {
     for (const double share : kHorizons) {
       at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = options_.loss_scale * (share < 1 ? kWideLoss : 1);
-      FitResult next =
-          MinimizeFrom(problem_, UpTo(share, fit.point), scale, held, /*with_covariance=*/false, kGainOfSearch);
+      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale, held, kGainOfSearch);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
@@ -482,8 +479,7 @@ class Identification {
     std::vector<std::pair<double, FitPoint>> fitted;
     for (const FitPoint& point : best) {
       if (Interrupted()) break;
-      FitResult fit = MinimizeFrom(
-          problem_, point, kWideLoss * options_.loss_scale, {}, /*with_covariance=*/false, kGainOfScreening);
+      FitResult fit = MinimizeFrom(problem_, point, kWideLoss * options_.loss_scale, {}, kGainOfScreening);
       Count(fit);
       if (fit.ok) fitted.emplace_back(fit.cost, std::move(fit.point));
     }
@@ -522,8 +518,7 @@ class Identification {
     fit.point = start;
     for (const double wider : {kWideLoss, 1.0}) {
       at_work_ = name;
-      FitResult next =
-          MinimizeFrom(problem_, fit.point, options_.loss_scale * wider, {}, /*with_covariance=*/false, kGainOfSearch);
+      FitResult next = MinimizeFrom(problem_, fit.point, options_.loss_scale * wider, {}, kGainOfSearch);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
@@ -538,11 +533,15 @@ class Identification {
     const int starts = problem_.num_plain > 0 ? options_.starts : 1;  // which differ in these unknowns only
     constexpr LineKind kInTurn[] = {LineKind::kMedians, LineKind::kLeastMedian, LineKind::kFirstTwo};
     const bool few = NumbersLeft() < kManyLeft;
-    const std::vector<FitPoint> screened = few ? ScreenStarts() : std::vector<FitPoint>();
+    // Of many samples, the first part shows where a motion begins, unless there are many outliers in it.
+    const int first_screened = few ? 1 : (starts + 1) / 2;
+    std::vector<FitPoint> screened;
     for (int number = 0; number < starts && !Interrupted(); ++number) {
+      if (number == first_screened) screened = ScreenStarts();
       const std::string name = "start " + std::to_string(number + 1);
-      FitResult fit = number > 0 && number <= static_cast<int>(screened.size())
-                          ? FitAll(screened[number - 1], name)
+      const int rank = number - first_screened;
+      FitResult fit = rank >= 0 && rank < static_cast<int>(screened.size())
+                          ? FitAll(screened[rank], name)
                           : FitFrom(StartAt(number, kInTurn[number % std::size(kInTurn)]), name);
       ++report_.starts;
       if (!fit.ok) {
@@ -552,20 +551,22 @@ class Identification {
       const bool known = !sequences.insert(SequenceOf(fit)).second;
       const double before = best.cost;
       const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
-      if (few) others_.push_back(fit.point);
+      others_.push_back(fit.point);
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
-      // Without a stated sigma nothing says that a fit is good, but that another start finds it again. Nor, where it
-      // is good but for many outliers.
-      const bool again = same && known && (!states_sigma_ || MisfitOf(problem_, best) < kFits);
+      // Without a stated sigma, or with many outliers, a fit must be found again, from another start.
+      const bool again = same && known && IsClose(best);
       if (!few && (again || (states_sigma_ && IsFound(best)))) break;
     }
     report_.sequences = static_cast<int>(sequences.size());
     return best;
   }
 
-  bool IsFound(const FitResult& fit) const {
-    return MisfitOf(problem_, fit) < kFits && OutlierShareOf(problem_, fit) < kFewOutliers;
+  // Whether the motion passes by the samples but for outliers.
+  bool IsClose(const FitResult& fit) const {
+    const double misfit = MisfitOf(problem_, fit);
+    return states_sigma_ ? misfit < kFits : problem_.sigma * misfit < kMostWaves * ExtentOf(problem_, fit);
   }
+  bool IsFound(const FitResult& fit) const { return IsClose(fit) && OutlierShareOf(problem_, fit) < kFewOutliers; }
 
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
   // says how much noise they have.
@@ -580,9 +581,8 @@ class Identification {
            static_cast<int>(4 * problem_.free_bodies.size() * segments_.size());
   }
 
-  // Estimates sigma if none is stated, holds what the data leave open, and takes the covariance.
-  FitResult Polish(FitResult fit) {
-    at_work_ = "confidence";
+  // If none is stated.
+  FitResult EstimateSigma(FitResult fit) {
     const double least = kLeastSigma * NaturalUnits(problem_.scene).length;
     for (int round = 0; round < 3 && !states_sigma_ && HasResiduals(); ++round) {
       SetSigma(std::max(least, problem_.sigma * MisfitOf(problem_, fit)));
@@ -590,6 +590,33 @@ class Identification {
       Count(next);
       if (!next.ok) break;
       fit = std::move(next);
+    }
+    return fit;
+  }
+
+  // A robust loss bounds what one outlier does to a fit, but not what many do. Of the motions that were found, that is
+  // taken on which samples without outliers lie best, and these alone are fitted.
+  FitResult DropOutliers(FitResult fit) {
+    std::vector<FitPoint> points = others_;
+    points.push_back(fit.point);
+    problem_.drops_outliers = true;
+    std::optional<FitResult> best;
+    for (const FitPoint& point : points) {
+      FitResult next = MinimizeFrom(problem_, point, options_.loss_scale);
+      Count(next);
+      if (next.ok && (!best || next.cost < best->cost)) best = std::move(next);
+    }
+    return best ? *best : fit;
+  }
+
+  // Estimates sigma if none is stated, leaves out many outliers, holds what the data leave open, and takes the
+  // covariance.
+  FitResult Polish(FitResult fit) {
+    at_work_ = "confidence";
+    fit = EstimateSigma(std::move(fit));
+    if (options_.loss != RobustLoss::kNone && NumbersLeft() >= kFewLeft &&
+        OutlierShareOf(problem_, fit) >= kFewOutliers) {
+      fit = EstimateSigma(DropOutliers(std::move(fit)));
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
     too_few_ = WhyTooFew(fit);  // before unknowns are held, which then take no number of the samples
@@ -602,31 +629,32 @@ class Identification {
     for (int u = 0; u < problem_.num_plain; ++u) {
       if (open_.determination[u] == Determination::kAtBound) MoveToBound(problem_.unknowns[u], &point.coordinates[u]);
     }
-    FitResult last = MinimizeFrom(problem_, point, options_.loss_scale, held, /*with_covariance=*/true);
+    FitResult last = MinimizeFrom(problem_, point, options_.loss_scale, held);
     Count(last);
-    return last.ok ? last : fit;
+    if (last.ok) fit = std::move(last);
+    confidence_ = ConfidenceOf(problem_, fit, options_.loss_scale, held);
+    return fit;
   }
 
   // Why the samples are too few to tell the error of a fit; empty if they are not.
   std::string WhyTooFew(const FitResult& fit) const {
-    if (!HasResiduals()) return "";
+    const int left = NumbersLeft();
+    if (!HasResiduals() || left >= kManyLeft) return "";
     const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
     const std::string remedy = "; take more samples, or let fewer parameters be unknown";
-    if (confidence.degrees < kFewestDegrees) {
+    if (left < kFewLeft && confidence.degrees < kFewestDegrees) {
       return "too few samples to judge: beyond the " + std::to_string(fit.num_fitted) +
              FormatNumbers(" numbers that are unknown, those that are no outliers have %.2g, expected at least %.2g",
                            std::max(0.0, confidence.degrees),
                            kFewestDegrees) +
              remedy;
     }
-    if (NumbersLeft() >= kFewLeft) return "";
     const std::string outlier = "too few samples to judge: they scatter as one does that is an outlier, ";
     const double sigma = problem_.sigma / ExtentOf(problem_, fit);
-    if (!states_sigma_ && sigma > kNoOutlier) {
+    if (!states_sigma_ && (left < kFewLeft ? sigma > kNoOutlier : sigma > kMostWaves && sigma < kMostScatter)) {
       return outlier + FormatNumbers("by %.2g %% of the extent of the motion", 100 * sigma) + remedy;
     }
-    // Its standard deviation, of normal errors, is sqrt(2 / degrees).
-    if (states_sigma_ && confidence.scatter > 1 + kMostMeanSquare * std::sqrt(2 / confidence.degrees)) {
+    if (states_sigma_ && left < kFewLeft && !confidence.is_noise) {
       return outlier + FormatNumbers("by %.2g times their sigma", std::sqrt(confidence.scatter)) + remedy;
     }
     return "";
@@ -635,7 +663,7 @@ class Identification {
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
     LeaveOpenWhatOthersDeny(fit);
-    if (options_.law) report_.law = LearnedLawOf(problem_, fit, options_.loss_scale);
+    if (options_.law) report_.law = LearnedLawOf(problem_, fit, confidence_.covariance);
     if (options_.events) report_.events = LearnedEventsOf(problem_, fit);
     ReportResiduals(fit);
     report_.cost = fit.cost;
@@ -695,14 +723,18 @@ class Identification {
   // residuals tell.
   std::string ContradictionOf(const FitResult& fit) {
     if (states_sigma_) {
-      if (report_.misfit <= kContradicts) return "";
+      // Errors of the model are systematic, those of single samples come at any time.
+      const bool scatters = report_.misfit > kContradicts && !confidence_.is_noise;
+      const bool strays =
+          OutlierShareOf(problem_, fit) >= kMostOutliers && CountOutlierRuns(problem_, fit).Systematic();
+      if (!scatters && !strays) return "";
       return FormatNumbers("samples miss the motion by %.3g times their sigma, %.0f %% are outliers",
                            report_.misfit,
                            100 * OutlierShareOf(problem_, fit));
     }
     const double extent = ExtentOf(problem_, fit), share = problem_.sigma / extent;
     const Runs runs = CountRuns(problem_, fit);
-    const bool systematic = runs.found < runs.expected - kFewRuns * runs.deviation;
+    const bool systematic = runs.Systematic();
     const std::string waves =
         "residuals are systematic: " + std::to_string(runs.found) + " runs of one sign among " +
         std::to_string(runs.signs) +
@@ -734,8 +766,8 @@ class Identification {
   }
 
   void ReportEstimates(const FitResult& fit) {
-    const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
-    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence.degrees));
+    const Eigen::MatrixXd& covariance = confidence_.covariance;
+    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
     std::vector<int> determined;
     for (int u = 0; u < problem_.num_plain; ++u) {
       Estimate estimate;
@@ -744,14 +776,14 @@ class Identification {
       estimate.start = ValueOf(estimate.unknown, start_scene_);
       estimate.determination = open_.determination[u];
       // There is none if the derivatives have not full rank, and then no value either.
-      if (fit.covariance.empty() && estimate.determination == Determination::kDetermined) {
+      if (covariance.size() == 0 && estimate.determination == Determination::kDetermined) {
         estimate.determination = Determination::kUndetermined;
       }
       for (const int other : open_.with[u]) estimate.with.push_back(NameOf(problem_.unknowns[other], problem_.scene));
       if (estimate.determination == Determination::kDetermined) {
         determined.push_back(u);
         estimate.value = FromCoordinate(estimate.unknown, fit.point.coordinates[u]);
-        estimate.standard_error = std::sqrt(confidence.factor * fit.covariance[u][u]);
+        estimate.standard_error = std::sqrt(covariance(u, u));
         SetInterval(quantile, &estimate);
       } else if (estimate.determination == Determination::kAtBound) {
         estimate.value = BoundNear(estimate.unknown, FromCoordinate(estimate.unknown, fit.point.coordinates[u]));
@@ -761,8 +793,8 @@ class Identification {
     for (const int i : determined) {
       report_.correlation.emplace_back();
       for (const int j : determined) {
-        const double scale = std::sqrt(fit.covariance[i][i] * fit.covariance[j][j]);
-        report_.correlation.back().push_back(scale > 0 ? fit.covariance[i][j] / scale : 0);
+        const double scale = std::sqrt(covariance(i, i) * covariance(j, j));
+        report_.correlation.back().push_back(scale > 0 ? covariance(i, j) / scale : 0);
       }
     }
   }
@@ -770,10 +802,9 @@ class Identification {
   // Few samples may lie on several motions. A parameter is not determined if a motion of another start explains them
   // about as well, and has another value of it.
   void LeaveOpenWhatOthersDeny(const FitResult& fit) {
-    if (Interrupted()) return;
-    const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
-    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence.degrees));
-    const double most = fit.cost + kAsWell * quantile * quantile * confidence.scatter / 2;
+    if (Interrupted() || NumbersLeft() >= kManyLeft) return;
+    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
+    const double most = fit.cost + kAsWell * quantile * quantile * confidence_.scatter / 2;
     for (const FitPoint& point : others_) {
       const auto value = [&](const FitPoint& at, std::size_t u) {
         return FromCoordinate(report_.estimates[u].unknown, at.coordinates[u]);
@@ -829,6 +860,7 @@ class Identification {
   std::vector<Segment> segments_;  // without initial states
   bool states_sigma_ = false;
   Openness open_;
+  Confidence confidence_;         // in the result
   std::string too_few_;           // why there are too few samples
   std::vector<FitPoint> others_;  // in which fits from other starts ended
   IdentifyReport report_;

@@ -18,6 +18,12 @@ namespace {
 constexpr double kOpen = 0.5;
 // The share of a parameter in such directions from which on it is not determined either.
 constexpr double kShare = 0.04;
+// Standard deviations by which a mean square may exceed that of noise.
+constexpr double kMostMeanSquare = 2.5;
+// The degrees of freedom that a stated sigma is worth.
+constexpr double kStated = 20;
+// The least eigenvalue of information, over the largest, of full rank.
+constexpr double kRank = 1e-14;
 
 // The median length of a vector of as many standard normal numbers.
 double MedianLength(int entries) { return entries == 2 ? 1.177410023 : 1.832132867; }
@@ -47,7 +53,7 @@ Information InformationOnUnknowns(const FitProblem& problem, const FitResult& fi
   const auto columns = num_unknowns + 1 + static_cast<Eigen::Index>(4 * problem.free_bodies.size());
   std::vector<Eigen::MatrixXd> normal(fit.point.segments.size(), Eigen::MatrixXd::Zero(columns, columns));
   ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
-    const double weight = EvaluateLoss(problem.options->loss, loss_scale, residual.squaredNorm()).rho[1];
+    const double weight = EvaluateLoss(problem, loss_scale, residual.squaredNorm()).rho[1];
     AddGram(weight, ScaledJacobian(problem, scene, sample, fit.motion[s].derivative[i], residual), &normal[s]);
   });
   const Eigen::Index plain = problem.num_plain;
@@ -79,13 +85,112 @@ bool IsAtBound(const Unknown& unknown, double value, double step, double scale) 
 constexpr int kPoints = 25;  // of the curve
 
 // The standard error of what has these derivatives by the law's parameters.
-double ErrorOf(const FitProblem& problem, const FitResult& fit, double factor, const std::vector<double>& slope) {
-  double variance = 0;
-  for (std::size_t i = 0; i < slope.size(); ++i) {
-    const std::vector<double>& row = fit.covariance[problem.num_plain + i];
-    for (std::size_t j = 0; j < slope.size(); ++j) variance += slope[i] * row[problem.num_plain + j] * slope[j];
+double ErrorOf(const FitProblem& problem, const Eigen::MatrixXd& covariance, const std::vector<double>& slope) {
+  const Eigen::Map<const Eigen::VectorXd> by(slope.data(), static_cast<Eigen::Index>(slope.size()));
+  const Eigen::MatrixXd of_law = covariance.block(problem.num_plain, problem.num_plain, by.size(), by.size());
+  return std::sqrt(std::max(0.0, by.dot(of_law * by)));
+}
+
+// Sums over numbers of samples: the force of the loss, which is its derivative by the residual, squared, and the
+// derivative of this force, the slope.
+struct LossSums {
+  int entries = 0;
+  double squares = 0, slopes = 0, squared_slopes = 0;
+
+  void Add(const LossAt& loss, double squared, int size) {
+    // Along the residual, and across it.
+    const double along = loss.rho[1] + 2 * loss.rho[2] * squared, across = loss.rho[1];
+    squares += loss.rho[1] * loss.rho[1] * squared;
+    slopes += along + (size - 1) * across;
+    squared_slopes += along * along + (size - 1) * across * across;
+    entries += size;
   }
-  return std::sqrt(std::max(0.0, factor * variance));
+  double Slope() const { return slopes / std::max(1, entries); }
+};
+
+// The mean slope and the mean square of the force of a sample's numbers.
+struct LossMeans {
+  double slope = 1, square = 1;
+};
+
+// The covariance of ConfidenceOf(), for means of `inner` samples and of outliers.
+Eigen::MatrixXd CovarianceOf(const FitProblem& problem, const FitResult& fit, const std::vector<bool>& held,
+                             const LossMeans& inner, const LossMeans& outer) {
+  const Scene scene = problem.SceneAt(fit.point.coordinates);
+  std::vector<Eigen::Index> columns;  // of unknowns that are not held, per change that matters
+  Eigen::VectorXd scales(problem.unknowns.size());
+  for (std::size_t u = 0; u < problem.unknowns.size(); ++u) {
+    scales[static_cast<Eigen::Index>(u)] = ScaleOf(problem.unknowns[u], scene);
+    if (held.empty() || !held[u]) columns.push_back(static_cast<Eigen::Index>(u));
+  }
+  const auto count = static_cast<Eigen::Index>(columns.size()), all = scales.size();
+  const auto width = count + static_cast<Eigen::Index>(4 * problem.free_bodies.size());
+  if (count == 0) return {};
+  const auto for_each = [&](const auto& visit) {
+    ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
+      const Eigen::VectorXd weights = WeightsOf(problem, sample);
+      const Eigen::MatrixXd by = weights.asDiagonal() * fit.motion[s].derivative[i].topRows(weights.size());
+      Eigen::MatrixXd jacobian(weights.size(), width);
+      jacobian.leftCols(count) = by.leftCols(all)(Eigen::all, columns) * scales(columns).asDiagonal();
+      jacobian.rightCols(width - count) = by.rightCols(width - count);
+      visit(s, residual.norm() > problem.options->outlier ? outer : inner, jacobian);
+    });
+  };
+  std::vector<Eigen::MatrixXd> normal(fit.point.segments.size(), Eigen::MatrixXd::Zero(width, width));
+  for_each([&](int s, const LossMeans& mean, const Eigen::MatrixXd& jacobian) {
+    AddGram(mean.slope, jacobian, &normal[s]);
+  });
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(count, count), B = A;
+  std::vector<Eigen::MatrixXd> eliminated;  // initial states by unknowns
+  for (const Eigen::MatrixXd& one : normal) {
+    A += SchurComplement(one, count);
+    eliminated.push_back(LeastNormSolutions(one.bottomRightCorner(width - count, width - count),
+                                            one.bottomLeftCorner(width - count, count)));
+  }
+  for_each([&](int s, const LossMeans& mean, const Eigen::MatrixXd& jacobian) {
+    AddGram(mean.square, jacobian.leftCols(count) - jacobian.rightCols(width - count) * eliminated[s], &B);
+  });
+  // The prior of what is learned counts as a number that was measured.
+  if (const auto learned = LearnedStartOf(*problem.options)) {
+    for (Eigen::Index c = 0; c < count; ++c) {
+      if (columns[c] < problem.num_plain) continue;
+      const double weight = std::pow(scales[columns[c]] / learned->spread, 2);
+      A(c, c) += inner.slope * weight;
+      B(c, c) += inner.square * weight;
+    }
+  }
+  const SymmetricEigen eigen = EigenOf(A);
+  if (!(eigen.values[0] > kRank * eigen.values[count - 1])) return {};
+  const Eigen::MatrixXd inverse = eigen.vectors * eigen.values.cwiseInverse().asDiagonal() * eigen.vectors.transpose();
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(all, all);
+  covariance(columns, columns) = scales(columns).asDiagonal() * (inverse * B * inverse) * scales(columns).asDiagonal();
+  return covariance;
+}
+
+// Counts runs of the same answer.
+struct RunCounter {
+  int yes = 0, no = 0, runs = 0;
+  bool last = false;
+
+  void Add(bool answer) {
+    if (runs == 0 || answer != last) ++runs;
+    last = answer;
+    ++(answer ? yes : no);
+  }
+};
+template <typename Key>
+Runs SumOf(const std::map<Key, RunCounter>& all) {
+  Runs runs;
+  double variance = 0;
+  for (const auto& [key, at] : all) {
+    const double n = at.yes + at.no, product = 2.0 * at.yes * at.no;
+    runs.found += at.runs;
+    runs.signs += static_cast<int>(n);
+    runs.expected += 1 + product / n;
+    if (n > 1) variance += product * (product - n) / (n * n * (n - 1));
+  }
+  runs.deviation = std::sqrt(variance);
+  return runs;
 }
 
 }  // namespace
@@ -129,32 +234,20 @@ double ExtentOf(const FitProblem& problem, const FitResult& fit) {
 }
 
 Runs CountRuns(const FitProblem& problem, const FitResult& fit) {
-  struct Signs {
-    int above = 0, below = 0, runs = 0;
-    bool last = false;
-  };
-  std::map<std::tuple<int, int, int>, Signs> all;  // by segment, disc and coordinate
+  std::map<std::tuple<int, int, int>, RunCounter> all;  // by segment, disc and coordinate
   ForEachSample(problem, fit, [&](int s, int, const Sample& sample, const Eigen::VectorXd& residual) {
     if (residual.norm() > problem.options->outlier) return;
-    for (int j = 0; j < 2; ++j) {
-      Signs& signs = all[{s, sample.body, j}];
-      const bool above = residual[j] > 0, first = signs.runs == 0;
-      if (first || above != signs.last) ++signs.runs;
-      signs.last = above;
-      ++(above ? signs.above : signs.below);
-    }
+    for (int j = 0; j < 2; ++j) all[{s, sample.body, j}].Add(residual[j] > 0);
   });
-  Runs runs;
-  double variance = 0;
-  for (const auto& [key, signs] : all) {
-    const double n = signs.above + signs.below, product = 2.0 * signs.above * signs.below;
-    runs.found += signs.runs;
-    runs.signs += static_cast<int>(n);
-    runs.expected += 1 + product / n;
-    if (n > 1) variance += product * (product - n) / (n * n * (n - 1));
-  }
-  runs.deviation = std::sqrt(variance);
-  return runs;
+  return SumOf(all);
+}
+
+Runs CountOutlierRuns(const FitProblem& problem, const FitResult& fit) {
+  std::map<int, RunCounter> all;  // by disc
+  ForEachSample(problem, fit, [&](int, int, const Sample& sample, const Eigen::VectorXd& residual) {
+    all[sample.body].Add(residual.norm() > problem.options->outlier);
+  });
+  return SumOf(all);
 }
 
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
@@ -163,11 +256,11 @@ Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, doubl
   if (problem.num_plain == 0) return open;
   const Information information = InformationOnUnknowns(problem, fit, loss_scale);
   const SymmetricEigen eigen = EigenOf(information.matrix);
-  const double factor = ConfidenceOf(problem, fit, loss_scale).factor;
+  const double scatter = ConfidenceOf(problem, fit, loss_scale).scatter;
   const Eigen::Index plain = problem.num_plain;
   Eigen::MatrixXd share = Eigen::MatrixXd::Zero(plain, plain);  // the projection on what is open
   for (Eigen::Index k = 0; k < plain; ++k) {
-    if (eigen.values[k] * kOpen * kOpen > factor) continue;
+    if (eigen.values[k] * kOpen * kOpen > scatter) continue;
     share += eigen.vectors.col(k) * eigen.vectors.col(k).transpose();
   }
   for (Eigen::Index i = 0; i < plain; ++i) {
@@ -190,26 +283,39 @@ Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, doubl
   return open;
 }
 
-Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double loss_scale) {
-  double squares = 0, slopes = 0, squared_slopes = 0;
-  int entries = 0;
+Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double loss_scale,
+                        const std::vector<bool>& held) {
+  LossSums inner, outer;
+  double squares = 0;  // without outliers, and without the loss
   ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
     const double squared = residual.squaredNorm();
-    const LossAt loss = EvaluateLoss(problem.options->loss, loss_scale, squared);
-    squares += loss.rho[1] * loss.rho[1] * squared;
-    // The derivative of the loss's force along the residual, and across it.
-    const double along = loss.rho[1] + 2 * loss.rho[2] * squared, across = loss.rho[1];
-    const auto others = static_cast<double>(residual.size() - 1);
-    slopes += along + others * across;
-    squared_slopes += along * along + others * across * across;
-    entries += static_cast<int>(residual.size());
+    const bool is_outlier = residual.norm() > problem.options->outlier;
+    if (!is_outlier) squares += squared;
+    (is_outlier ? outer : inner)
+        .Add(EvaluateLoss(problem, loss_scale, squared), squared, static_cast<int>(residual.size()));
   });
-  const double mean = slopes / entries, variance = squared_slopes / entries - mean * mean;
-  const double correction = 1 + fit.num_fitted * variance / (entries * mean * mean);
-  const double scatter = squares / std::max(1.0, slopes - fit.num_fitted);
   // What is learned has a prior, and takes no number of the samples.
   const auto learned = static_cast<double>(problem.unknowns.size()) - problem.num_plain;
-  return {scatter, correction * correction * scatter / (mean * mean), slopes - fit.num_fitted + learned};
+  const int left = inner.entries - fit.num_fitted;
+  Confidence confidence;
+  confidence.scatter = squares / std::max(1, left);
+  confidence.degrees = confidence.interval_degrees = left + learned;
+  // The standard deviation of the mean square of normal errors is sqrt(2 / degrees).
+  confidence.is_noise =
+      confidence.degrees > 0 && confidence.scatter <= 1 + kMostMeanSquare * std::sqrt(2 / confidence.degrees);
+  const double slope = inner.Slope();
+  double mean = inner.squares / std::max(1, left);  // of the squared force
+  if (confidence.is_noise && (*problem.recordings)[0].samples[0].sigma > 0) {
+    mean = (kStated * slope + inner.squares) / (kStated + std::max(1, left));
+    confidence.interval_degrees += kStated;
+  }
+  if (!(slope > 0)) return confidence;
+  const double variance = inner.squared_slopes / inner.entries - slope * slope;
+  const double correction = 1 + fit.num_fitted * variance / (inner.entries * slope * slope);
+  const LossMeans inside{slope, correction * correction * mean};
+  const LossMeans outside{std::max(0.0, outer.Slope()), outer.squares / std::max(1, outer.entries)};
+  confidence.covariance = CovarianceOf(problem, fit, held, inside, outside);
+  return confidence;
 }
 
 double StudentQuantile(double degrees) {
@@ -222,7 +328,7 @@ double StudentQuantile(double degrees) {
   return z + (g1 + (g2 + (g3 + g4 / n) / n) / n) / n;
 }
 
-LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double loss_scale) {
+LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, const Eigen::MatrixXd& covariance) {
   LearnedLaw learned{*problem.LawAt(fit.point.coordinates), 0, {}};
   std::vector<double> approach, sliding;
   for (const MotionAtSamples& motion : fit.motion) {
@@ -232,19 +338,18 @@ LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double 
     }
   }
   learned.impacts = static_cast<int>(approach.size());
-  if (approach.empty() || fit.covariance.empty()) return learned;
+  if (approach.empty() || covariance.size() == 0) return learned;
   const auto [slowest, fastest] = std::minmax_element(approach.begin(), approach.end());
   const double middle = Median(std::move(sliding));
-  const double factor = ConfidenceOf(problem, fit, loss_scale).factor;
   for (int i = 0; i < kPoints; ++i) {
     const double speed = *slowest + (*fastest - *slowest) * i / (kPoints - 1);
     const ImpactLawAt at = EvaluateLaw(learned.law, speed, middle);
     learned.curve.push_back({speed,
                              middle,
                              at.restitution,
-                             ErrorOf(problem, fit, factor, at.restitution_slope),
+                             ErrorOf(problem, covariance, at.restitution_slope),
                              at.friction,
-                             ErrorOf(problem, fit, factor, at.friction_slope)});
+                             ErrorOf(problem, covariance, at.friction_slope)});
   }
   return learned;
 }

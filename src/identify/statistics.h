@@ -30,13 +30,16 @@ double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
 // and that of the fit the smaller one, as samples have outliers.
 double ExtentOf(const FitProblem& problem, const FitResult& fit);
 
-// Runs of residuals of one sign, by disc, coordinate and time, without outliers, beside the number that independent
-// errors have (Wald and Wolfowitz 1940).
+// Runs of samples in time that are alike, beside the number that independent errors have (Wald and Wolfowitz 1940).
 struct Runs {
   int found = 0, signs = 0;
   double expected = 0, deviation = 0;  // mean, standard deviation
+  bool Systematic() const { return found < expected - 3 * deviation; }
 };
+// Runs of residuals of one sign, by disc and coordinate, without outliers.
 Runs CountRuns(const FitProblem& problem, const FitResult& fit);
+// Runs of outliers and of other samples, by disc, through all recordings.
+Runs CountOutlierRuns(const FitProblem& problem, const FitResult& fit);
 
 // Which unknowns the data leave open at the minimum: from the information on them, initial states and parameters of a
 // law eliminated, in units of a change that matters. The latter, which have a prior, are never open.
@@ -48,19 +51,29 @@ struct Openness {
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale);
 
 // What the residuals say of the confidence in what was fitted.
+//
+// Huber's (1973) covariance of M-estimators takes the mean of the loss's slope over all samples. With few of them it
+// matters which ones are outliers, as these say nothing where they are. So means are taken over the samples up to
+// IdentifyOptions::outlier and over those beyond separately, and with J of a sample, its initial state eliminated,
+//   covariance = A^-1 B A^-1,   A = sum slope J^T J,   B = sum force^2 J^T J.
 struct Confidence {
-  double scatter = 1;  // mean square of the standardised numbers, as the loss has them, per degree of freedom
-  double factor = 1;   // by which the loss and the true noise change (J^T J)^-1: Huber's (1973) for M-estimators
-  double degrees = 0;  // of freedom: numbers that the loss lets count, less those that were fitted
+  double scatter = 1;     // mean square of standardised numbers that are no outliers, per degree of freedom
+  double degrees = 0;     // of freedom: numbers that are no outliers, less those that were fitted
+  bool is_noise = false;  // the scatter may be that of noise of the sigma of the samples
+  // Of Student's t in intervals: `degrees`, and more where a stated sigma agrees with the scatter, which then says less
+  // about noise than it.
+  double interval_degrees = 0;
+  Eigen::MatrixXd covariance;  // of the unknowns' values, 0 for those in `held`; empty if it has not full rank
 };
-Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double loss_scale);
+Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double loss_scale,
+                        const std::vector<bool>& held = {});
 
 // The number that a variable of Student's t distribution exceeds in magnitude with a probability of 5 %. Precondition:
 // degrees >= 3, for an error below 0.2 %.
 double StudentQuantile(double degrees);
 
-// Precondition: a law is learned, and the fit has its motion.
-LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, double loss_scale);
+// Precondition: a law is learned, and the fit has its motion. `covariance` is that of all unknowns' values.
+LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, const Eigen::MatrixXd& covariance);
 
 // Precondition: event functions are learned, and the fit has its motion.
 LearnedEventFunctions LearnedEventsOf(const FitProblem& problem, const FitResult& fit);

@@ -397,6 +397,60 @@ TEST_P(FewSamplesTest, IntervalsHold) {
 }
 INSTANTIATE_TEST_SUITE_P(Identify, FewSamplesTest, testing::Bool());
 
+// A quarter of the samples, in these recordings up to half of them, are outliers.
+TEST(Identify, OutliersDoNotContradictTheTrueModel) {
+  for (const int seed : {6, 32, 35, 36, 44, 47}) {
+    const GeneratedProblem problem = FewSamples(seed, 20, 0.25, /*states_sigma=*/true);
+    const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    EXPECT_THAT(report.verdict, testing::AnyOf(FitVerdict::kFits, FitVerdict::kNotJudged))
+        << "seed " << seed << ": " << report.reason;
+  }
+}
+
+// A third or a half of few samples are outliers, and without a stated sigma they look like noise.
+TEST(Identify, ScatterOfManyOutliersIsNoNoise) {
+  for (const int seed : {6, 23, 36}) {
+    const GeneratedProblem problem = FewSamples(seed, 20, 0.25, /*states_sigma=*/false);
+    const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    EXPECT_EQ(report.verdict, FitVerdict::kNotJudged) << report.reason;
+    EXPECT_THAT(report.reason, HasSubstr("% of the extent of the motion"));
+  }
+}
+
+// In these recordings, outliers hide where the motion begins.
+TEST(Identify, FindsMotionsBehindOutliers) {
+  for (const bool states_sigma : {true, false}) {
+    for (const int seed : {4, 19}) {
+      const GeneratedProblem problem = FewSamples(seed, 40, 0.25, states_sigma);
+      const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+      EXPECT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+      for (const Estimate& estimate : report.estimates) {
+        EXPECT_NEAR(estimate.value, TrueValue(problem, estimate.unknown), 4 * estimate.standard_error) << estimate.name;
+      }
+    }
+  }
+}
+
+// Intervals beside those of a fit of the samples that are no outliers. A wrong sample may lie near the motion by
+// chance.
+TEST(Identify, IntervalsAreThoseOfTheSamplesWithoutOutliers) {
+  for (const int seed : {1, 2, 3, 5}) {
+    GeneratedProblem problem = FewSamples(seed, 60, 0.25, /*states_sigma=*/true);
+    const IdentifyReport robust = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    std::vector<Sample> good;
+    for (std::size_t i = 0; i < problem.outlier.size(); ++i) {
+      if (!problem.outlier[i]) good.push_back(problem.recording.samples[i]);
+    }
+    problem.recording.samples = good;
+    const IdentifyReport plain = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+    for (std::size_t u = 0; u < 2; ++u) {
+      const Estimate &one = robust.estimates[u], &other = plain.estimates[u];
+      EXPECT_NEAR(one.value, other.value, other.standard_error) << "seed " << seed;
+      EXPECT_NEAR(one.high - one.low, other.high - other.low, 0.1 * (other.high - other.low)) << "seed " << seed;
+    }
+  }
+}
+
 TEST(Identify, TooFewSamplesAreNotJudged) {
   for (const bool states_sigma : {false, true}) {
     const GeneratedProblem problem = FewSamples(1, 4, 0, states_sigma);
