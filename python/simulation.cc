@@ -114,9 +114,11 @@ void Simulation::Compute(const Evaluate& evaluate) {
   Computation computation;
   computation.RunOrThrow([&] {
     const OneUser::Use use(&user_, &computation);
-    if (evaluate()) return;
+    const bool ok = evaluate();
     const std::string why = shooting_.WhyFailed();
-    failure = why.empty() ? contact_ + ": the loss is not finite" : "the rollout fails: " + why;
+    if (ok && why.empty()) return;
+    failure = why.empty() ? contact_ + ": the loss is not finite"
+                          : (ok ? "the gradient is not finite: " : "the rollout fails: ") + why;
   });
   if (!failure.empty()) throw std::runtime_error(failure);
   WarnOfUnresolved(NumUnresolvedSteps(shooting_.simulator()), shooting_.simulator().num_steps());

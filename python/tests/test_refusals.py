@@ -237,3 +237,18 @@ def test_overlaps_at_the_start_are_refused_everywhere():
     initial[0, 0] = 0.7
     with pytest.raises(RuntimeError, match="overlap"):
         end(initial, end.control)
+
+
+def test_a_gradient_that_overflows_names_the_steps():
+    """A light disc between a wall and a heavy one meets them 31415 times: what is across grows at each impact."""
+    scene = saltus.Scene(
+        name="counting", duration=6, steps=1, optimize="velocity",
+        bodies=[{"name": "light", "radius": 0.1, "mass": 1, "position": [1, 0]},
+                {"name": "heavy", "radius": 0.3, "mass": 1e8, "position": [3, 0], "velocity": [-1, 0]}],
+        planes=[{"name": "wall", "point": [0, 0], "normal": [1, 0]}],
+        objective={"terminal": [{"body": "heavy", "quantity": "position", "target": [3, 0]}]})
+    message = "the derivatives of a state overflow, as 31415 contacts happen within the step: use more `steps`"
+    with pytest.raises(RuntimeError, match=message):
+        saltus.loss_and_gradient(scene, contact="event")
+    with pytest.raises(RuntimeError, match=message):
+        saltus.Simulation(scene, "event").loss_and_gradient()

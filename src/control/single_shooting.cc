@@ -12,6 +12,7 @@
 #include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/scene_rules.h"
+#include "simulate/derivative_overflow.h"
 #include "simulate/lane_simulator.h"
 #include "simulate/wide_loops.h"
 
@@ -47,6 +48,15 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
     }
   }
   return indices;
+}
+
+// Why derivatives of the simulator's last rollout are not finite; empty if they are.
+std::string WhyNotFinite(const Simulator& simulator, std::span<const double> control,
+                         std::span<const double> derivatives) {
+  if (simulator.stopped() || std::ranges::all_of(derivatives, [](double entry) { return std::isfinite(entry); })) {
+    return "";
+  }
+  return WhyDerivativesOverflow(simulator, control);
 }
 
 }  // namespace
@@ -302,6 +312,7 @@ bool SingleShooting::EvaluateLast(std::span<const double> z, double effort, doub
   if (simulator_->precision() == Precision::kFloat) {
     for (int i = 0; i < num_variables(); ++i) gradient[i] = static_cast<float>(gradient[i]);
   }
+  failure_ = WhyNotFinite(*simulator_, ControlIn(z), {gradient, static_cast<size_t>(num_variables())});
   return !stopped();
 }
 
@@ -320,6 +331,7 @@ bool SingleShooting::EvaluateResiduals(std::span<const double> z, double* residu
   if (!std::isfinite(LossOfLastRollout(Effort(z)))) return false;
   if (jacobian == nullptr) return true;
   ResidualJacobian(jacobian);
+  failure_ = WhyNotFinite(*simulator_, ControlIn(z), {jacobian, rows.size() * num_variables()});
   return !stopped();
 }
 
@@ -362,6 +374,9 @@ bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensit
   simulator_->Adjoint(cotangent_, /*with_parameters=*/true, gradient);
   ++num_adjoints_;
   AddEffortGradient(scene().objective, ControlIn(z), simulator_->step(), gradient->control);
+  for (const std::vector<double>* part : {&gradient->initial, &gradient->control}) {
+    if (failure_.empty()) failure_ = WhyNotFinite(*simulator_, ControlIn(z), *part);
+  }
   return !stopped();
 }
 

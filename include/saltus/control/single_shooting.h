@@ -69,7 +69,7 @@ class SingleShooting final : public ShootingFunction {
                                std::span<const double> points, std::span<double> losses, std::span<double> gradients,
                                std::span<bool> ok);
 
-  // Why the last evaluation returned false; empty if it did not, or was stopped.
+  // Why the last evaluation returned false, or has derivatives that are not finite; empty if neither, or stopped.
   std::string WhyFailed() const override;
 
   // The residuals of all terms but the effort and the price of time at z, num_residuals() of them, and their Jacobian

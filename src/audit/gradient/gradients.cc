@@ -45,10 +45,8 @@ void FillIn(const Contact& contact, const Scene& scene, Precision precision, con
     if (shooting.stopped()) result->reason = kStopped;
     return;
   }
-  const auto is_finite = [](double entry) { return std::isfinite(entry); };
-  if (!std::ranges::all_of(result->gradient.initial, is_finite) ||
-      !std::ranges::all_of(result->gradient.control, is_finite)) {
-    result->reason = "the gradient is not finite";
+  if (const std::string why = shooting.WhyFailed(); !why.empty()) {
+    result->reason = "the gradient is not finite: " + why;
     return;
   }
   result->loss = ConvertLoss(result->loss, near.units, scene.units);

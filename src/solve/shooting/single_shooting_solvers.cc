@@ -280,7 +280,11 @@ class ShootingCost final : public ceres::CostFunction {
   bool EvaluateJacobians(double** jacobians) const {
     shooting_->ResidualJacobian(jacobian_.data());
     ++num_jacobians_;
-    if (!AllFinite(jacobian_)) return false;
+    if (!AllFinite(jacobian_)) {
+      // Finds the reason.
+      shooting_->EvaluateResiduals(z_, residuals_.data(), jacobian_.data());
+      return false;
+    }
     int first = 0;
     for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
       const int size = parameter_block_sizes()[i];
