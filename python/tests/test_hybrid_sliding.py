@@ -1,7 +1,10 @@
-"""Motions along a jump of the flow, by Filippov's convention (sliding="filippov"), against closed forms and scipy's tables."""
+"""Motions along a jump of the flow, by Filippov's convention (sliding="filippov"), against closed forms and another method."""
 
 import copy
+import importlib.util
 import math
+import os
+import pathlib
 import pickle
 
 import numpy as np
@@ -212,3 +215,14 @@ def test_the_option():
                                    duration=3.0)
     for same in (problem, copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert_allclose(saltus.rollout(same).final, [0], atol=1e-13)
+
+
+def test_random_systems_that_slide_agree_with_another_method():
+    pytest.importorskip("scipy")
+    source = pathlib.Path(os.environ.get("SALTUS_SOURCE", pathlib.Path(__file__).parents[2]))
+    path = source / "tests" / "campaign" / "random_sliding_systems.py"
+    spec = importlib.util.spec_from_file_location("random_sliding_systems", path)
+    campaign = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(campaign)
+    kinds = [campaign.compare(seed)[0] for seed in range(9)]
+    assert "DIFFERS" not in kinds and kinds.count("agrees") >= 4, kinds

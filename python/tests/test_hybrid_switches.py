@@ -208,3 +208,11 @@ def test_a_reset_onto_a_switch(speed, remark):
     motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0, -1.0], duration=0.4))
     assert_allclose(motion.final, [0.15, -1.2], rtol=1e-12)
     assert motion.remark == remark
+
+
+@pytest.mark.parametrize("sliding", [None, "filippov"])
+def test_switches_that_accumulate_are_named(sliding):
+    """A motion that winds around the point where two switches are zero, each time in a part of the time before."""
+    system = one_mode(lambda t, x, u, p: [-np.sign(x[0]) + 2 * np.sign(x[1]), -2 * np.sign(x[0]) - np.sign(x[1])], ["a", "b"], sliding=sliding)
+    with pytest.raises(RuntimeError, match=r"events accumulate \(Zeno behaviour\) at about t = 0.* of switch '[ab]' in mode 'm'"):
+        saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.4, 0.1], duration=4.0))

@@ -192,7 +192,9 @@ class RecordedSystem final : public HybridFunctions {
   double Guard(const ModePoint& at, int guard) const override;
   double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
-  int OnAccumulation(int mode, int guard) const override { return transition(mode, guard).accumulation_mode; }
+  int OnAccumulation(int mode, int guard) const override {
+    return IsSwitch(mode, guard) ? -1 : transition(mode, guard).accumulation_mode;
+  }
   int Reset(const ModePoint& at, int guard, double* x_plus) const override;
   int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override;
 

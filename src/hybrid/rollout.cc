@@ -304,16 +304,28 @@ bool RolloutRun::SettleSides() {
     if (known(next)) {
       const int along = functions_.PieceBeside(here, turns, HybridFunctions::Side::kSliding);
       if (along >= 0 && !known(along)) {
+        if (!events_.empty() && events_.back().is_switch && tape_.entries.back().kind == TapeEntry::Kind::kReset &&
+            (&tape_.entries.back())[-1].h > 0) {
+          Remark("the motion meets switch '" + system_.GuardName(at_.mode, turns) + "' and another one at t = " +
+                 Text(at_.t) + ", where Filippov's convention need not determine how it goes on");
+        }
         if (!Fire(turns, /*with_step=*/true, /*at_once=*/true)) return false;
         continue;
       }
       const int on = functions_.PieceBeside(here, turns, HybridFunctions::Side::kOn);
       if (on < 0 || known(on)) {
-        return Refuse("the flow on both sides of switch '" + system_.GuardName(at_.mode, turns) + "' points at it in " +
-                      Where() +
-                      ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
-                      "the change of the flow gradual; in Python sliding='filippov' goes on along it, where Filippov's "
-                      "convention determines the flow");
+        Refuse("the flow on both sides of switch '" + system_.GuardName(at_.mode, turns) + "' points at it in " +
+               Where() +
+               ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
+               "the change of the flow gradual; in Python sliding='filippov' goes on along it, where Filippov's "
+               "convention determines the flow");
+        // A piece that the motion has just left: errors of long steps may be the reason.
+        if (along >= 0 && tape_.num_nodes < kShortSteps) {
+          end_ = RolloutEnd::kNotFinite;
+          failure_time_ = at_.t;
+          flow_fails_ = false;
+        }
+        return false;
       }
       next = on;
     }
@@ -809,9 +821,8 @@ bool RolloutRun::Accumulates() {
     return !GoOnAfterAccumulation(point,
                                   last.mode,
                                   last.guard,
-                                  "events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) +
-                                      ", of guard '" + system_.GuardName(last.mode, last.guard) + "' in mode '" +
-                                      system_.ModeName(last.mode) + "'");
+                                  "events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) + ", of " +
+                                      Named(last.mode, last.guard) + " in mode '" + system_.ModeName(last.mode) + "'");
   }
   return false;
 }
