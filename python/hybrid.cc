@@ -285,8 +285,9 @@ class Problem {
   py::tuple Solve(const Guess& guess, const std::string& solver, bool control, const std::vector<int>& initial,
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
-                  double learning_rate, const py::object& callback) const {
+                  double learning_rate, std::vector<double> guess_states, const py::object& callback) const {
     HybridProblem problem = At(guess);
+    problem.guess_states = std::move(guess_states);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
     const auto split =
         [](const std::vector<std::pair<double, double>>& pairs, std::vector<double>* min, std::vector<double>* max) {
@@ -429,6 +430,7 @@ void BindHybrid(py::module_* module) {
            py::arg("bounds"),
            py::arg("iterations"),
            py::arg("learning_rate"),
+           py::arg("guess_states"),
            py::arg("callback"));
   problem.def("planned", &Problem::Planned, py::arg("guess"))
       .def("track_continuously",

@@ -245,10 +245,16 @@ class Programs:
         return done.stderr if done.returncode == 2 else json.loads(done.stdout)
 
     @functools.cache
+    def solvers(self):
+        """The names of all solvers but auto, whose runs have the name of another one."""
+        names = [line.split()[0] for line in self.run("saltus_solve", "--solver=list").stdout.splitlines() if line.strip()]
+        return [name for name in names if name != "auto"]
+
+    @functools.cache
     def support(self, made, key):
         """{name: whether it does not answer not_applicable}; key: "contact" or "solver"."""
         flags = (["--contact=all", "--solver=none"] if key == "contact" else
-                 ["--contact=event", "--solver=all", "--iterations=1", "--search_work=100"])
+                 ["--contact=event", f"--solver={','.join(self.solvers())}", "--iterations=1", "--search_work=100"])
         return {run[key]: run["termination"] != "not_applicable" for run in self.solve(json.loads(made), *flags)["runs"]}
 
     def supports(self, made, key):

@@ -700,11 +700,16 @@ def solve(
     bounds: Mapping[str, Any],
     iterations: int,
     learning_rate: float,
+    guess_states: Any,
     callback: Any,
 ) -> HybridRun:
     free = problem._free(optimize)
+    states = [] if guess_states is None else np.asarray(guess_states, dtype=float)
+    width = len(problem.initial)
+    if guess_states is not None and (states.ndim != 2 or states.shape[1] != width or len(states) < 2):
+        raise ValueError(f"guess_states: found an array of shape {states.shape}, expected (R, {width}) with R >= 2")
     found, stopped_by = problem._call(
-        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, callback
+        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, np.ravel(states).tolist(), callback
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
             "remarks": found.get("remarks", [])}
@@ -714,7 +719,7 @@ def solve(
         data |= {
             "loss": found["final_loss"],
             "initial_loss": found["initial_loss"],
-            "losses": np.array(found["losses"]),
+            "losses": np.array(found["losses"], dtype=float),
             "iterations": found["iterations"],
             "evaluations": found["evaluations"],
             "seconds": found["seconds"],

@@ -179,6 +179,7 @@ class HybridProblem:
         bounds: Any,
         iterations: int,
         learning_rate: float,
+        guess_states: list[float],
         callback: Any,
     ) -> tuple[dict[str, Any], BaseException | None]: ...
     def planned(self, guess: _Guess) -> PlannedMotion: ...

@@ -35,6 +35,7 @@ def solve(
     rate_per_time: bool = False,
     sequence: str = "auto",
     start: Run | HybridRun | None = None,
+    guess_states: Any = None,
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
     memory_limit: float = 1024,
@@ -50,8 +51,8 @@ def solve(
     Args:
         scene: a Scene, a dict or the path of a scene file, or a HybridProblem.
         contact: name of a contact model, or a class derived from ContactModel.
-        solver: name of a solver; those of a HybridProblem are hybrid_solvers(). Without one it is gd, or auto for a
-            HybridProblem.
+        solver: name of a solver; those of a HybridProblem are hybrid_solvers(). Without one it is auto, or gd if a learning
+            rate is given.
         optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
             and parameters; default: the control.
         bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control.
@@ -64,6 +65,8 @@ def solve(
         start: a run from which to start: its control on its own intervals, its duration, and the initial velocities or
             positions that are free; of a HybridProblem also the parameters. Solvers on equal steps take the mean of the
             control over each of them.
+        guess_states: of a HybridProblem, states (R, n) at equal times from 0 to its duration, R >= 2. Solvers in phases
+            begin from them, with the events of the motion under the control, if it has any.
         surrogate: "smoothed_zeroth" or another surrogate gradient, or a dict of kind, sigma, samples, seed, segments.
         threads: number of threads for samples of surrogates; 0 is one per core.
         memory_limit: MiB, for the states of a rollout.
@@ -71,7 +74,7 @@ def solve(
         callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
         status: called as status(text) with the progress of solvers that take long.
 
-    A HybridProblem takes optimize, bounds, iterations, learning_rate, start and callback.
+    A HybridProblem takes optimize, bounds, iterations, learning_rate, start, guess_states and callback.
 
     Returns:
         A Run, or a HybridRun.
@@ -80,7 +83,7 @@ def solve(
         ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
     if solver is None:
-        solver = "auto" if isinstance(scene, HybridProblem) else "gd"
+        solver = "auto" if learning_rate is None and not rate_per_time else "gd"
     expect("text", solver=solver, precision=precision, sequence=sequence)
     expect("a whole number", iterations=iterations, threads=threads)
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
@@ -90,9 +93,11 @@ def solve(
         rate = 0.01 if learning_rate is None else float(learning_rate)
         free = ["control"] if optimize is None else optimize
         problem = scene if start is None else scene._from(start)
-        return _hybrid.solve(problem, solver, free, bounds or {}, iterations, rate, callback)
+        return _hybrid.solve(problem, solver, free, bounds or {}, iterations, rate, guess_states, callback)
     if optimize is not None or bounds is not None:
         raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
+    if guess_states is not None:
+        raise ValueError("guess_states is for a HybridProblem; a scene starts from the control of a run")
     given: Any = as_scene(scene)
     guess = None
     if start is not None:

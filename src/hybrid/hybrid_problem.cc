@@ -111,6 +111,23 @@ std::string WhatIsWrongWithIndices(const std::vector<int>& indices, std::size_t 
   return "";
 }
 
+std::string WhatIsWrongWithStates(const HybridProblem& problem) {
+  const std::size_t size = problem.guess.initial.size(), found = problem.guess_states.size();
+  if (found == 0) return "";
+  if (found % size != 0 || found < 2 * size) {
+    return "guess_states: found " + std::to_string(found) + " numbers, expected two or more states of " +
+           std::to_string(size) + " numbers";
+  }
+  if (!std::all_of(problem.guess_states.begin(), problem.guess_states.end(), [](double x) { return std::isfinite(x); }))
+    return "guess_states: found a number that is not finite";
+  for (int mode = 0; mode < problem.system.num_modes(); ++mode) {
+    if (problem.system.state_size(mode) != static_cast<int>(size)) {
+      return "guess_states: found modes with states of different sizes, expected one size";
+    }
+  }
+  return "";
+}
+
 }  // namespace
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
@@ -185,7 +202,7 @@ std::string WhatIsWrongWith(const HybridProblem& problem) {
   if (free.duration && !(free.duration_min <= free.duration_max)) {
     return "found a lower bound of the duration above the upper one";
   }
-  return "";
+  return WhatIsWrongWithStates(problem);
 }
 
 }  // namespace saltus

@@ -101,6 +101,7 @@ SolverComparison::SolverComparison(const Experiments& experiments, Others others
           if (known == nullptr) continue;
           for (const SolverEntry& entry : AllSolvers()) {
             const std::string solver(entry.name);
+            if (solver == "auto" || solver == "ipopt") continue;  // no rows of the tables
             if (!traits.event_driven && GeneralSolvers().count(solver) == 0) continue;
             const SolvedRun* run = known->Find(solver);
             task.runs.push_back(run != nullptr ? *run : Planned(contact, solver));

@@ -101,12 +101,10 @@ std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   if (FLAGS_solver.empty()) {
-    // Least squares where it applies; constraints and bounds are for phases.
-    for (const char* name : {"ceres_lm", "ceres_lbfgs", "gd", "ceres_phases"}) {
-      const auto entry = std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
-      if (entry != HybridSolvers().end() && entry->why_not(problem).empty()) return {name};
-    }
-    return {};
+    const std::string name = IsGiven("learning_rate") || FLAGS_rate_per_time ? "gd" : "auto";
+    const auto entry = std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
+    if (!entry->why_not(problem).empty()) return {};
+    return {name};
   }
   if (FLAGS_solver == kNoSolver) return {};
   return ReadNames("solver", FLAGS_solver, NameList(HybridSolvers()), "'all', 'none' or some of ");

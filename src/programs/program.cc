@@ -38,8 +38,8 @@ DEFINE_string(
     "comma-separated contact models, each with its options if there are any (ncp:kappa=1e-6:kappa_grad=1e-4), "
     "'all', or 'list' to print them");
 DEFINE_string(solver, "",
-              "comma-separated solvers, 'all', 'none' to simulate only, or 'list' to print them (default: gd; of "
-              "hybrid systems ceres_lm if it applies)");
+              "comma-separated solvers, 'all', 'none' to simulate only, or 'list' to print them (default: auto; of "
+              "the problems and sweeps, and with a learning rate or a surrogate, gd)");
 DEFINE_int32(steps, 0, "number of time steps");
 DEFINE_string(precision, "double", "arithmetic of the contact model: double or float");
 DEFINE_double(stiffness, 0, "contact stiffness, N/m; compliant models only");
@@ -533,7 +533,9 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (defaults.generated) RefuseFlagsOfOneScene();
   if (!defaults.generated && path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
-  const std::string solver = FLAGS_solver.empty() ? defaults.solver : FLAGS_solver;
+  const bool descends = IsGiven("learning_rate") || FLAGS_rate_per_time || IsGiven("surrogate");
+  const std::string by_default = descends && defaults.solver == "auto" ? "gd" : defaults.solver;
+  const std::string solver = FLAGS_solver.empty() ? by_default : FLAGS_solver;
   if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, NameList(AllSolvers()));
   request->precision = PrecisionFromFlags();
   request->scene = defaults.generated ? *defaults.generated : LoadScene(path);

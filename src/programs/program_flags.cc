@@ -56,7 +56,7 @@ const std::vector<FlagGroup> kHybridGroups = {
     {"Output", Words("json states output_dir=DIR progress=NAME threads=N")}};
 constexpr char kHybridNotes[] =
     "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
-    "ceres_lm, or where it does not apply ceres_lbfgs or gd.";
+    "auto, or gd with a learning rate.";
 
 std::vector<FlagGroup> WithScene(std::vector<FlagGroup> groups) {
   groups.front() = {"Problem (these flags override the file)", {"scene=FILE", "set=LIST", "steps=N"}};

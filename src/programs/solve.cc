@@ -246,7 +246,7 @@ int SolveExitCode(const SolvedRuns& solved) {
 int SolveMain(int argc, char** argv) {
   return RunMain(argc, argv, FindProgram("saltus_solve"), [] {
     Request request;
-    if (!ReadRequest({}, &request)) return kDone;
+    if (!ReadRequest({.scene = "", .solver = "auto"}, &request)) return kDone;
     const InterruptGuard guard;
     const SolvedRuns solved = SolveAll(request);
     const auto print = [&] {

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <numeric>
 #include <utility>
 
 #include "base/number_text.h"
 #include "control/hybrid_shooting.h"
 #include "saltus/solve/hybrid_solver.h"
+#include "solve/solve_chain.h"
 
 namespace saltus {
 namespace {
@@ -36,30 +36,12 @@ bool NeedsMoreSteps(const HybridProblem& problem, const SolveReport& report, std
   return accurate.simulator().IntegrationError() < kMoreAccurate * report.integration_error;
 }
 
-// Adds a run that went on from the end of another one. Its first loss is that of the same point.
-void Append(SolveReport more, SolveReport* report) {
-  const auto join = [](auto* before, auto& after) {
-    if (after.empty()) return;
-    if (!before->empty()) before->pop_back();
-    before->insert(before->end(), std::make_move_iterator(after.begin()), std::make_move_iterator(after.end()));
-  };
-  if (more.best) more.best->iteration += report->iterations;
-  join(&report->losses, more.losses);
-  join(&report->iterates, more.iterates);
-  more.losses = std::move(report->losses);
-  more.iterates = std::move(report->iterates);
-  more.initial_loss = more.losses.front();
-  more.initial_violation = report->initial_violation;
-  more.iterations += report->iterations;
-  more.evaluations += report->evaluations;
-  more.seconds += report->seconds;
-  *report = std::move(more);
-}
-
 }  // namespace
 
 SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve) {
-  SolveReport report = solve(problem.guess, options);
+  SolveChain chain(options);
+  SolveReport report = solve(problem, options);
+  chain.Add(report);
   for (int run = 1;; ++run) {
     std::string why;
     if (report.termination == Termination::kInterrupted || !NeedsMoreSteps(problem, report, &why)) return report;
@@ -71,16 +53,13 @@ SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptio
                                     : "with the steps that the solution needs there is no motion: " + why);
       return report;
     }
-    SolverOptions rest = options;
-    rest.iterations = std::max(0, options.iterations - report.iterations);
-    if (options.callback) {
-      rest.callback = [&options, before = report.iterations](int iteration, double loss) {
-        return options.callback(before + iteration, loss);
-      };
-    }
-    SolveReport more = solve(SolutionOf(problem, report), rest);
+    HybridProblem from = problem;
+    from.guess = SolutionOf(problem, report);
+    from.guess_states.clear();
+    SolveReport more = solve(from, chain.Next());
     if (more.losses.empty()) return report;
-    Append(std::move(more), &report);
+    chain.Add(more);
+    report = chain.Finish(std::move(more));
   }
 }
 

@@ -9,8 +9,8 @@
 
 namespace saltus {
 
-// One run of a solver from an input of the problem's system.
-using SolveFrom = std::function<SolveReport(const HybridInput& start, const SolverOptions& options)>;
+// One run of a solver from the guess of a problem.
+using SolveFrom = std::function<SolveReport(const HybridProblem& problem, const SolverOptions& options)>;
 
 // Runs a solver from the guess of a problem, and from what it finds again until the steps suffice there. Returns one
 // report of all runs, whose iterations are together at most those of the options. A run whose steps do not suffice in

@@ -21,6 +21,7 @@
 #include "solve/search/phase_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 #include "solve/shooting/step_shooting_solvers.h"
+#include "solve/solve_chain.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
@@ -109,6 +110,33 @@ std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) 
   }
   if (!IsExact(request)) return found + ", which this solver changes under the contact model event only";
   return WhyNotDescent(scene);
+}
+
+std::string WhyNotAny(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
+
+// The solver `auto`.
+SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions& options) {
+  const Scene& scene = request.scene;
+  const std::string beyond = BeyondTerminalCost(scene);
+  using Names = std::vector<std::string_view>;
+  Names order = {"ceres_lm", "ceres_phases", "ceres_lbfgs", "gd"};
+  std::string why = "the loss is a sum of squares of a rollout";
+  if (options.surrogate) {
+    order = {"gd"};
+    why = "a surrogate takes the place of the gradient";
+  } else if (!beyond.empty() || !request.terms.empty()) {
+    order = {"ceres_phases", "ipopt", "ceres_lm", "gd"};
+    why = beyond.empty() ? "the problem has terms of a user" : "the scene has " + beyond;
+  } else if (!scene.objective.IsSumOfSquares()) {
+    order = {"ceres_lbfgs", "gd"};
+    why = "the loss is no sum of squares";
+  } else if (IsExact(request) && scene.optimize == Optimize::kControl) {
+    order = {"ceres_phases", "ipopt", "ceres_lm", "ceres_lbfgs", "gd"};
+    why = "the control is free and contact is exact";
+  }
+  return SolveInTurn(order, why, options, [&](std::string_view name, const SolverOptions& of_solve) {
+    return Solve(name, request, of_solve);
+  });
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -231,6 +259,7 @@ std::string WhyNotValid(const SearchOptions& options) {
 const std::vector<SolverEntry>& AllSolvers() {
   // clang-format off
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
+      {"auto", "chooses from the structure of the scene, and goes on with another solver without an optimum", WhyNotAny, SolveAutomatically, false, true, true, true, true, true},
       {"gd", "gradient descent at a fixed rate", WhyNotGradientDescent, SolveByGradientDescent, false, true, true, true, false, true},
       {"ceres_lbfgs", "L-BFGS of Ceres on the adjoint gradient", WhyNotLbfgs, SolveByCeresLbfgs, false, false, false, true, false, true},
       {"ceres_lm", "Levenberg-Marquardt of Ceres, single shooting", WhyNotLm, SolveByCeresLm, false, false, false, true, false, true},
@@ -239,6 +268,7 @@ const std::vector<SolverEntry>& AllSolvers() {
       {"grid_optimum", "best control on the time grid, two discs in closed form", WhyNotGridOptimum, SolveByGridOptimum, true},
       {"ceres_event", "Ceres on phases between the impacts of a given sequence", WhyNotEventPhases, SolveByCeresEvent, true, false, false, false, false, false, true},
       {"ceres_phases", "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time", WhyNotPhases, SolveByPhasesFromStarts, false, false, false, true, true, false, true},
+      {"ipopt", "phases of ceres_phases by the interior-point method of IPOPT, with second derivatives", WhyNotInteriorPoint, SolveByInteriorPoint, false, false, false, true, true, false, true},
       {"hmp", "hybrid minimum principle: costates through impacts, continuous time", WhyNotHmp, SolveByHmp, true, false, false, true, false, false, true},
       {"mode_search", "search over sequences of impacts, each solved by ceres_event or ceres_phases", WhyNotModeSearch, SolveByModeSearch, true, false, false, true, true, false, true},
   };
@@ -262,6 +292,7 @@ bool EndsWorse(const SolveReport& report) {
 
 SolveReport Solve(std::string_view solver, const SolveRequest& given, const SolverOptions& given_options) {
   const SolverEntry* entry = FindSolver(solver);
+  if (entry != nullptr && entry->solve == SolveAutomatically) return SolveAutomatically(given, given_options);
   SolveRequest request = given;
   const double price = FixDuration(&request.scene);
   const bool fixed = given.scene.objective.duration && !request.scene.objective.duration;

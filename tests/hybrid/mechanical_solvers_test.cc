@@ -102,6 +102,39 @@ TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   EXPECT_NEAR(report.certificate->curvature->smallest, 1, 1e-6) << "of directions that do not change x(T)";
 }
 
+// A mass at rest, which no small force moves: a search pulls it, and reaches the optimum of a mass that slides all
+// along.
+TEST(ClosedContacts, AMassThatSticksIsPulledByASearch) {
+  constexpr int kIntervals = 10;
+  constexpr double kFriction = 0.5, kTarget = 1.5, kWeight = 40, kEffort = 0.1, kGravity = 9.81;
+  const MechanicalSystem system{PulledMass()};
+  HybridProblem problem{.system = system.hybrid(),
+                        .guess = {.initial = {0, 0, 0, 0},
+                                  .parameters = {kFriction, kGravity},
+                                  .duration = 1,
+                                  .num_intervals = kIntervals},
+                        .terms = {MakeTerminalCost(0, kTarget, kWeight, 4), MakeEffortCost(kEffort, 2)}};
+  problem.guess.control.assign(2 * kIntervals, 0.0);
+  problem.guess.mode = system.FindMode(problem.guess.initial, std::vector<double>{0, 0}, problem.guess.parameters).mode;
+  problem.free.control = true;
+  const SolveReport stuck = Solve("ceres_lm", problem, {});
+  EXPECT_EQ(stuck.termination, Termination::kNoProgress);
+  EXPECT_THAT(stuck.reason, HasSubstr("no small change of the control changes the motion"));
+  EXPECT_THAT(stuck.reason, HasSubstr("mode_search"));
+  // The loss of the linear problem of a mass that slides, as above, from rest.
+  const double h = 1.0 / kIntervals, with_lift = 1 + kFriction * kFriction, free = -0.5 * kFriction * kGravity;
+  double squares = 0;
+  for (int k = 0; k < kIntervals; ++k) squares += std::pow(h * (1 - (k + 0.5) * h), 2);
+  const double s = kWeight * (kTarget - free) / (kEffort * h + kWeight * with_lift * squares);
+  const double missed = kTarget - free - s * with_lift * squares;
+  const double sliding = kWeight * missed * missed + kEffort * h * with_lift * s * s * squares;
+  const SolveReport report = Solve("auto", problem, {.search_options = {.work = 2e5, .starts = 2}});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.solver, "mode_search") << report.reason;
+  // The mass sticks for a little while before it is pulled, as a phase before the control jumps has a length.
+  EXPECT_LT(report.final_loss, 1.003 * sliding);
+}
+
 // Scales lengths in each phase, so that the interval before nodes[i] ends at times[i].
 void MoveEnds(const std::vector<int>& nodes, const std::vector<double>& times, std::vector<double>* lengths) {
   for (size_t i = 0; i < nodes.size(); ++i) {

@@ -81,6 +81,10 @@ struct HybridProblem {
   std::vector<HybridTerm> terms = {};
   HybridFree free = {};
   HybridOptions integration = {};
+  // States at equal times from 0 to the duration of the guess, at least two, one after the other; or none. Solvers in
+  // phases begin from these, with the events of the guess, rather than from the motion under the guess of the control.
+  // Precondition: all modes have states of the same size.
+  std::vector<double> guess_states = {};
 };
 
 // Returns the first error as "found x, expected y"; empty if there is none.

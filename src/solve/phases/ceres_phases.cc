@@ -5,12 +5,15 @@
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 #include "solve/phases/ceres_event.h"
+#include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/phase_transcription.h"
 #include "solve/phases/sequence_mending.h"
 
 namespace saltus {
 namespace {
+
+using Algorithm = AugmentedLagrangian::Algorithm;
 
 constexpr double kSameTime = 1e-6;  // of the horizon
 constexpr double kNoLoss = 1e-9;    // relative: of the loss, that the last digits may cost
@@ -62,7 +65,8 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
   };
   PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
   const bool kinks = plan.HasTies() || plan.HasRegimes() || !plan.apart.empty();
-  if (!arcs_can || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
+  const bool interior = run->algorithm() == Algorithm::kInteriorPoint;
+  if (!arcs_can || interior || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
     return attempt;
   if (attempt.converged) {
     if (run->Certify(attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
@@ -76,7 +80,8 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
 }
 
 // From the optimum under exact flight along its impacts, which stay exact, to that with steps of the contact model.
-SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& options, SolveReport exact) {
+SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm,
+                            SolveReport exact) {
   exact.certificate = {};
   const auto give_up = [&](const std::string& why) {
     exact.reason = "under exact flight, from which it starts: " + why;
@@ -109,6 +114,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                                    0,
                                    flight.get());
   AugmentedLagrangian::Options limits;
+  limits.algorithm = algorithm;
   limits.iterations = std::max(1, options.iterations - exact.iterations);
   limits.callback = [&](double cost) { return run.Record(cost); };
   const AugmentedLagrangian::Summary summary = transcription.Minimize(limits);
@@ -143,11 +149,21 @@ std::string WhyNotPhases(const SolveRequest& request) {
   return "";
 }
 
-SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options) {
-  PhaseRun run("ceres_phases", request, options);
+std::string WhyNotInteriorPoint(const SolveRequest& request) {
+  const std::string reason = WhyNoInteriorPoint();
+  return reason.empty() ? WhyNotPhases(request) : reason;
+}
+
+SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOptions& options) {
+  return SolveByCeresPhases(request, options, Algorithm::kInteriorPoint);
+}
+
+SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm) {
+  PhaseRun run(algorithm == Algorithm::kInteriorPoint ? "ipopt" : "ceres_phases", request, options);
+  run.set_algorithm(algorithm);
   if (auto refused = run.WhyNotStart()) return *refused;
   SolveReport exact = MendBySteps(&run, request);
-  return IsExact(request) ? exact : SolveUnderModel(request, options, std::move(exact));
+  return IsExact(request) ? exact : SolveUnderModel(request, options, algorithm, std::move(exact));
 }
 
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request) {

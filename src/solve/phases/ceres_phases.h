@@ -11,7 +11,14 @@ namespace saltus {
 // Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and misses no
 // constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
 // and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
-SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options);
+SolveReport SolveByCeresPhases(
+    const SolveRequest& request, const SolverOptions& options,
+    AugmentedLagrangian::Algorithm algorithm = AugmentedLagrangian::Algorithm::kLeastSquares);
+
+// The solver `ipopt`: minimizes along sequences by the interior-point method (interior_point.h), once from the initial
+// guess. Precondition: WhyNotInteriorPoint is empty.
+SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOptions& options);
+std::string WhyNotInteriorPoint(const SolveRequest& request);
 
 // That under exact contact, of the request that `run` is of, from its motion.
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);

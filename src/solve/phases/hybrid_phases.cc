@@ -7,6 +7,7 @@
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/sequence_mending.h"
+#include "solve/solve_chain.h"
 
 namespace saltus {
 namespace {
@@ -37,6 +38,25 @@ HybridProblem WithIntervals(HybridProblem problem) {
   return problem;
 }
 
+// As many integration steps of an interval as the motions of this length from the guessed states need.
+int StepsFromStates(const HybridProblem& problem) {
+  const size_t n = problem.guess.initial.size();
+  const auto width = static_cast<std::ptrdiff_t>(problem.system.num_controls());
+  HybridInput input = problem.guess;
+  input.num_intervals = 1;
+  input.duration = problem.guess.duration / problem.guess.num_intervals;
+  input.lengths.clear();
+  int steps = 1;
+  for (size_t row = 0; row < problem.guess_states.size() / n; ++row) {
+    const auto state = problem.guess_states.begin() + static_cast<std::ptrdiff_t>(row * n);
+    input.initial.assign(state, state + static_cast<std::ptrdiff_t>(n));
+    input.control.assign(problem.guess.control.begin(), problem.guess.control.begin() + width);
+    HybridSimulator simulator(problem.system, problem.integration);
+    if (simulator.Rollout(input)) steps = std::max(steps, simulator.steps_per_interval());
+  }
+  return steps;
+}
+
 }  // namespace
 
 // The transcriptions of one plan, and the motions of what they find.
@@ -52,6 +72,7 @@ class HybridPhaseRun::Transcriber {
                                             const std::vector<int>& steps, double margin) const {
     HybridTranscription::Start from{
         start.trial.initial, start.trial.parameters, start.times, ControlOf(start.trial, run_.control_width())};
+    from.states = start.trial.guess_states;
     from.times.push_back(run_.problem_.free.duration ? DurationOf(start.trial) : run_.problem_.guess.duration);
     auto transcription = std::make_unique<HybridTranscription>(run_.problem_,
                                                                run_.scales_,
@@ -132,15 +153,21 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
   guess_ = MotionOf(problem_.guess);
   MoveWithin(&guess_);
   Simulate(&guess_);
+  guess_.guess_states = problem_.guess_states;
+  if (!guess_.exact.ok && !guess_.guess_states.empty() && problem_.integration.steps_per_interval <= 0) {
+    problem_.integration.steps_per_interval = StepsFromStates(problem_);
+    shooting_ = std::make_unique<HybridShooting>(problem_);
+  }
   FindScales();
   if (start) {
     guess_ = std::move(*start);
     Simulate(&guess_);
   }
-  if (guess_.exact.ok) Record(guess_.exact.loss);
+  if (guess_.exact.ok || !guess_.guess_states.empty()) Record(guess_.exact.loss);  // infinite without a motion
 }
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
+  if (!guess_.exact.ok && !guess_.guess_states.empty()) return std::nullopt;
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
   if (guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
@@ -161,14 +188,19 @@ void HybridPhaseRun::FindScales() {
   const auto control = ControlOf(guess_, system.num_controls());
   const double* p = problem_.guess.parameters.data();
   std::vector<double> slope;
-  for (int step = 0; guess_.exact.ok && step < simulator.num_steps(); ++step) {
-    const int mode = simulator.StepMode(step);
-    const std::span<const double> x = simulator.StepState(step);
-    const double t = simulator.StepTime(step);
+  const auto add = [&](int mode, double t, std::span<const double> x) {
     slope.resize(x.size());
     system.functions().Flow({mode, t, x.data(), zeros.data(), p}, slope.data());
     for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
     scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), problem_.guess.duration);
+  };
+  for (int step = 0; guess_.exact.ok && step < simulator.num_steps(); ++step) {
+    add(simulator.StepMode(step), simulator.StepTime(step), simulator.StepState(step));
+  }
+  const size_t n = problem_.guess.initial.size(), rows = guess_.guess_states.size() / n;
+  for (size_t row = 0; row < rows; ++row) {
+    const double t = problem_.guess.duration * static_cast<double>(row) / static_cast<double>(rows - 1);
+    add(problem_.guess.mode, t, std::span(guess_.guess_states).subspan(row * n, n));
   }
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss != 0) scales_.loss = std::abs(guess_.exact.loss);
@@ -256,6 +288,7 @@ HybridMotion HybridPhaseRun::WithinBounds(HybridMotion motion) const {
 
 void HybridPhaseRun::BlendStart(const HybridMotion& to, const HybridMotion& from, double part,
                                 HybridMotion* between) const {
+  between->guess_states.clear();
   for (size_t i = 0; i < to.initial.size(); ++i) {
     between->initial[i] = part * to.initial[i] + (1 - part) * from.initial[i];
   }
@@ -451,25 +484,16 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
                         const SolverOptions& options) {
   const std::vector<int> grids = GridsOf(problem, options);
   std::optional<HybridMotion> start;
-  std::vector<double> losses;  // with one at the start, the first of each other grid in place of the last before
-  double seconds = 0;
-  int evaluations = 0;
+  SolveChain chain(options);
   SolveReport report;
   SolverOptions silent = options;
   silent.callback = nullptr;
   std::optional<HybridPhaseRun> guess;
   if (grids.size() > 1) guess.emplace(solver, problem, silent);
   for (const int intervals : grids) {
-    SolverOptions of_grid = options;
+    const SolverOptions of_grid = chain.Next();
     const bool last = intervals == grids.back();
-    const int before = std::max(static_cast<int>(losses.size()) - 1, 0);
-    of_grid.iterations = options.iterations - before;
     if (of_grid.iterations == 0 && !last) continue;
-    if (options.callback) {
-      of_grid.callback = [&options, before](int iteration, double loss) {
-        return options.callback(before + iteration, loss);
-      };
-    }
     HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start);
     run.set_algorithm(algorithm);
     if (auto refused = run.WhyNotStart()) {
@@ -477,10 +501,7 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
       return *refused;
     }
     report = MendHybrid(&run);
-    if (!losses.empty()) losses.pop_back();
-    losses.insert(losses.end(), report.losses.begin(), report.losses.end());
-    seconds += report.seconds;
-    evaluations += report.evaluations;
+    chain.Add(report);
     if (report.termination == Termination::kInterrupted && !last) continue;
     const bool ran_out = report.termination == Termination::kIterationLimit && !last &&
                          report.final_loss < guess->guess().exact.loss &&
@@ -490,13 +511,28 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
     }
   }
   if (!guess) return report;
-  report.initial_loss = losses.front() = guess->guess().exact.loss;
+  report = chain.Finish(std::move(report));
+  if (!guess->guess().exact.ok) return report;
+  report.initial_loss = report.losses.front() = guess->guess().exact.loss;
   report.initial_violation = guess->ViolationOf(guess->guess());
-  report.losses = std::move(losses);
-  report.iterations = static_cast<int>(report.losses.size()) - 1;
-  report.seconds = seconds;
-  report.evaluations = evaluations;
   return report;
+}
+
+// The report of a guess that its certificate proves to be a local optimum.
+std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridProblem& problem,
+                                          const SolverOptions& options) {
+  SolverOptions silent = options;
+  silent.callback = nullptr;
+  HybridPhaseRun run(solver, problem, silent);
+  const HybridMotion& guess = run.guess();
+  if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
+  Certificate certificate = run.Certify(guess);
+  // Without a curvature no direction is left that keeps the active bounds and the constraints.
+  const bool is_minimum = !certificate.curvature || certificate.curvature->kind == Curvature::Kind::kMinimum;
+  if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
+  if (options.callback) options.callback(0, guess.exact.loss);
+  run.report().certificate = std::move(certificate);
+  return run.Finish(guess, guess.exact.loss, Termination::kConverged, "the guess is an optimum");
 }
 
 // Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid
@@ -504,26 +540,18 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
 // start.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
-  SolverOptions directly = options, rest = options;
+  if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
+  SolverOptions directly = options;
   directly.coarse_to_fine = false;
+  SolveChain chain(options);
   SolveReport report = SolveHybrid(solver, algorithm, problem, directly);
   const bool ended = report.termination != Termination::kNoProgress && report.termination != Termination::kFailed;
-  const int before = report.iterations;
-  rest.iterations = options.iterations - before;
-  if (ended || rest.iterations <= 0 || GridsOf(problem, options).size() == 1) return report;
-  if (options.callback) {
-    rest.callback = [&](int iteration, double loss) { return options.callback(before + iteration, loss); };
-  }
-  SolveReport refined = SolveHybrid(solver, algorithm, problem, rest);
-  if (refined.termination != Termination::kConverged && refined.termination != Termination::kInterrupted) return report;
-  if (!refined.losses.empty() && !report.losses.empty()) {
-    report.losses.insert(report.losses.end(), refined.losses.begin() + 1, refined.losses.end());
-    refined.losses = std::move(report.losses);
-    refined.iterations = static_cast<int>(refined.losses.size()) - 1;
-  }
-  refined.seconds += report.seconds;
-  refined.evaluations += report.evaluations;
-  return refined;
+  chain.Add(report);
+  if (ended || chain.IsOutOfIterations() || GridsOf(problem, options).size() == 1) return report;
+  SolveReport refined = SolveHybrid(solver, algorithm, problem, chain.Next());
+  chain.Add(refined);
+  const bool takes = refined.termination == Termination::kConverged || refined.termination == Termination::kInterrupted;
+  return chain.Finish(takes ? std::move(refined) : std::move(report));
 }
 
 }  // namespace
@@ -533,8 +561,8 @@ SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOption
 }
 
 std::string WhyNotInteriorPoint(const HybridProblem& problem) {
-  if (!HasInteriorPoint()) return "this build has no IPOPT; install it (coinor-libipopt-dev) and build saltus again";
-  return WhyNotHybridPhases(problem);
+  const std::string reason = WhyNoInteriorPoint();
+  return reason.empty() ? WhyNotHybridPhases(problem) : reason;
 }
 
 SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options) {

@@ -30,6 +30,7 @@ struct HybridMotion {
     std::vector<ModeEvent> contacts;
     std::vector<HybridEvent> events;  // their states are not valid
   } exact;
+  std::vector<double> guess_states = {};  // of a guess: HybridProblem::guess_states
 };
 
 // The motion of an input, not simulated.

@@ -342,6 +342,15 @@ std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const
   return bounds;
 }
 
+// Sets `x` to the value at a part of the whole time, in [0, 1], of states at equal times, linear in between.
+void Interpolate(const std::vector<double>& states, double part, std::vector<double>* x) {
+  const size_t n = x->size(), rows = states.size() / n;
+  const double place = std::clamp(part, 0.0, 1.0) * static_cast<double>(rows - 1);
+  const size_t row = std::min(static_cast<size_t>(place), rows - 2);
+  const double weight = place - static_cast<double>(row);
+  for (size_t i = 0; i < n; ++i) (*x)[i] = (1 - weight) * states[row * n + i] + weight * states[(row + 1) * n + i];
+}
+
 }  // namespace
 
 void HybridScales::Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double duration) {
@@ -431,7 +440,11 @@ bool HybridTranscription::Lay(const Start& start) {
           length / count,
           Projects(j, k)};
       std::vector<double> next(x.size());
-      integrator_.Step(step, next.data());
+      if (start.states.empty()) {
+        integrator_.Step(step, next.data());
+      } else {
+        Interpolate(start.states, (begin + (k + 1) * length / count) / times_.back(), &next);
+      }
       nodes_.push_back(std::move(next));
     }
     phase.last_node = static_cast<int>(nodes_.size()) - 1;

@@ -53,13 +53,14 @@ class HybridTranscription {
     std::vector<double> initial, parameters;
     std::vector<double> times;                               // of the cuts, rising, and the final time
     std::function<double(int component, double t)> control;  // held on intervals around t
+    std::vector<double> states = {};                         // at equal times, of one size; or none
   };
 
   // `steps` has the number of control intervals of each phase, one more than the plan has cuts; a phase of none has no
-  // length. `substeps` steps of the integration make an interval. Nodes start on the motion from the start in which the
-  // resets happen at the times of the cuts, whatever the guards. By `overlaps`, relative to the sizes of the guards,
-  // events come early; by `margin` the guards of events of plan.apart stay above zero inside phases. The problem must
-  // outlive this object. Precondition: some phase has steps.
+  // length. `substeps` steps of the integration make an interval. Nodes start at the states of the start, or without
+  // any on the motion from it in which the resets happen at the times of the cuts, whatever the guards. By `overlaps`,
+  // relative to the sizes of the guards, events come early; by `margin` the guards of events of plan.apart stay above
+  // zero inside phases. The problem must outlive this object. Precondition: some phase has steps.
   HybridTranscription(const HybridProblem& problem, const HybridScales& scales, const PlanOf<ModeEvent>& plan,
                       const Start& start, const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
                       double margin);

@@ -20,6 +20,11 @@
 
 namespace saltus {
 
+std::string WhyNoInteriorPoint() {
+  if (HasInteriorPoint()) return "";
+  return "this build has no IPOPT; install it (coinor-libipopt-dev) and build saltus again";
+}
+
 #ifndef SALTUS_WITH_IPOPT
 
 bool HasInteriorPoint() { return false; }
@@ -39,14 +44,17 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 constexpr double kNoBound = 2e19;  // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-5;    // of differences, relative to the size of a variable
 
-// The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order of
-// ceres::Problem; rows are the constraints of the functions in their order.
+// The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
+// the functions name them first (that of ceres::Problem is one of addresses); rows are the constraints of the functions
+// in their order.
 class InteriorPointProblem final : public Ipopt::TNLP {
  public:
   InteriorPointProblem(const std::vector<ConstrainedFunction>& functions, const AugmentedLagrangian::Options& options,
                        ceres::Problem* problem, AugmentedLagrangian::Summary* summary)
       : options_(options), summary_(*summary) {
-    FindVariables(problem);
+    for (const ConstrainedFunction& function : functions) {
+      for (double* block : function.blocks) FindVariables(block, problem);
+    }
     for (const ConstrainedFunction& function : functions) AddFunction(function);
     FindSizes();
   }
@@ -205,28 +213,25 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     bool Evaluate(double** out) { return of->function->Evaluate(of->blocks.data(), rows.data(), out); }
   };
 
-  void FindVariables(ceres::Problem* problem) {
-    std::vector<double*> blocks;
-    problem->GetParameterBlocks(&blocks);
-    for (double* block : blocks) {
-      const int size = problem->ParameterBlockSize(block);
-      std::vector<int>& variables = variables_[block];
-      variables.assign(size, -1);
-      if (problem->IsParameterBlockConstant(block)) continue;
-      const ceres::Manifold* manifold = problem->GetManifold(block);
-      Matrix tangents = Matrix::Identity(size, size);
-      if (manifold != nullptr) {
-        tangents.resize(size, manifold->TangentSize());
-        CHECK(manifold->PlusJacobian(block, tangents.data()));
-      }
-      for (int i = 0; i < size; ++i) {
-        if (tangents.row(i).isZero(0)) continue;
-        variables[i] = static_cast<int>(components_.size());
-        components_.push_back(block + i);
-      }
+  void FindVariables(double* block, ceres::Problem* problem) {
+    if (variables_.count(block) > 0) return;
+    const int size = problem->ParameterBlockSize(block);
+    std::vector<int>& variables = variables_[block];
+    variables.assign(size, -1);
+    if (problem->IsParameterBlockConstant(block)) return;
+    const ceres::Manifold* manifold = problem->GetManifold(block);
+    Matrix tangents = Matrix::Identity(size, size);
+    if (manifold != nullptr) {
+      tangents.resize(size, manifold->TangentSize());
+      CHECK(manifold->PlusJacobian(block, tangents.data()));
     }
-    lower_.assign(components_.size(), -kNoBound);
-    upper_.assign(components_.size(), kNoBound);
+    for (int i = 0; i < size; ++i) {
+      if (tangents.row(i).isZero(0)) continue;
+      variables[i] = static_cast<int>(components_.size());
+      components_.push_back(block + i);
+      lower_.push_back(std::max(-kNoBound, problem->GetParameterLowerBound(block, i)));
+      upper_.push_back(std::min(kNoBound, problem->GetParameterUpperBound(block, i)));
+    }
   }
 
   void AddFunction(const ConstrainedFunction& of) {

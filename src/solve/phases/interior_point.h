@@ -13,19 +13,21 @@
 
 #include <ceres/problem.h>
 
+#include <string>
 #include <vector>
 
 #include "solve/phases/augmented_lagrangian.h"
 
 namespace saltus {
 
-// Whether this library was built with IPOPT.
+// Whether this library was built with IPOPT. The second says how to get it, and is empty if it was.
 bool HasInteriorPoint();
+std::string WhyNoInteriorPoint();
 
-// Minimizes from where the parameter blocks of `problem` stand, and leaves them at the last iterate. Blocks that are
-// constant in `problem`, and components that a manifold holds, are constant. Solves are serialised, as the linear
-// solver of IPOPT is not safe with several threads. Preconditions: HasInteriorPoint(); manifolds are
-// ceres::SubsetManifolds.
+// Minimizes from where the parameter blocks of `problem` stand, within their bounds in `problem`, and leaves them at
+// the last iterate. Blocks that are constant in `problem`, and components that a manifold holds, are constant. Solves
+// are serialised, as the linear solver of IPOPT is not safe with several threads. Preconditions: HasInteriorPoint();
+// manifolds are ceres::SubsetManifolds.
 AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<ConstrainedFunction>& functions,
                                                      const AugmentedLagrangian::Options& options,
                                                      ceres::Problem* problem);

@@ -310,7 +310,8 @@ void PhaseTranscription::AddBounds() {
   for (size_t k = 0; scene_.optimize == Optimize::kControl && k < forces_.size(); ++k) {
     const int c = static_cast<int>(k) % scene_.num_controlled();
     if (!control.max.empty()) {
-      problem_.Add(Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4}, {forces_[k].data()});
+      problem_.Add(
+          Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4, .are_bounds = true}, {forces_[k].data()});
     }
     if (!control.max_norm.empty()) {
       problem_.Add(Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1}, {forces_[k].data()});
@@ -318,7 +319,8 @@ void PhaseTranscription::AddBounds() {
   }
   for (size_t k = 0; scene_.optimize == Optimize::kControl && k < turns_.size(); ++k) {
     const double most = MostTurn(scene_, static_cast<int>(k) % scene_.num_turned());
-    if (std::isfinite(most)) problem_.Add(Sized<1>(TurnBound{most}), {.inequalities = 2}, {&turns_[k]});
+    if (std::isfinite(most))
+      problem_.Add(Sized<1>(TurnBound{most}), {.inequalities = 2, .are_bounds = true}, {&turns_[k]});
   }
 }
 

@@ -13,7 +13,8 @@
 namespace saltus {
 namespace {
 
-constexpr size_t kMostModes = 24;  // of those created as motions meet them
+constexpr size_t kMostModes = 24;   // of those created as motions meet them
+constexpr int kMostDoublings = 12;  // of a control, until it moves what sticks
 
 using Sequence = std::vector<ModeEvent>;
 using Finding = FindingOf<HybridMotion>;
@@ -102,11 +103,11 @@ class HybridSearch {
     HybridProblem problem = problem_;
     problem.guess = run_.InputOf(from);
     bool first = true;
-    finding.report = SolveWithEnoughSteps(problem, options, [&](const HybridInput& start, const SolverOptions& own) {
+    finding.report = SolveWithEnoughSteps(problem, options, [&](const HybridProblem& start, const SolverOptions& own) {
       HybridProblem at = problem_;
       if (!std::exchange(first, false)) {
-        at.guess = start;
-        from = MotionOf(start);
+        at.guess = start.guess;
+        from = MotionOf(start.guess);
       }
       HybridPhaseRun run("mode_search", at, own, from, sequence);
       if (auto refused = run.WhyNotStart()) return *refused;
@@ -223,14 +224,31 @@ class HybridSearch {
       }
       if (size > 0 && std::isfinite(size)) sizes[c] = size;
       const HybridFree& free = problem.free;
-      if (!free.control_min.empty() && std::isfinite(free.control_min[c])) {
-        sizes[c] = std::min(sizes[c], std::abs(free.control_min[c]));
-      }
-      if (!free.control_max.empty() && std::isfinite(free.control_max[c])) {
-        sizes[c] = std::min(sizes[c], std::abs(free.control_max[c]));
-      }
+      double most = INFINITY;
+      if (!free.control_min.empty()) most = std::min(most, std::abs(free.control_min[c]));
+      if (!free.control_max.empty()) most = std::min(most, std::abs(free.control_max[c]));
+      for (int k = 0; k < kMostDoublings && sizes[c] < most && !Moves(c, sizes[c]); ++k) sizes[c] *= 2;
+      sizes[c] = std::min(sizes[c], most);
     }
     return sizes;
+  }
+
+  // Whether a control, held at +-size, moves the system, in which contacts may stick.
+  bool Moves(int control, double size) const {
+    if (!problem_.system.functions().CreatesModes()) return true;
+    HybridSimulator simulator(problem_.system, problem_.integration);
+    HybridInput input = run_.problem().guess;
+    std::vector<std::vector<double>> ends;
+    for (const double sign : {0.0, 1.0, -1.0}) {
+      std::fill(input.control.begin(), input.control.end(), 0.0);
+      for (size_t k = control; k < input.control.size(); k += run_.control_width()) input.control[k] = sign * size;
+      if (simulator.Rollout(input)) {
+        ends.emplace_back(simulator.final_state().begin(), simulator.final_state().end());
+      } else if (sign == 0) {
+        return true;
+      }
+    }
+    return std::any_of(ends.begin(), ends.end(), [&](const auto& end) { return end != ends[0]; });
   }
 
   // Each counted as often as it takes the time of one of a small system: mechanical systems solve for the forces of

@@ -1,12 +1,12 @@
 #include "saltus/solve/hybrid_solver.h"
 
+#include <ceres/cost_function.h>
 #include <ceres/problem.h>
 
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <optional>
 
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
@@ -15,11 +15,14 @@
 #include "solve/phases/hybrid_phases.h"
 #include "solve/search/hybrid_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
+#include "solve/solve_chain.h"
 #include "solve/solve_run.h"
 
 namespace saltus {
 namespace {
 
+constexpr int kFewColumns = 200;    // of a dense Jacobian, up to which its factors cost less than those of phases
+constexpr double kNoSlope = 1e-8;   // of the largest one: of a state whose target is met
 constexpr double kNearJump = 1e-3;       // of an interval: how near to a jump of the control an event is named
 constexpr double kSameSaltation = 1e-9;  // relative
 
@@ -170,6 +173,77 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
   return MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds);
 }
 
+// Whether no motion of the system has events.
+bool HasNoEvents(const HybridSystem& system) {
+  if (system.functions().CreatesModes()) return false;
+  for (int mode = 0; mode < system.num_modes(); ++mode) {
+    if (system.num_guards(mode) > 0) return false;
+  }
+  return true;
+}
+
+// What no small change of the control changes in a solution, though the loss depends on it.
+struct OutOfReach {
+  bool motion = false;              // all of it, as where contacts stick
+  std::vector<std::string> states;  // at the end
+};
+OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& report) {
+  OutOfReach found;
+  const HybridFree& free = problem.free;
+  if (report.termination != Termination::kConverged || HasNoEvents(problem.system)) return found;
+  if (!free.control || !free.initial.empty() || !free.parameters.empty()) return found;
+  HybridShooting shooting(problem);
+  HybridShooting::Outcome outcome;
+  std::vector<HybridShooting::TermAt> terms;
+  if (!shooting.Simulate(SolutionOf(problem, report), &outcome) || !shooting.EvaluateTerms(&terms)) return found;
+  HybridSimulator& simulator = shooting.simulator();
+  std::vector<double> at_end(simulator.final_state().size(), 0.0);  // slopes of the loss
+  double steepest = 0;
+  for (const HybridShooting::TermAt& at : terms) {
+    if (!at.term->IsCost() || !at.term->with_state) continue;
+    const std::size_t size = at.blocks[0].size();
+    for (std::size_t i = 0; i < size; ++i) {
+      double slope = 0;
+      for (std::size_t row = 0; row < at.residuals.size(); ++row) {
+        slope += at.term->SlopeOf(at.residuals[row]) * at.jacobians[0][row * size + i];
+      }
+      steepest = std::max(steepest, std::abs(slope));
+      if (at.term->at == HybridTerm::At::kEnd) at_end[i] += slope;
+    }
+  }
+  if (steepest == 0) return found;
+  const auto changes = [&](const std::vector<double>& cotangent) {
+    const HybridGradient gradient = simulator.Adjoint(cotangent);
+    return std::any_of(gradient.control.begin(), gradient.control.end(), [](double by) { return by != 0; });
+  };
+  std::vector<double> cotangent;  // no combination of states that a motion would keep
+  for (std::size_t i = 0; i < at_end.size(); ++i) cotangent.push_back(1 + 0.1 * std::sqrt(static_cast<double>(i)));
+  found.motion = !changes(cotangent);
+  for (std::size_t i = 0; i < at_end.size(); ++i) {
+    std::fill(cotangent.begin(), cotangent.end(), 0.0);
+    cotangent[i] = 1;
+    if (std::abs(at_end[i]) > kNoSlope * steepest && !changes(cotangent)) {
+      found.states.push_back(problem.system.StateName(simulator.final_mode(), static_cast<int>(i)));
+    }
+  }
+  return found;
+}
+
+// Returns whether the loss depends on something that the control does not change.
+bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
+  JudgeByCertificate(report);
+  const OutOfReach out = FindOutOfReach(problem, *report);
+  if (out.states.empty() && !out.motion) return false;
+  std::string names;
+  for (const std::string& name : out.states) names += (names.empty() ? "" : ", ") + name;
+  if (out.motion) report->termination = Termination::kNoProgress;
+  report->reason += (report->reason.empty() ? "" : "; ") +
+                    (out.motion ? "no small change of the control changes the motion, as where all contacts stick"
+                                : "no small change of the control changes " + names + " at the end") +
+                    ": start from a control that does, or use mode_search, which tries larger ones";
+  return true;
+}
+
 // ---------------------------------------------------------------------------------------------------------------- auto
 
 std::string WhyNotAny(const HybridProblem& problem) {
@@ -185,62 +259,49 @@ std::string WhyNotGaussNewton(const HybridProblem& problem) {
     if (!term.IsCost()) return term.name + " is a constraint";
   }
   if (problem.free.duration) return "the duration is free";
+  int rows = 0;
+  for (const HybridTerm& term : problem.terms) {
+    const bool repeats = term.at == HybridTerm::At::kEachInterval;
+    rows += term.function->num_residuals() * (repeats ? problem.guess.num_intervals : 1);
+  }
+  const int columns = problem.free.control ? problem.guess.num_intervals * problem.system.num_controls() : 0;
+  if (rows < columns) return "the loss has fewer squares than the control has numbers";
   return "";
 }
 
-bool IsBetter(const SolveReport& report, const SolveReport& than) {
-  const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
-  if (converged(report) != converged(than)) return converged(report);
-  const bool feasible = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
-  if (feasible != other) return feasible;
-  return feasible ? report.final_loss < than.final_loss : report.final_violation < than.final_violation;
-}
-
 SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options) {
-  const std::string curved = WhyNotGaussNewton(problem);
-  const bool by_phases = WhyNotHybridPhases(problem).empty();
-  // Without constraints and bounds, shooting never leaves the motions of the system, and ends where phases go astray.
-  using Names = std::vector<std::string_view>;
-  const Names order = !by_phases       ? Names{"ceres_lm", "ceres_lbfgs", "gd"}
-                      : curved.empty() ? Names{"ceres_phases", "ipopt", "ceres_lbfgs"}
-                                       : Names{"ipopt", "ceres_lbfgs", "ceres_phases"};
-  std::string words = !by_phases       ? WhyNotHybridPhases(problem)
-                      : curved.empty() ? "all costs are squares, without constraints"
-                                       : curved;
-  std::optional<SolveReport> best;
-  std::string tried;
-  SolverOptions left = options;
-  for (const std::string_view name : order) {
-    const HybridSolverEntry& entry = *std::find_if(
-        HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == name; });
-    if (!entry.why_not(problem).empty()) continue;
-    SolveReport report = entry.solve(problem, left);
-    JudgeByCertificate(&report);
-    left.iterations -= report.iterations;
-    if (best) {
-      report.seconds += best->seconds;
-      best->seconds = report.seconds;
+  const HybridSystem& system = problem.system;
+  std::string why = WhyNotHybridPhases(problem);
+  std::vector<std::string_view> order = {"ceres_lm", "ceres_lbfgs", "gd"};
+  if (why.empty()) {
+    // Without constraints and bounds, shooting never leaves the motions of the system, and ends where phases go astray.
+    why = WhyNotGaussNewton(problem);
+    order = {"ipopt", "ceres_lbfgs", "ceres_phases", "ceres_lm"};
+    if (why.empty()) {
+      why = "all costs are squares, without constraints";
+      order = {"ceres_phases", "ipopt", "ceres_lbfgs", "ceres_lm"};
+      const int columns = problem.guess.num_intervals * system.num_controls();
+      if (HasNoEvents(system) && columns <= kFewColumns && problem.guess_states.empty()) {
+        why += " and events";
+        order = {"ceres_lm", "ceres_phases", "ipopt", "ceres_lbfgs"};
+      }
     }
-    const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
-    tried += (tried.empty() ? "" : ", then ") + std::string(name);
-    if (!best || IsBetter(report, *best)) best = std::move(report);
-    if (ended || left.iterations <= 0) break;
   }
-  if (!best) {
-    best.emplace();
-    best->solver = "auto";
-    best->termination = Termination::kNotApplicable;
-    best->reason = "no solver supports this problem: " + words;
-    return *best;
-  }
-  if (!best->certificate && best->termination == Termination::kConverged) {
-    best->certificate = Certify(problem, SolutionOf(problem, *best));
-    JudgeByCertificate(&*best);
-  }
-  const std::string choice = "auto used " + best->solver + ", as " + words;
-  best->reason = choice + (tried == best->solver ? "" : " (tried: " + tried + ")") +
-                 (best->reason.empty() ? "" : "; " + best->reason);
-  return *best;
+  if (system.functions().CreatesModes()) order.push_back("mode_search");  // contacts may stick
+  return SolveInTurn(order, why, options, [&](std::string_view name, const SolverOptions& of_solve) {
+    const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
+    SolveReport report;
+    report.termination = Termination::kNotApplicable;
+    report.reason = entry.why_not(problem);
+    if (!report.reason.empty()) return report;
+    report = entry.solve(problem, of_solve);
+    if (!report.certificate && report.termination == Termination::kConverged) {
+      report.certificate = Certify(problem, SolutionOf(problem, report));
+    }
+    const bool searches = system.functions().CreatesModes() && name != "mode_search";
+    if (JudgeSolution(problem, &report) && searches) report.termination = Termination::kNoProgress;
+    return report;
+  });
 }
 
 }  // namespace
@@ -276,13 +337,9 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   if (entry->solve == SolveHybridByModeSearch) {
     report = entry->solve(problem, options);  // whose solves have enough steps each
   } else {
-    report = SolveWithEnoughSteps(problem, options, [&](const HybridInput& start, const SolverOptions& own) {
-      HybridProblem from = problem;
-      from.guess = start;
-      return entry->solve(from, own);
-    });
+    report = SolveWithEnoughSteps(problem, options, entry->solve);
   }
-  JudgeByCertificate(&report);
+  if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
   return report;
 }
 

@@ -240,7 +240,59 @@ TEST(OptimalControl, BothAlgorithmsAgreeOnSquares) {
   ASSERT_EQ(squares.termination, Termination::kConverged) << squares.reason;
   ASSERT_EQ(interior.termination, Termination::kConverged) << interior.reason;
   EXPECT_NEAR(squares.final_loss, interior.final_loss, 1e-10);
-  EXPECT_EQ(Solve("auto", problem, {}).solver, "ceres_phases");
+  const SolveReport automatic = Solve("auto", problem, {});
+  EXPECT_EQ(automatic.solver, "ceres_lm");
+  EXPECT_NEAR(automatic.final_loss, interior.final_loss, 1e-10);
+  ASSERT_TRUE(automatic.certificate);
+  EXPECT_TRUE(automatic.certificate->IsStationary());
+}
+
+// The optimum of one solve is the guess of the next, which recognises it.
+TEST(OptimalControl, RecogniseAGuessAtTheOptimum) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  for (HybridProblem problem : {DoubleIntegratorProblem(20),
+                                BrachistochroneProblem(20),
+                                VanDerPolProblem(20, true),
+                                BrysonDenhamProblem(20),
+                                RobotArmProblem(20),
+                                RocketProblem(20)}) {
+    const SolveReport first = Solve("auto", problem, {.iterations = 3000});
+    ASSERT_EQ(first.termination, Termination::kConverged) << first.reason;
+    problem.guess = SolutionOf(problem, first);
+    for (const char* solver : {"auto", "ipopt", "ceres_phases"}) {
+      const SolveReport again = Solve(solver, problem, {});
+      EXPECT_EQ(again.termination, Termination::kConverged) << solver << ": " << again.reason;
+      EXPECT_LE(again.iterations, 5) << solver;
+      EXPECT_NEAR(again.final_loss, first.final_loss, 1e-6 * std::abs(first.final_loss)) << solver;
+    }
+  }
+}
+
+// x' = v, v' = x^3 + u: without control the motion from (2, 0) leaves every bound before the final time. States on the
+// straight line to the target are near a motion, which exists.
+struct Escaping {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = x[0] * x[0] * x[0] + u[0];
+  }
+};
+
+TEST(OptimalControl, BeginsFromStatesWhereTheControlOfTheGuessHasNoMotion) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  HybridProblem problem = Problem<Escaping, 2, 1>({2, 0}, 3, 0, 60);
+  problem.terms = {MakeEffortCost(1, 1), StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
+  EXPECT_NE(Solve("auto", problem, {.iterations = 20}).termination, Termination::kConverged);
+  for (int i = 0; i <= 10; ++i) {
+    problem.guess_states.push_back(2 - 0.2 * i);
+    problem.guess_states.push_back(-2.0 / 3);
+  }
+  const SolveReport report = Solve("auto", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LE(report.final_violation, kFeasible);
+  EXPECT_NEAR(report.final_loss, 43.527179629, 1e-5);  // by multiple shooting on the same grid with SLSQP of scipy
+  problem.guess_states.pop_back();
+  EXPECT_EQ(Solve("auto", problem, {}).termination, Termination::kNotApplicable);
 }
 
 }  // namespace

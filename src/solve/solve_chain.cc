@@ -1,0 +1,119 @@
+#include "solve/solve_chain.h"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+
+namespace saltus {
+
+SolverOptions SolveChain::Next() const {
+  SolverOptions next = options_;
+  next.iterations = std::max(0, options_.iterations - iterations_);
+  if (options_.callback) {
+    next.callback = [&options = options_, before = iterations_](int iteration, double loss) {
+      return options.callback(before + iteration, loss);
+    };
+  }
+  return next;
+}
+
+void SolveChain::Add(const SolveReport& report) {
+  seconds_ += report.seconds;
+  evaluations_ += report.evaluations;
+  if (report.losses.empty()) return;
+  // The first loss of a solve takes the place of the last one before: no iteration lies between them.
+  const auto join = [](auto* before, const auto& after) {
+    if (!before->empty() && !after.empty()) before->pop_back();
+    before->insert(before->end(), after.begin(), after.end());
+  };
+  if (losses_.empty()) initial_violation_ = report.initial_violation;
+  const double initial_loss = losses_.empty() ? report.initial_loss : losses_.front();
+  join(&losses_, report.losses);
+  losses_.front() = initial_loss;
+  join(&iterates_, report.iterates);
+  last_ = iterations_;
+  iterations_ = static_cast<int>(losses_.size()) - 1;
+}
+
+SolveReport SolveChain::Finish(SolveReport report) const {
+  report.seconds = seconds_;
+  report.evaluations = evaluations_;
+  if (losses_.empty()) return report;
+  if (report.best) report.best->iteration += last_;
+  report.losses = losses_;
+  report.iterates = iterates_;
+  report.iterations = iterations_;
+  report.initial_loss = losses_.front();
+  report.initial_violation = initial_violation_;
+  return report;
+}
+
+namespace {
+
+constexpr int kLeastShare = 200;  // iterations that a solver may take, if so many are left; else half of these
+
+// What to do about a solve that has ended without an optimum; empty if it has one or was interrupted.
+std::string RemedyFor(const SolveReport& report) {
+  switch (report.termination) {
+    case Termination::kIterationLimit:
+      return "allow more iterations, or start from the solution";
+    case Termination::kFailed:
+      return "start from a guess that has a finite motion and finite derivatives";
+    case Termination::kNoProgress:
+      return report.final_violation > kFeasible
+                 ? "try another guess, a longer duration or wider bounds; mode_search tries other sequences of events"
+                 : "try another guess or more control intervals; mode_search tries other sequences of events";
+    default:
+      return "";
+  }
+}
+
+}  // namespace
+
+bool EndsBetter(const SolveReport& report, const SolveReport& than) {
+  const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
+  if (report.losses.empty() || than.losses.empty()) return !report.losses.empty();
+  if (converged(report) != converged(than)) return converged(report);
+  const bool feasible = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
+  if (feasible != other) return feasible;
+  return feasible ? report.final_loss < than.final_loss : report.final_violation < than.final_violation;
+}
+
+SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::string& why,
+                        const SolverOptions& options,
+                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve) {
+  SolveChain chain(options);
+  std::optional<SolveReport> best, refused;
+  std::string tried;
+  for (const std::string_view name : order) {
+    SolverOptions next = chain.Next();
+    if (name != order.back()) next.iterations = std::min(next.iterations, std::max(kLeastShare, next.iterations / 2));
+    SolveReport report = solve(name, next);
+    if (report.termination == Termination::kNotApplicable) {
+      if (!refused) {
+        refused = std::move(report);
+        refused->solver = name;
+      }
+      continue;
+    }
+    chain.Add(report);
+    tried += (tried.empty() ? "" : ", then ") + std::string(name);
+    const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
+    if (!best || EndsBetter(report, *best) || report.termination == Termination::kInterrupted) best = std::move(report);
+    if (ended || chain.IsOutOfIterations()) break;
+  }
+  if (!best) {
+    refused->solver = "auto";
+    return *refused;
+  }
+  const bool tells = refused && refused->reason != why;
+  std::string words = "auto used " + best->solver + ", as " + why;
+  if (tried != best->solver) words += " (tried: " + tried + ")";
+  if (tells) words += " (" + refused->solver + " does not apply: " + refused->reason + ")";
+  if (!best->reason.empty()) words += "; " + best->reason;
+  if (const std::string remedy = RemedyFor(*best); !remedy.empty()) words += "; " + remedy;
+  best->reason = std::move(words);
+  return chain.Finish(std::move(*best));
+}
+
+}  // namespace saltus

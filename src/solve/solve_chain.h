@@ -1,0 +1,49 @@
+// Solves that follow one another and are reported as one.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "saltus/solve/solver.h"
+
+namespace saltus {
+
+class SolveChain {
+ public:
+  // The options are those of all solves together, and outlive this object.
+  explicit SolveChain(const SolverOptions& options) : options_(options) {}
+
+  // Returns the options of the next solve: the iterations that are left, and a callback that counts on.
+  SolverOptions Next() const;
+  bool IsOutOfIterations() const { return iterations_ >= options_.iterations; }
+
+  // Counts a solve. A report that has no losses counts with its time alone.
+  void Add(const SolveReport& report);
+
+  // Returns a report that was added last, or one before it that is better, with the losses, iterates, evaluations and
+  // seconds of all solves, and as from the first one's initial guess.
+  SolveReport Finish(SolveReport report) const;
+
+ private:
+  const SolverOptions& options_;
+  std::vector<double> losses_;
+  std::vector<std::vector<double>> iterates_;
+  int iterations_ = 0, last_ = 0, evaluations_ = 0;  // last_: iterations before the last solve
+  double seconds_ = 0, initial_violation_ = 0;
+};
+
+// Whether a solve has ended better than another one: with an optimum, else nearer to the constraints, else with a
+// lower loss.
+bool EndsBetter(const SolveReport& report, const SolveReport& than);
+
+// The solver `auto`: solves by one solver after the other until one ends with an optimum, within the iterations of the
+// options. Returns the report of the solve that ends best. Its `solver` is the name of that solver, and its reason
+// begins with that name and with `why`, the cause of the order. `solve` returns kNotApplicable for a solver that does
+// not support the problem.
+SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::string& why,
+                        const SolverOptions& options,
+                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve);
+
+}  // namespace saltus

@@ -1,0 +1,114 @@
+// The solver `auto` for scenes, and IPOPT on the transcription of discs.
+#include <gmock/gmock.h>
+
+#include <cmath>
+
+#include "constrained_reference.h"
+#include "saltus/solve/solver.h"
+#include "solve/phases/interior_point.h"
+#include "test_scenes.h"
+
+namespace saltus {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+// A disc of mass 2 kg that is to be moved by 1 m within 2 s, from rest to rest, with forces on `steps` intervals.
+Scene Moved(int steps) {
+  Scene scene = ProblemScene("two_balls");
+  scene.bodies.resize(1);
+  scene.bodies[0].position = {0, 0};
+  scene.bodies[0].velocity = {0, 0};
+  scene.bodies[0].mass = 2;
+  scene.duration = 2;
+  scene.steps = steps;
+  scene.control = {{0}, {{0.1, 0.2}}};
+  scene.objective = {};
+  scene.objective.effort = 0.3;
+  TerminalTerm there{.body = 0, .quantity = TerminalTerm::Quantity::kPosition, .target = {1, 0}, .hard = true};
+  TerminalTerm rest{.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .hard = true};
+  scene.objective.terminal = {there, rest};
+  return scene;
+}
+
+// Least sum of u^2 dt for which the sum of u (T - t) dt is m d and that of u dt is 0: (m d)^2 12 / (T^3 (1 - 1 / K^2)).
+double LeastEffort(int steps) { return 0.3 * 4 * 12 / (8 * (1 - 1.0 / (steps * steps))); }
+
+TEST(Automatic, TakesPhasesWithConstraintsAndSaysSo) {
+  const SolveReport report = Solve("auto", {Moved(20), "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.solver, "ceres_phases");
+  EXPECT_THAT(report.reason, StartsWith("auto used ceres_phases, as the scene has terminal equality constraints"));
+  EXPECT_NEAR(report.final_loss, LeastEffort(20), 1e-9);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+}
+
+TEST(Automatic, FindsTheStrikeOfTwoBalls) {
+  const SolveReport report = Solve("auto", {ProblemScene("two_balls"), "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, 1.39654285, 5e-9);
+}
+
+TEST(Automatic, ShootsUnderModelsAndFollowsASurrogateByDescent) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 48;
+  const SolveReport model = Solve("auto", {scene, "direct_toi"}, {.iterations = 20});
+  EXPECT_EQ(model.solver, "ceres_lm");
+  const Surrogate zeroth{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.01, .samples = 4};
+  const SolveReport surrogate = Solve("auto", {scene, "event"}, {.iterations = 1, .surrogate = zeroth});
+  EXPECT_EQ(surrogate.solver, "gd");
+  EXPECT_THAT(surrogate.reason, HasSubstr("auto used gd, as a surrogate takes the place of the gradient"));
+}
+
+// A disc that lies on the floor has no phases: shooting goes on, and the iterations are those of all solves together.
+TEST(Automatic, GoesOnWhereASolverDoesNotApply) {
+  Scene scene = Moved(20);
+  scene.gravity = {0, -10};
+  scene.planes = {{.name = "floor", .point = {0, -scene.bodies[0].radius}, .normal = {0, 1}}};
+  for (TerminalTerm& term : scene.objective.terminal) term.hard = false;
+  const SolveReport report = Solve("auto", {scene, "event"}, {.iterations = 30});
+  ASSERT_NE(report.termination, Termination::kNotApplicable) << report.reason;
+  EXPECT_EQ(report.solver, "ceres_lm") << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("ceres_phases does not apply: from the initial guess discs rest on"));
+  EXPECT_LE(report.iterations, 30);
+  EXPECT_EQ(report.losses.size(), static_cast<size_t>(report.iterations) + 1);
+}
+
+TEST(Automatic, SaysWhyNoSolverApplies) {
+  Scene scene = Moved(20);
+  scene.optimize = Optimize::kNone;
+  const SolveReport report = Solve("auto", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_EQ(report.solver, "auto");
+  EXPECT_THAT(report.reason, HasSubstr("leaves nothing to optimize"));
+}
+
+TEST(InteriorPoint, FindsTheClosedFormOfAMovedDisc) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  const SolveReport report = Solve("ipopt", {Moved(20), "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.solver, "ipopt");
+  EXPECT_NEAR(report.final_loss, LeastEffort(20), 1e-9);
+  EXPECT_LE(report.final_violation, kFeasible);
+}
+
+// With bounds, hard terms, running costs and a free final time, through an impact.
+TEST(InteriorPoint, FindsTheConstrainedOptimaOfDiscs) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  for (const Json& reference : References()) {
+    SCOPED_TRACE(TestName(reference));
+    const Scene scene = SceneOf(reference, 60);
+    const SolveReport squares = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
+    const SolveReport interior = Solve("ipopt", {scene, "event"}, {});
+    if (squares.termination != Termination::kConverged) continue;
+    ASSERT_EQ(interior.termination, Termination::kConverged) << interior.reason;
+    EXPECT_NEAR(interior.final_loss, squares.final_loss, 1e-7 * squares.final_loss);
+    // A control on intervals is not better than the optimum in continuous time.
+    EXPECT_GT(interior.final_loss, reference["loss"].get<double>() - 1e-9);
+  }
+}
+
+}  // namespace
+}  // namespace saltus
