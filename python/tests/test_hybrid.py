@@ -411,3 +411,18 @@ def test_filter():
     assert filters[0][0].mode == "flight" and filters[1][0].mode == ""
     with pytest.raises(ValueError, match="mean: found shape"):
         saltus.SaltedKalmanFilter(disc, [0, 1], P)
+
+
+def test_states_may_be_guessed_where_the_control_has_no_motion():
+    flow = {"m": lambda t, x, u, p: [x[1], x[0] ** 3 + u[0]]}
+    line = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow=flow)
+    problem = saltus.HybridProblem(line, mode="m", initial=[2, 0], duration=2.0, control=np.zeros((20, 1)))
+    problem.costs = [saltus.effort(1), saltus.residuals(lambda x: [x[0], x[1]], role="equality")]
+    states = [[2 - i / 5, -1] for i in range(11)]
+    run = saltus.solve(problem, guess_states=states)
+    assert run.termination == "converged", run.reason
+    assert np.abs(run.final).max() < 1e-8
+    with pytest.raises(ValueError, match="guess_states: found an array of shape"):
+        saltus.solve(problem, guess_states=states[:1])
+    with pytest.raises(ValueError, match="guess_states is for a HybridProblem"):
+        saltus.solve({"name": "none"}, guess_states=states)
