@@ -21,8 +21,8 @@
 namespace saltus {
 namespace {
 
-constexpr int kFewColumns = 200;    // of a dense Jacobian, up to which its factors cost less than those of phases
-constexpr double kNoSlope = 1e-8;   // of the largest one: of a state whose target is met
+constexpr int kFewColumns = 200;         // of a dense Jacobian, up to which its factors cost less than those of phases
+constexpr double kNoSlope = 1e-8;        // of the largest one: of a state whose target is met
 constexpr double kNearJump = 1e-3;       // of an interval: how near to a jump of the control an event is named
 constexpr double kSameSaltation = 1e-9;  // relative
 
