@@ -39,7 +39,7 @@ struct SequenceBound {
   std::size_t boxes = 0;       // which are excluded, or left
 };
 
-// What branch and bound has proved, when it ends or at any time before.
+// Holds the result of branch and bound, when it ends or at any time before.
 struct GlobalBound {
   double upper = 0;                     // the loss of the known motion, as given
   double lower = 0;                     // no control has a smaller loss; never decreases
@@ -51,6 +51,7 @@ struct GlobalBound {
   double gap() const { return upper - lower; }
 };
 
+// Limits of branch and bound, and who is told of its progress.
 struct GlobalOptions {
   double gap = 1e-6;                          // of the loss: ends as soon as upper - lower is at most this
   double seconds = 0;                         // limit of time; 0: no limit
@@ -60,7 +61,7 @@ struct GlobalOptions {
   std::function<void(const GlobalBound&)> progress = nullptr;  // called now and then, without `excluded` and `left`
 };
 
-// What the bound does not support in the scene; empty if nothing.
+// Returns the part of the scene that the bound does not support; empty if it supports all.
 std::string WhyNotBounded(const Scene& scene);
 
 // Bounds the loss of all controls of `scene` from below. `upper` is the loss of a motion that is known, such as that of
