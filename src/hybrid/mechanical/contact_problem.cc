@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "base/linear_algebra.h"
@@ -21,6 +22,10 @@ constexpr double kDiffers = 1e-7;     // accelerations of two solutions, of the 
 constexpr std::array kStands = {1e-10, 1e-8, 1e-6};
 constexpr double kCoupled = 1e-12;     // |matrix_ij| / sqrt(matrix_ii matrix_jj) that is not rounding
 constexpr double kMovesNothing = 0.5;  // eigenvalues of a projection are 0 or 1
+constexpr double kPivot = 1e-9;        // pivots of a basis that are zero, of the largest
+constexpr double kShare = 1e-11;       // shares of the sum of a basis, which is 1, that are zero
+constexpr int kMostExchanges = 32;     // of rows of a basis, until its inverse is computed anew
+constexpr double kDrift = 1e4;         // of rounding errors of a new inverse: those of one that has been changed
 
 double FloorOf(const ContactProblem& problem, int contact) {
   return problem.floor.empty() ? 0.0 : problem.floor[contact];
@@ -161,34 +166,54 @@ Eigen::VectorXd MaximizeSmallest(const Eigen::MatrixXd& slopes, const Eigen::Vec
   const Eigen::Index d = slopes.cols(), m = slopes.rows();
   tight->resize(d + 1);
   for (Eigen::Index i = 0; i <= d; ++i) (*tight)[i] = i;
-  Eigen::MatrixXd matrix(d + 1, d + 1);
+  Eigen::MatrixXd matrix(d + 1, d + 1), inverse;
   Eigen::VectorXd right(d + 1), solution(d + 1);
-  const double rounding = 1e-14 * constants.cwiseAbs().maxCoeff();
   const int patience = static_cast<int>(4 * m);
+  int exchanges = kMostExchanges;  // since the inverse was computed, which an exchange of a row changes by rank one
   for (int count = 0; count < 4 * patience; ++count) {
-    for (Eigen::Index i = 0; i <= d; ++i) {
-      matrix.row(i) << slopes.row((*tight)[i]), -1;
-      right[i] = -constants[(*tight)[i]];
+    if (exchanges >= kMostExchanges) {
+      exchanges = 0;
+      for (Eigen::Index i = 0; i <= d; ++i) {
+        matrix.row(i) << slopes.row((*tight)[i]), -1;
+        right[i] = -constants[(*tight)[i]];
+      }
+      inverse = SolveLuColumns(matrix, Eigen::MatrixXd::Identity(d + 1, d + 1));
     }
-    solution = SolveLu(matrix, right);
+    solution = inverse * right;
+    const double rounding = 1e-14 * std::max(right.cwiseAbs().maxCoeff(), solution.cwiseAbs().maxCoeff());
     const Eigen::VectorXd left = slopes * solution.head(d) + constants - Eigen::VectorXd::Constant(m, solution[d]);
     // The row that is smallest, or after many steps the first of those that are too small, which cannot cycle.
     Eigen::Index entering = 0;
-    if (!(left.minCoeff(&entering) < -rounding)) break;
+    const double least = left.minCoeff(&entering);
+    if (!(least < -kDrift * rounding) && exchanges > 0) {
+      exchanges = kMostExchanges;
+      continue;
+    }
+    if (!(least < -rounding)) break;
     for (Eigen::Index i = 0; count >= patience && i < entering; ++i) {
       if (left[i] < -rounding) entering = i;
     }
-    Eigen::MatrixXd sides = Eigen::MatrixXd::Zero(d + 1, 2);
-    sides(d, 0) = -1;
-    sides.col(1) << slopes.row(entering).transpose(), -1;
-    const Eigen::MatrixXd shares = SolveLuColumns(matrix.transpose(), sides);
+    Eigen::RowVectorXd row(d + 1);
+    row << slopes.row(entering), -1;
+    const Eigen::RowVectorXd of_sum = -inverse.row(d), of_row = row * inverse;
+    // Of the rows whose shares of the sum vanish first, up to rounding, that of the largest pivot leaves (Harris).
+    const double smallest = kPivot * of_row.cwiseAbs().maxCoeff();
+    double first = std::numeric_limits<double>::infinity();
+    for (Eigen::Index i = 0; i <= d; ++i) {
+      if (of_row[i] > smallest) first = std::min(first, (std::max(of_sum[i], 0.0) + kShare) / of_row[i]);
+    }
     Eigen::Index leaving = -1;
     for (Eigen::Index i = 0; i <= d; ++i) {
-      if (!(shares(i, 1) > 1e-12)) continue;
-      if (leaving < 0 || shares(i, 0) * shares(leaving, 1) < shares(leaving, 0) * shares(i, 1)) leaving = i;
+      if (!(of_row[i] > smallest) || of_sum[i] > first * of_row[i]) continue;
+      if (leaving < 0 || of_row[i] > of_row[leaving]) leaving = i;
     }
     if (leaving < 0) break;
     (*tight)[leaving] = entering;
+    right[leaving] = -constants[entering];
+    Eigen::RowVectorXd change = of_row / of_row[leaving];
+    change[leaving] -= 1 / of_row[leaving];
+    inverse -= Eigen::VectorXd(inverse.col(leaving)) * change;
+    ++exchanges;
   }
   return solution.head(d);
 }
@@ -266,8 +291,13 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
   if (!(bound > 0) || !std::isfinite(bound)) return split;
   Eigen::MatrixXd slopes(d + 2 + m, d);
   Eigen::VectorXd constants(d + 2 + m);
-  slopes << Eigen::MatrixXd::Identity(d, d), Eigen::RowVectorXd::Constant(d, -1), sum * stresses,
-      Multiply(limits.rows, stresses);
+  slopes.topRows(d + 2) << Eigen::MatrixXd::Identity(d, d), Eigen::RowVectorXd::Constant(d, -1), sum * stresses;
+  for (Eigen::Index i = 0; i < m; ++i) {
+    slopes.row(d + 2 + i).setZero();
+    for (Eigen::Index j = 0; j < force.size(); ++j) {  // most of the factors are zero
+      if (limits.rows(i, j) != 0) slopes.row(d + 2 + i) += limits.rows(i, j) * stresses.row(j);
+    }
+  }
   constants << Eigen::VectorXd::Constant(d + 1, bound), 2 * normals + sum * force,
       limits.rows * force + limits.constants;
   std::vector<Eigen::Index> tight;
