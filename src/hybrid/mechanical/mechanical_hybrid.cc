@@ -719,6 +719,33 @@ void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded>
   }
 }
 
+// The closed contacts when one of them stops. Others may stop with it: by chance, or as the corners of one body must,
+// of which no speed is left to compare.
+MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const Guarded& guarded, const Point& at) const {
+  Closing closing = ClosedOf(mode, at);
+  std::vector<ClosedContact> stopped = mode.closed;
+  for (ClosedContact& other : stopped) {
+    if (other.contact == guarded.contact) {
+      other.status = 's';
+    } else if (SlidingSign(other.status) != 0) {
+      other.status = 'n';
+    }
+  }
+  const MechanicalEquations::System system = equations_.Assemble(stopped, at);
+  const Eigen::Map<const Eigen::VectorXd> v(at.v, equations_.n());
+  for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
+    if (closing.sliding[i] == 0) continue;
+    const Eigen::RowVectorXd tangent = equations_.RowAt({closing.contacts[i], true}, at);
+    Eigen::VectorXd parts = tangent * system.mobile_F;
+    system.contact->Solve(parts, parts);
+    const double left = (tangent - parts.transpose() * system.G).cwiseAbs().maxCoeff();
+    const bool stops = left <= kRests * tangent.cwiseAbs().maxCoeff() ||
+                       std::abs(tangent.dot(v)) <= kRests * tangent.cwiseAbs().dot(v.cwiseAbs());
+    if (stops) closing.sliding[i] = 0;
+  }
+  return closing;
+}
+
 // The status of all contacts after an event; empty if there is none, and then `why` says why.
 std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                                          std::string* why) const {
@@ -737,31 +764,8 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
       return StatusPastLimit(mode, guarded, at, why);
     case What::kGrip:
       return Close(next, ClosedOf(mode, at), at, why);
-    case What::kStop: {
-      // Others may stop with it: by chance, or as the corners of one body must, of which no speed is left to compare.
-      Closing closing = ClosedOf(mode, at);
-      std::vector<ClosedContact> stopped = mode.closed;
-      for (ClosedContact& other : stopped) {
-        if (other.contact == guarded.contact) {
-          other.status = 's';
-        } else if (SlidingSign(other.status) != 0) {
-          other.status = 'n';
-        }
-      }
-      const MechanicalEquations::System system = equations_.Assemble(stopped, at);
-      const Eigen::Map<const Eigen::RowVectorXd> v(at.v, equations_.n());
-      for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
-        if (closing.sliding[i] == 0) continue;
-        const Eigen::RowVectorXd tangent = equations_.RowAt({closing.contacts[i], true}, at);
-        Eigen::VectorXd parts = tangent * system.mobile_F;
-        system.contact->Solve(parts, parts);
-        const double left = (tangent - parts.transpose() * system.G).cwiseAbs().maxCoeff();
-        const bool stops = left <= kRests * tangent.cwiseAbs().maxCoeff() ||
-                           std::abs(tangent.dot(v)) <= kRests * tangent.cwiseAbs().dot(v.cwiseAbs());
-        if (stops) closing.sliding[i] = 0;
-      }
-      return Close(next, closing, at, why);
-    }
+    case What::kStop:
+      return Close(next, Stopping(mode, guarded, at), at, why);
     default:
       *why = "jammed: the acceleration under a normal force at contact '" + ContactName(guarded.contact) +
              "', which slides, is zero (Painleve)";
@@ -810,6 +814,15 @@ int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Po
   if (!why.empty() && !strikes) return guarded.what == What::kJam ? -2 : -1;
   std::copy_n(at.q, n, x_plus);
   std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
+  if (guarded.what == What::kStop) {
+    // Rounding errors of the speeds that reach zero are no speeds.
+    const Closing stopping = Stopping(mode, guarded, at);
+    std::vector<ClosedContact> stopped = mode.closed;
+    for (std::size_t i = 0; i < stopped.size(); ++i) {
+      stopped[i].status = stopping.sliding[i] == 0 && HasFriction(stopped[i].contact) ? 's' : 'n';
+    }
+    equations_.Project(stopped, x_plus, x_plus + n, at.p);
+  }
   return why.empty() ? ModeOf(next) : -1;
 }
 
