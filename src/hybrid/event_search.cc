@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -14,6 +15,7 @@ constexpr double kGrazes = 1e-12;      // depth of a minimum that counts as zero
 constexpr double kNearZero = 0.5;      // minimum of the cubic, of the smaller value at the ends, that is looked at
 constexpr double kSettles = 1e-9;      // last steps of an iteration, of the length of the step
 constexpr double kNoise = 4 * std::numeric_limits<double>::epsilon();
+constexpr double kNoiseOfForces = 4e-12;  // of the flow of closed contacts, whose forces may be past a limit by 1e-12
 constexpr double kStateRounding = 64 * std::numeric_limits<double>::epsilon();  // of states, after many steps
 constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    // of time, parameters and controls
 constexpr double kSoon = 1.0 / 64;                                              // of a step
@@ -23,6 +25,11 @@ constexpr int kMostIterations = 100;
 double SizeOf(double derivative, double value) {
   const double size = std::abs(derivative * value);
   return std::isfinite(size) ? size : 0.0;
+}
+
+// Whether a guard is zero with a rate of zero at both ends of a step, as the force of bodies that touch in free flight.
+bool StaysAtZero(const GuardValue& begin, const GuardValue& end) {
+  return begin.value == 0 && begin.rate == 0 && end.value == 0 && end.rate == 0;
 }
 
 // Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
@@ -69,11 +76,11 @@ const double* EventSearch::StateAfter(const FlowStep& step, const double* slope,
     numbers_.assign(step.x, step.x + n);
     numbers_.insert(numbers_.end(), slope, slope + n);
   }
-  const auto known = std::find_if(kept_.begin(), kept_.end(), [&](const Kept& kept) { return kept.s == s; });
+  const auto known = std::ranges::find(kept_, s, &Kept::s);
   if (known != kept_.end()) return &numbers_[known->state];
   const std::size_t state = numbers_.size();
   numbers_.resize(state + 2 * size);
-  kept_.push_back({s, state});
+  kept_.push_back({.s = s, .state = state, .guards = {}});
   FlowStep part = step;
   part.h = s;
   integrator_.Step(part, slope, &numbers_[state], &numbers_[state + size]);
@@ -90,7 +97,15 @@ FlowStep EventSearch::PointAfter(const FlowStep& step, const double* slope, doub
 
 GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
   const FlowStep then = PointAfter(step, slope, s);
-  return At(then, then.x + functions_.state_size(step.mode), guard);
+  const double* slope_then = then.x + functions_.state_size(step.mode);
+  Kept& kept = *std::ranges::find(kept_, s, &Kept::s);
+  // The forces of closed contacts are one problem for all guards: the second guard that asks finds those of all.
+  if (!functions_.Projects(step.mode) || !std::exchange(kept.asked, true)) return At(then, slope_then, guard);
+  if (kept.guards.empty()) {
+    kept.guards.resize(functions_.num_guards(step.mode));
+    functions_.GuardRates(then, slope_then, kept.guards.data());
+  }
+  return kept.guards[guard];
 }
 
 double EventSearch::Scale(const FlowStep& step, int guard) {
@@ -142,16 +157,18 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);
   at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
   if (now.value < -at_zero) return Standing::kBehind;
+  if (StaysAtZero(now, later)) return Standing::kRising;
   if (flow_scales_.empty()) {
     flow_scales_.resize(n);
     jacobian_.resize(static_cast<std::size_t>(n) * columns);
     functions_.FlowJacobian(step, flow_scales_.data(), jacobian_.data());
     for (int i = 0; i < n; ++i) flow_scales_[i] = ScaleBy(step, &jacobian_[i * columns]);
   }
+  const double of_flow = functions_.Projects(step.mode) ? kNoiseOfForces : kNoise;
   double rate_scale = std::abs(gradient[n]), noise = 0;
   for (int i = 0; i < n; ++i) {
     rate_scale += std::abs(gradient[i] * slope[i]);
-    noise += kNoise * std::abs(gradient[i]) * flow_scales_[i];
+    noise += of_flow * std::abs(gradient[i]) * flow_scales_[i];
   }
   if (std::abs(now.rate) > std::max(noise, kNoRate * std::max(rate_scale, std::abs(later.rate)))) {
     return now.rate > 0 ? Standing::kRising : Standing::kFalling;
@@ -161,7 +178,7 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
     const FlowStep then = PointAfter(step, slope, s);
     const double value = At(then, then.x + n, guard).value;
-    const double noise_then = kNoise * Scale(then, guard) + std::abs(now.value);
+    const double noise_then = value == 0 ? 0 : kNoise * Scale(then, guard) + std::abs(now.value);
     const int sign = value > noise_then ? 1 : value < -noise_then ? -1 : 0;
     if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kSinking;
     last = sign;
@@ -226,6 +243,7 @@ double EventSearch::FirstBelow(const FlowStep& step, const double* slope, int gu
 
 EventSearch::Found EventSearch::FindSinking(const FlowStep& step, const double* slope, int guard,
                                             const GuardValue& begin, const GuardValue& end, double elapsed) {
+  if (!(end.value < 0)) return {};
   functions_.GuardGradient(step, guard, gradient_.data());
   if (!(end.value < -ErrorBy(step, gradient_.data(), end.rate, std::min(elapsed, step.h), kAtZero))) return {};
   const double noise = 2 * std::abs(begin.value) + kNoise * ScaleBy(step, gradient_.data());
@@ -240,7 +258,7 @@ bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& b
 EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
                                      const GuardValue& begin, const GuardValue& end) {
   const double h = step.h;
-  if (!(h > 0)) return {};
+  if (!(h > 0) || StaysAtZero(begin, end)) return {};
   const double curvature = (end.rate - begin.rate) / h;
   if (MayReturn(step, guard, begin, end)) {
     // Where it would be back at zero if its second derivative stayed what it is.
@@ -306,8 +324,9 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return {Found::What::kEvent, closing};
   }
   // It does not reach zero, as it began below by rounding.
+  if (!(begin.rate > 0) || !(end.value < 0) || !functions_.WaitsBehind(step.mode, guard)) return {};
   const double noise = 2 * std::abs(begin.value) + kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
-  if (!(begin.rate > 0) || !(end.value < -noise) || !functions_.WaitsBehind(step.mode, guard)) return {};
+  if (!(end.value < -noise)) return {};
   return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 

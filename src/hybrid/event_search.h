@@ -82,6 +82,8 @@ class EventSearch {
   struct Kept {
     double s = 0;
     std::size_t state = 0;  // in numbers_; the slope follows
+    bool asked = false;     // for a guard
+    std::vector<GuardValue> guards;
   };
   const double* StateAfter(const FlowStep& step, const double* slope, double s);
 

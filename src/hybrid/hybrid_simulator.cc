@@ -23,6 +23,7 @@ constexpr double kRoundingOfFlow = 1e-12;   // likewise, of the largest state
 constexpr int kSameFailures = 4;            // doublings of the steps
 constexpr double kSameTime = 6;             // steps: failures at the same time
 constexpr double kLater = 16;               // steps: not a failure of steps that are too long
+constexpr double kSameRefusal = 1e-3;       // steps: refusals at the same time
 constexpr double kSameAccuracy = 10;        // times the error that was reached
 constexpr double kHalving = 256;            // of steps: how much the error of a method of order 8 grows
 constexpr double kRoundingOfMotion = 1e-7;  // an error that more steps do not lower may be rounding if it is below this
@@ -33,11 +34,14 @@ constexpr double kFirstOrder = 4e-3;  // of an error before as many doublings: i
 constexpr double kBegins = 0.1;       // of the final difference of two motions: where they begin to differ
 constexpr int kScanned = 128;         // points in a step
 constexpr int kBisections = 46;
-constexpr double kJump = 1e-6;        // of a slope, relative
-constexpr double kPole = 1e6;         // of the slopes at the ends of the step: beside a pole
-constexpr double kSamePlace = 1e-12;  // relative: on both sides of a jump
-constexpr double kConverges = 0.3;    // at most, an error in comparison to that of half as many steps
-constexpr int kStalls = 2;            // doublings without convergence after which the error is rounding
+constexpr double kJump = 1e-6;           // of a slope, relative
+constexpr double kPole = 1e6;            // of the slopes at the ends of the step: beside a pole
+constexpr double kSamePlace = 1e-12;     // relative: on both sides of a jump
+constexpr double kConverges = 0.3;       // at most, an error in comparison to that of half as many steps
+constexpr int kStalls = 2;               // doublings without convergence after which the error is rounding
+constexpr int kScatters = 3;             // likewise, after which it is that of impacts
+constexpr double kMostScatter = 1e-2;    // the largest of these that is accepted
+constexpr int kFewestForScatter = 2048;  // steps of a motion with it
 
 }  // namespace
 
@@ -50,16 +54,22 @@ class HybridSimulator::Impl {
         run(std::make_unique<RolloutRun>(system, options)),
         derivatives(system) {}
 
+  static bool IsSame(const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; }
+  static bool HaveSameEvents(const RolloutRun& one, const RolloutRun& other) {
+    return one.tape().final_mode == other.tape().final_mode && std::ranges::equal(one.events(), other.events(), IsSame);
+  }
+
   // The largest relative difference of final state and event times of two motions; infinite if they have other events.
+  // The last of bounces that accumulate depend on rounding, and count by what they do to the final state.
   double Difference(const RolloutRun& one, const RolloutRun& other) const {
+    const bool by_state = system.functions().EndsAccumulations() && one.tape().final_mode == other.tape().final_mode;
+    if (!by_state && !HaveSameEvents(one, other)) return std::numeric_limits<double>::infinity();
     const std::vector<HybridEvent>&events = one.events(), &others = other.events();
-    const auto same = [](const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; };
-    if (one.tape().final_mode != other.tape().final_mode || !std::ranges::equal(events, others, same)) {
-      return std::numeric_limits<double>::infinity();
-    }
+    const auto end = std::ranges::mismatch(events, others, IsSame);
     double difference = 0;
-    for (std::size_t i = 0; i < events.size(); ++i) {
-      difference = std::max(difference, std::abs(events[i].time - others[i].time) / input.duration);
+    auto of_other = others.begin();
+    for (auto event = events.begin(); event != end.in1; ++event) {
+      difference = std::max(difference, std::abs(event->time - (of_other++)->time) / input.duration);
     }
     // Relative to the largest value of a component in the final mode.
     const int mode = one.tape().final_mode, n = system.state_size(mode);
@@ -132,10 +142,11 @@ class HybridSimulator::Impl {
     for (const std::vector<double>& slope : slopes) {
       for (int j = 0; j < n; ++j) sizes[j] = std::max(sizes[j], std::abs(slope[j]));
     }
+    const double rounding = kRoundingOfFlow * std::ranges::max(sizes);
     for (int i = 1; i <= kScanned; ++i) {
       for (int j = 0; j < n; ++j) {
         const double change = std::abs(slopes[i][j] - slopes[i - 1][j]);
-        if (!(change > most * sizes[j])) continue;
+        if (!(change > most * sizes[j]) || sizes[j] <= rounding) continue;
         most = change / sizes[j];
         component = j;
         from = culprit->h * (i - 1) / kScanned;
@@ -194,22 +205,29 @@ class HybridSimulator::Impl {
   bool ChooseSteps() {
     int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals, stalls = 0;
     std::unique_ptr<RolloutRun> best, finer;
-    double least = std::numeric_limits<double>::infinity(), reference = least, last_failure = least;
+    double least = std::numeric_limits<double>::infinity(), reference = least, last_failure = least, scatter = 0;
     std::vector<double> slow;  // differences, of steps that do not resolve the guards
     int same_failures = 0;
     why.clear();
     RolloutEnd end = run->Run(input, n);
-    for (; end != RolloutEnd::kRefused; n *= 2) {
+    for (;; n *= 2) {
       if (end == RolloutEnd::kDone) why = WrongFlight();
       if (!why.empty()) return false;
-      if (end == RolloutEnd::kNotFinite) {
+      if (end != RolloutEnd::kDone) {
         // A failure that stays at its time is one of the system. Steps that are too long for the flow fail earlier the
         // shorter they are, after some steps.
         const double h = input.duration / n / input.num_intervals, failure = run->failure_time();
-        const bool stays = std::abs(failure - last_failure) <= kSameTime * h;
+        const double apart = std::abs(failure - last_failure);
+        const bool stays = apart <= kSameTime * h;
         same_failures = stays && (run->flow_fails() || failure - input.begin > kLater * h) ? same_failures + 1 : 0;
         last_failure = failure;
         if (run->flow_fails() && same_failures >= kSameFailures) break;
+        // Steps that are too long may lead where the motion does not. A refusal counts if half as many steps end with
+        // one at the same time, or where no step leads to it.
+        if (end == RolloutEnd::kRefused &&
+            (failure == input.begin || apart <= kSameRefusal * h || n * input.num_intervals >= kMostWithoutEnd)) {
+          break;
+        }
       }
       if (2.0 * n * input.num_intervals > kMostSteps) {
         if (end == RolloutEnd::kDone) {
@@ -231,7 +249,8 @@ class HybridSimulator::Impl {
       const double now = both ? Difference(*run, *finer) : std::numeric_limits<double>::infinity();
       const auto why_hopeless = [&] {
         return "the integration does not converge: the difference between " + std::to_string(n) + " and " +
-               std::to_string(2 * n) + " steps per interval is still " + ToText(now, 2) +
+               std::to_string(2 * n) + " steps per interval is still " +
+               (std::isinf(now) ? "that of other events" : ToText(now, 2)) +
                ". The flow may have no solution, or be too sensitive to be computed";
       };
       if (both && !resolves) {
@@ -245,8 +264,9 @@ class HybridSimulator::Impl {
         }
       }
       if (resolves) {
-        stalls = now > kConverges * reference ? stalls + 1 : 0;
+        stalls = now > kConverges * reference || std::isinf(now) ? stalls + 1 : 0;
         if (stalls == 0) reference = now;
+        scatter = stalls == 0 ? now : std::max(scatter, now);
         if (now < least) {
           least = now;
           steps = n;
@@ -256,7 +276,15 @@ class HybridSimulator::Impl {
           return Accept(std::move(best), least, *finer);
         }
         const RolloutRun& coarse = run ? *run : *best;
-        if (n * input.num_intervals >= kMostWithoutJump && std::isfinite(now)) why = FindJump(coarse, *finer, now);
+        if (n * input.num_intervals >= kMostWithoutJump && HaveSameEvents(coarse, *finer)) {
+          why = FindJump(coarse, *finer, now);
+        }
+        // Impacts may amplify rounding errors until no number of steps lowers what is left of them.
+        if (why.empty() && stalls >= kScatters && scatter <= kMostScatter && system.functions().EndsAccumulations() &&
+            n * input.num_intervals >= kFewestForScatter) {
+          steps = n;
+          return Accept(std::move(run ? run : best), scatter, *finer);
+        }
         if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
           if (!run) run = std::move(best);

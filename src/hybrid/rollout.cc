@@ -17,12 +17,13 @@ constexpr int kShrinking = 8;          // intervals that tell
 constexpr double kSmallChange = 1e-3;  // of the state: a change of it within a step that is short enough
 constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
 constexpr int kShortSteps = 1 << 13;   // of a motion: what depends on longer ones is refused with these
-constexpr std::size_t kAsks = 64;      // steps and events after which an interrupt is asked for
 constexpr double kSameSlope = 1e-9;    // relative: slopes on both sides of a switch at which the flow does not jump
 constexpr double kStays = 1e-9;        // of its rates beside a switch: the rate of a motion that stays on it
 constexpr double kResolved = 1e-4;     // of the size of a guard in a step: how far it may be from its cubic
 constexpr double kHides = 8;           // of that distance at one point: how far it may be at others
 constexpr double kRoundingOfGuard = 1e-12;  // of the size of a guard's terms
+constexpr double kOffEquations = 0.01;      // of the change in a step: how far off its mode's equations it may end
+constexpr double kOnEquations = 1e-9;       // of the largest number of a motion: a distance that tells nothing
 constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve the guards everywhere
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
@@ -74,6 +75,8 @@ std::string RolloutRun::Named(int mode, int guard) const {
 bool RolloutRun::Refuse(const std::string& what) {
   why_ = what;
   end_ = RolloutEnd::kRefused;
+  failure_time_ = at_.t;
+  flow_fails_ = false;
   return false;
 }
 
@@ -221,6 +224,10 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, boo
   why_.clear();
   remark_.clear();
   accumulation_.reset();
+  largest_ = 0;
+  for (const std::vector<double>* numbers : {&input.initial, &input.parameters, &input.control}) {
+    for (const double number : *numbers) largest_ = std::max(largest_, std::abs(number));
+  }
   end_ = RolloutEnd::kDone;
   at_.mode = input.mode;
   at_.t = input.begin;
@@ -544,9 +551,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
-    if (tape_.entries.size() % kAsks == kAsks - 1 && InterruptGuard::GraceIsOver()) {
-      return Refuse("interrupted in " + Where());
-    }
+    if (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop())) return Refuse("interrupted in " + Where());
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
@@ -576,11 +581,13 @@ bool RolloutRun::StepTo(int node) {
       continue;
     }
     Record(TapeEntry::Kind::kToNode, step.h).node = node;
-    at_.t = target;
     if (functions_.Projects(at_.mode)) {
-      functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), at_.x.data());
+      if (!StaysOnEquations()) return false;
+      at_.t = target;
+      std::swap(at_.x, state_within_);
       if (!UpdateSlope()) return false;
     } else {
+      at_.t = target;
       std::swap(at_.x, next_state_);
       std::swap(at_.slope, next_slope_);
     }
@@ -596,6 +603,23 @@ bool RolloutRun::StepTo(int node) {
     }
     return !leaves || Enter(Entry::kAfterReset);
   }
+}
+
+// Projects next_state_, at the end of a step from at_, onto the equations of a mode with closed contacts:
+// state_within_. A step that ends far off them is too long for the flow.
+bool RolloutRun::StaysOnEquations() {
+  functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), state_within_.data());
+  double change = 0, off = 0;
+  for (int i = 0; i < system_.state_size(at_.mode); ++i) {
+    change = std::max(change, std::abs(next_state_[i] - at_.x[i]));
+    off = std::max(off, std::abs(state_within_[i] - next_state_[i]));
+    largest_ = std::max(largest_, std::abs(at_.x[i]));
+  }
+  if (off <= kOffEquations * change || off <= kOnEquations * largest_) return true;
+  Refuse("the steps of the integration are too long in " + Where() + ": one ends " + ToText(off, 2) +
+         " off the equations of its closed contacts. Take more steps per interval, or let their number be chosen");
+  end_ = RolloutEnd::kNotFinite;
+  return false;
 }
 
 // The point within a step is at another part of each, as a guard may have the period of the steps. The state there is
@@ -698,16 +722,18 @@ std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
   std::vector<int> tied;
   *first = due.guard;
   double rounding_of_due = -1;  // in time
+  std::vector<GuardValue> all(system_.num_guards(at_.mode));
+  functions_.GuardRates(here, at_.slope.data(), all.data());
   for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
     if (guard == due.guard) tied.push_back(guard);
     if (guard == due.guard || at_.armed[guard] == 0 || at_.armed[guard] == kHeld) continue;
-    const GuardValue value = search_.At(here, at_.slope.data(), guard);
+    const GuardValue& value = all[guard];
     if (!(value.rate < 0) || std::abs(value.value) > kNear * -value.rate * input_->duration) continue;
     const EventSearch::Window error = search_.WindowOf(here, guard, value.rate, elapsed);
     if (std::abs(value.value) > 2 * error.integrated) continue;
     tied.push_back(guard);
     if (rounding_of_due < 0) {
-      const double rate = search_.At(here, at_.slope.data(), due.guard).rate;
+      const double rate = all[due.guard].rate;
       rounding_of_due = rate < 0 ? search_.WindowOf(here, due.guard, rate, elapsed).rounding / -rate : 0;
     }
     if (std::abs(value.value) > error.rounding - value.rate * rounding_of_due) continue;
@@ -724,6 +750,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   coincidence.begin = tape_.entries.size();
   Record(TapeEntry::Kind::kToEvent, due.s);
   search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
+  if (functions_.Projects(at_.mode) && !StaysOnEquations()) return false;
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;

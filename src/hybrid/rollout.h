@@ -39,7 +39,7 @@ class RolloutRun {
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }
   const std::string& remark() const { return remark_; }
-  // Of a run that ended as kNotFinite: where it did, and whether that is the flow, at a state near the motion.
+  // Of a run that has failed: when it did, and whether that is the flow, at a state near the motion.
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
 
@@ -79,6 +79,7 @@ class RolloutRun {
   bool AllBeginOn(int guard) const;
   bool AllLandOn(int guard) const;
   bool StepTo(int node);
+  bool StaysOnEquations();
   bool Enter(Entry entry);
   bool Fire(int guard, bool with_step, bool at_once);
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
@@ -120,6 +121,7 @@ class RolloutRun {
   std::string why_, remark_;
   std::optional<double> accumulation_;
   RolloutEnd end_ = RolloutEnd::kDone;
+  double largest_ = 0;  // of states, parameters and controls so far
   double failure_time_ = 0;
   bool flow_fails_ = false;
 };

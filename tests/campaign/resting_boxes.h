@@ -146,9 +146,7 @@ class TossUntilRest {
       return report;
     }
     input.mode = start.mode;
-    // Flights need no small steps. Forces of a box that slides grow without bounds as friction rises to 4 / 3.
-    HybridSimulator simulator(system.hybrid(),
-                              {.steps_per_interval = friction_ < 1.2 ? 400 : 8192, .most_events = 20000});
+    HybridSimulator simulator(system.hybrid(), {.most_events = 20000});
     if (!simulator.Rollout(input)) {
       report.refused = simulator.WhyFailed();
       if (report.refused.empty()) report.wrong = "refused without a reason";

@@ -24,6 +24,7 @@
 // a guard for which that takes too many steps. A dip that is much shorter than all steps may be missed.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -55,13 +56,16 @@ struct HybridOptions {
   // Relative error of the final state and of the event times, of the integration. The number of steps is chosen for it
   // in the first rollout, and kept; RolloutAccurately checks it again.
   double tolerance = 1e-12;
-  int steps_per_interval = 0;  // of the integration; 0: chosen
+  // Of the integration; 0: chosen. A given number is taken as it is: IntegrationError and WhyInaccurate tell how good
+  // it is. A motion fails where its steps are so long that they leave the equations of closed contacts.
+  int steps_per_interval = 0;
   // A guard below zero at the start is armed once it is above zero, in the place of an error.
   bool wait_behind_guards = false;
   int most_events = 100000;  // a motion with more of them fails
   // Events of one guard in one mode without time passing. With more of them, or where its event leads back to the state
   // in which it began, the motion goes on in the mode that the system names (OnAccumulation), or fails.
   int most_repeats = 100;
+  std::function<bool()> stop = {};  // asked at each step of the integration; true ends the rollout, which fails
 };
 
 struct HybridEvent {
@@ -170,8 +174,8 @@ class HybridSimulator {
   // Chooses the number of steps anew in the next rollout, unless it is given.
   void ChooseStepsAnew();
   // The largest relative difference of final state and event times to those of a rollout with twice as many steps;
-  // infinite if that has other events. Costs a rollout with twice as many steps, unless it is known: it is that of a
-  // rollout which has chosen the number of steps. Precondition: the last rollout succeeded.
+  // infinite if that has other events (a mechanical system: another final mode). Costs a rollout with twice as many
+  // steps, unless the last one has chosen the number of steps. Precondition: the last rollout succeeded.
   double IntegrationError();
   // Why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given steps), and
   // which guard changes faster than the steps resolve, so that events may be missed; empty if neither is so. Costs as
