@@ -190,8 +190,9 @@ class Problem {
     for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
   }
 
-  // The problem with a guess. Throws ValueError if something is wrong with it.
-  HybridProblem At(const Guess& guess) const {
+  // The problem with a guess, whose rollouts end when `computation` is stopped. Throws ValueError if something is wrong
+  // with it.
+  HybridProblem At(const Guess& guess, Computation* computation = nullptr) const {
     const auto& [mode, initial, parameters, duration, control, durations] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
@@ -208,13 +209,15 @@ class Problem {
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
     if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    if (computation != nullptr) problem.integration.stop = computation->stop();
     return problem;
   }
 
   py::dict Rollout(const Guess& guess) const {
-    const HybridProblem problem = At(guess);
+    Computation computation;
+    const HybridProblem problem = At(guess, &computation);
     Json motion;
-    Computation().RunOrThrow([&] {
+    computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
       const bool ok = simulator.Rollout(problem.guess);
       motion = HybridMotionToJson(simulator, problem.guess, ok, /*states=*/ok);
@@ -225,12 +228,13 @@ class Problem {
 
   // Row-major: final state and event times by [initial control parameters duration]; a remark, the integration error.
   py::tuple FinalDerivatives(const Guess& guess) const {
-    const HybridProblem problem = At(guess);
+    Computation computation;
+    const HybridProblem problem = At(guess, &computation);
     HybridSensitivity found;
     std::vector<double> times;
     std::string remark;
     double error = 0;
-    Computation().RunOrThrow([&] {
+    computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
       if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       found = simulator.Sensitivity();
@@ -355,10 +359,11 @@ class Problem {
 
   py::tuple TrackContinuously(const Guess& guess, const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
                               const Eigen::MatrixXd& QT) const {
-    const HybridProblem problem = At(guess);
+    Computation computation;
+    const HybridProblem problem = At(guess, &computation);
     Regulator regulator;
     std::string remark;
-    Computation().RunOrThrow([&] {
+    computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
       if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       const TrackingCost cost{.Q = Q, .R = R, .QT = QT};
