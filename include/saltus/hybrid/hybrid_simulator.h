@@ -56,8 +56,8 @@ struct HybridOptions {
   // Relative error of the final state and of the event times, of the integration. The number of steps is chosen for it
   // in the first rollout, and kept; RolloutAccurately checks it again.
   double tolerance = 1e-12;
-  // Of the integration; 0: chosen. A given number is taken as it is: IntegrationError and WhyInaccurate tell how good
-  // it is. A motion fails where its steps are so long that they leave the equations of closed contacts.
+  // Integration steps of each control interval; 0: chosen. A given number is taken: IntegrationError and WhyInaccurate
+  // tell how good it is. A motion fails where its steps are so long that they leave the equations of closed contacts.
   int steps_per_interval = 0;
   // A guard below zero at the start is armed once it is above zero, in the place of an error.
   bool wait_behind_guards = false;
