@@ -20,6 +20,10 @@ constexpr double kStalled = 0.5;     // of the violation that the solve before h
 constexpr double kNearlyMet = 1e-3;  // a larger violation stalls where constraints cannot be met, not for multipliers
 constexpr int kMostEstimates = 3;    // of multipliers, where solves stall: each may cost as much as a solve
 constexpr int kShortPhase = 332;     // steps
+constexpr int kManySteps = 100;      // in which open defects are cheaper than a motion without them
+constexpr double kWeakOpen = 0.1;    // of `most_open`, along phases of many steps
+constexpr double kStrengthening = 100;
+constexpr int kMostStrengthened = 2;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
@@ -149,6 +153,7 @@ void AugmentedLagrangian::Options::ScaleTo(int steps) {
   const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
   equality_weight *= length;
   radius *= length * length;
+  if (steps >= kManySteps) weak_open = kWeakOpen * most_open;
 }
 
 AugmentedLagrangian::AugmentedLagrangian() : problem_(ProblemOptions()) {}
@@ -266,7 +271,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   bool estimated = false, near = false;
-  int estimates = 0;  // where solves stall
+  int estimates = 0;     // where solves stall
+  int strengthened = 0;  // times that the first weights were
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
@@ -289,6 +295,14 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
         --round;
         continue;
       }
+    }
+    if (round == 0 && result.violation > options.weak_open && strengthened++ < kMostStrengthened &&
+        !result.interrupted && result.iterations < options.iterations) {
+      SetValues(start);
+      EstimateMultipliers();
+      weights_.equality *= kStrengthening;
+      --round;
+      continue;
     }
     if (options.after_round) options.after_round();
     if (result.interrupted || result.iterations >= options.iterations) break;

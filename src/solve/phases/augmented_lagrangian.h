@@ -63,6 +63,9 @@ class AugmentedLagrangian {
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
     // start meets the equalities.
     double most_open = INFINITY;
+    // If the first solve with these multipliers leaves a row open by more than this, costs still outweigh the motion,
+    // and it is repeated with larger weights of equalities.
+    double weak_open = INFINITY;
     // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
