@@ -746,6 +746,16 @@ MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const Gua
   return closing;
 }
 
+// The closed contacts when one of them stops: 's' for all that are at rest then, 'n' for the others.
+std::vector<ClosedContact> MechanicalHybrid::Stopped(const Mode& mode, const Guarded& guarded, const Point& at) const {
+  const Closing stopping = Stopping(mode, guarded, at);
+  std::vector<ClosedContact> stopped = mode.closed;
+  for (std::size_t i = 0; i < stopped.size(); ++i) {
+    stopped[i].status = stopping.sliding[i] == 0 && HasFriction(stopped[i].contact) ? 's' : 'n';
+  }
+  return stopped;
+}
+
 // The status of all contacts after an event; empty if there is none, and then `why` says why.
 std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                                          std::string* why) const {
@@ -814,25 +824,24 @@ int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Po
   if (!why.empty() && !strikes) return guarded.what == What::kJam ? -2 : -1;
   std::copy_n(at.q, n, x_plus);
   std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
-  if (guarded.what == What::kStop) {
-    // Rounding errors of the speeds that reach zero are no speeds.
-    const Closing stopping = Stopping(mode, guarded, at);
-    std::vector<ClosedContact> stopped = mode.closed;
-    for (std::size_t i = 0; i < stopped.size(); ++i) {
-      stopped[i].status = stopping.sliding[i] == 0 && HasFriction(stopped[i].contact) ? 's' : 'n';
-    }
-    equations_.Project(stopped, x_plus, x_plus + n, at.p);
-  }
+  // Rounding errors of the speeds that reach zero are no speeds.
+  if (guarded.what == What::kStop) equations_.Project(Stopped(mode, guarded, at), x_plus, x_plus + n, at.p);
   return why.empty() ? ModeOf(next) : -1;
 }
 
 int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const {
   const Mode& of = ModeAt(from.mode);
   const int columns = equations_.num_columns(false);
-  const OnMode on = Projected(of, PointAt(from), columns);
+  OnMode on = Projected(of, PointAt(from), columns);
   Impact impact;
   const int next = ResetOn(of, of.guards[guard], on.at, &impact, x_plus);
   if (next < 0 && impact.v_plus.size() == 0) return -1;
+  if (of.guards[guard].what == What::kStop) {
+    const int n = equations_.n();
+    std::copy_n(on.at.q, n, x_plus);
+    std::copy_n(on.at.v, n, x_plus + n);
+    equations_.Project(Stopped(of, of.guards[guard], on.at), x_plus, x_plus + n, on.at.p, on.passes);
+  }
   int first = 0;
   for (const MechanicalEquations::Seeds& seeds : on.passes) {
     const Block q = equations_.Directions(seeds.q);

@@ -186,6 +186,7 @@ class MechanicalHybrid final : public HybridFunctions {
   std::string StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at, std::string* why) const;
   Closing ClosedOf(const Mode& mode, const Point& at) const;
   Closing Stopping(const Mode& mode, const Guarded& guarded, const Point& at) const;
+  std::vector<ClosedContact> Stopped(const Mode& mode, const Guarded& guarded, const Point& at) const;
   // The sign of v_t; zero if it is no more than this part of its terms.
   int SlipSign(int contact, const Point& at, double zero) const;
 
