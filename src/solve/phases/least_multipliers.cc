@@ -7,7 +7,7 @@
 namespace saltus {
 namespace {
 
-constexpr int kMostRows = 32;              // that share a variable or a copy of one
+constexpr int kMostRows = 256;             // that share a variable or a copy of one
 constexpr double kRegularization = 1e-12;  // of the diagonal: rows may depend on each other
 
 using SparseRows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
