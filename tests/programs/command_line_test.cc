@@ -291,7 +291,8 @@ TEST(CommandLine, EveryOutputOfASurrogateSaysThatItIsBiased) {
   EXPECT_THAT(RunProgram("saltus_solve --iterations=1" + flags).output, HasSubstr("direct (smoothed_zeroth, biased)"));
   EXPECT_TRUE(std::ifstream(dir + "/two_balls_direct_gd_smoothed_zeroth_biased.npz").good());
 
-  const Outcome option = RunProgram(
+  const Outcome option = RunProgramIn(
+      1000,
       "saltus_solve --iterations=1 --progress=none --contact=lcp:complementarity_aware=1" + SceneFlag("two_balls"));
   EXPECT_THAT(option.output, HasSubstr("lcp:complementarity_aware=1 (biased)"));
 
