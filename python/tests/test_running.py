@@ -84,6 +84,16 @@ class TestInterrupts:
         finally:
             signal.signal(signal.SIGALRM, before)
 
+    def test_a_rollout_of_a_hybrid_system(self):
+        """Without an interrupt within the interval, the rollout would take hours."""
+        system = saltus.HybridSystem(states={"m": ["x", "v"]}, parameters=["w"], flow={"m": lambda x, p: [x[1], -p[0] ** 2 * x[0]]})
+        problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], parameters=[1000.0], duration=1e6,
+                                       steps_per_interval=2_000_000_000)
+        timer = interrupt_soon()
+        with pytest.raises(KeyboardInterrupt):
+            saltus.rollout(problem)
+        timer.join()
+
 
 class TestThreads:
     def test_one_simulation_for_several(self, two_balls):
