@@ -426,3 +426,12 @@ def test_states_may_be_guessed_where_the_control_has_no_motion():
         saltus.solve(problem, guess_states=states[:1])
     with pytest.raises(ValueError, match="guess_states is for a HybridProblem"):
         saltus.solve({"name": "none"}, guess_states=states)
+
+
+def test_modes_of_accumulations_that_lead_to_such_events_again_are_named():
+    system = saltus.HybridSystem(
+        states={"m": ["y", "v"]}, flow={"m": lambda x: [x[1], -9.8]}, guards={"m": {"ground": lambda x: x[0]}},
+        resets={"m": {"ground": lambda x: ("m", [0 * x[0], -0.5 * x[1]])}}, on_accumulation={"m": {"ground": "m"}})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1.0)
+    with pytest.raises(RuntimeError, match="lead to such events again"):
+        saltus.rollout(problem)

@@ -38,3 +38,8 @@ def test_the_probability_that_the_sequence_changes(problem, least, most):
     assert least <= found.change_probability <= most
     assert runs.otherwise / 400 <= found.change_probability + 0.08
     assert bool(found.warning) == (least > 0)
+
+
+def test_a_covariance_without_columns_is_refused():
+    with pytest.raises(ValueError, match="control"):
+        saltus.noisy_runs(beads(1.5), initial=1e-4 * np.eye(6), control=np.empty((3, 0)), samples=5)

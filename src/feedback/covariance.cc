@@ -56,7 +56,7 @@ std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion) {
                                            std::tuple("control", &noise.control, m),
                                            std::tuple("process", &noise.process, n),
                                            std::tuple("measurement", &noise.measurement, n)}) {
-    if (matrix->size() == 0) continue;
+    if (matrix->rows() == 0 && matrix->cols() == 0) continue;
     if (std::string wrong = WhatIsWrongWithSymmetric(*matrix, size, /*definite=*/false); !wrong.empty()) {
       return "covariance of the " + std::string(what) + ": " + wrong;
     }

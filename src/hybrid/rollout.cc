@@ -224,6 +224,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, boo
   why_.clear();
   remark_.clear();
   accumulation_.reset();
+  accumulations_at_once_ = 0;
   largest_ = 0;
   for (const std::vector<double>* numbers : {&input.initial, &input.parameters, &input.control}) {
     for (const double number : *numbers) largest_ = std::max(largest_, std::abs(number));
@@ -814,9 +815,13 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
 
 // Goes on in the mode that the system names where the events of a guard accumulate; refuses without one.
 bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why) {
+  accumulations_at_once_ = accumulation_ == time ? accumulations_at_once_ + 1 : 0;
   accumulation_ = time;
   const int next = functions_.OnAccumulation(mode, guard);
   if (next < 0) return Refuse(why + kNameAMode);
+  if (accumulations_at_once_ > system_.num_modes()) {
+    return Refuse(why + "; the modes that OnAccumulation names lead to such events again. Name a mode without them");
+  }
   if (next >= system_.num_modes() || system_.state_size(next) != system_.state_size(at_.mode)) {
     return Refuse(why + "; OnAccumulation names mode " + std::to_string(next) +
                   ", expected one with states of the same size");

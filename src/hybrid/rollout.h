@@ -120,6 +120,7 @@ class RolloutRun {
   Unresolved unresolved_;
   std::string why_, remark_;
   std::optional<double> accumulation_;
+  int accumulations_at_once_ = 0;  // at the time of the last one, before it
   RolloutEnd end_ = RolloutEnd::kDone;
   double largest_ = 0;  // of states, parameters and controls so far
   double failure_time_ = 0;
