@@ -199,8 +199,8 @@ struct Weights {
   double share = 1;  // in (0, 1]; of 1 there are no terms in an open sequence
   double reach = 1;  // > 0: about the root of the sum of |a_i|^2 / m_i
   double place = 1;  // > 0: about the length of the place's multipliers of a last touch whose normal is free
-  // Of impacts that are repeated, and each of the two discs: how its effort is shared out to its own costate and those
-  // of the two through repeated impacts. Each > 0, with a sum below 1.
+  // The shares of the effort of each of the two discs of repeated impacts: that of the disc's costate, and those of the
+  // two costates through repeated impacts. Each > 0, with a sum below 1.
   std::vector<std::array<std::array<double, 3>, 2>> parts = {};
   std::vector<double> fall = {};  // > 0: about the length of the costates of velocity of repeated impacts under gravity
 };

@@ -145,7 +145,7 @@ class RecordedFunction::Builder {
 
   Tape Values() const { return Flatten({}); }
 
-  // As the function of this name.
+  // Returns the graph for the function FlowAlong below, of which these are the outputs.
   ExpressionGraph FlowAlong(int n, int k) && {
     using enum Operation;
     const std::vector<int> beside = std::move(outputs_);

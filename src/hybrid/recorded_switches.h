@@ -29,8 +29,8 @@ class RecordedSwitches {
   // The number as a formula in the names of the inputs.
   std::string TextOf(int number, std::span<const std::string> inputs) const;
 
-  // Of each switch the sign of its number (-1, 0 or 1), kSliding where the motion goes along its zeros, or its integer
-  // part; kIrrelevant where no function depends on it in this piece.
+  // The side of each switch: the sign of its number (-1, 0 or 1), kSliding where the motion goes along its zeros, or
+  // its integer part; kIrrelevant where no function depends on it in this piece.
   using Sides = std::vector<int>;
   static constexpr int kIrrelevant = -(1 << 30), kSliding = 2;
   bool Slides(int number, const Sides& sides) const { return sides[number] == kSliding && !IsFloor(number); }

@@ -39,7 +39,7 @@ class RolloutRun {
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }
   const std::string& remark() const { return remark_; }
-  // Of a run that has failed: when it did, and whether that is the flow, at a state near the motion.
+  // The time at which a run failed, and whether the flow failed there, at a state near the motion.
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
 

@@ -533,7 +533,7 @@ class Identification {
     const int starts = problem_.num_plain > 0 ? options_.starts : 1;  // which differ in these unknowns only
     constexpr LineKind kInTurn[] = {LineKind::kMedians, LineKind::kLeastMedian, LineKind::kFirstTwo};
     const bool few = NumbersLeft() < kManyLeft;
-    // Of many samples, the first part shows where a motion begins, unless there are many outliers in it.
+    // The first part of many samples shows where a motion begins, unless there are many outliers in it.
     const int first_screened = few ? 1 : (starts + 1) / 2;
     std::vector<FitPoint> screened;
     for (int number = 0; number < starts && !Interrupted(); ++number) {

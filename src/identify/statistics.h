@@ -60,8 +60,8 @@ struct Confidence {
   double scatter = 1;     // mean square of standardised numbers that are no outliers, per degree of freedom
   double degrees = 0;     // of freedom: numbers that are no outliers, less those that were fitted
   bool is_noise = false;  // the scatter may be that of noise of the sigma of the samples
-  // Of Student's t in intervals: `degrees`, and more where a stated sigma agrees with the scatter, which then says less
-  // about noise than it.
+  // Degrees of freedom of Student's t in intervals: `degrees`, and more where a stated sigma agrees with the scatter,
+  // which then says less about noise than it.
   double interval_degrees = 0;
   Eigen::MatrixXd covariance;  // of the unknowns' values, 0 for those in `held`; empty if it has not full rank
 };

@@ -42,7 +42,7 @@ class BoxMaker {
     box.quarters.back() = (static_cast<int>(quarter) + 4) % 4;
     at.push_back(std::tan(0.5 * (angle - quarter * M_PI_2)));
   }
-  // Of widths drawn up to `width`, in which the parameters are anywhere.
+  // Returns a box with widths drawn up to `width`, in which the parameters are anywhere.
   ImpactBox Around(double width, Random* random) const {
     ImpactBox out = box;
     for (const double x : at) {

@@ -196,7 +196,7 @@ Eigen::VectorXd MaximizeSmallest(const Eigen::MatrixXd& slopes, const Eigen::Vec
     Eigen::RowVectorXd row(d + 1);
     row << slopes.row(entering), -1;
     const Eigen::RowVectorXd of_sum = -inverse.row(d), of_row = row * inverse;
-    // Of the rows whose shares of the sum vanish first, up to rounding, that of the largest pivot leaves (Harris).
+    // The row that leaves has the largest pivot of those whose shares of the sum vanish first, up to rounding (Harris).
     const double smallest = kPivot * of_row.cwiseAbs().maxCoeff();
     double first = std::numeric_limits<double>::infinity();
     for (Eigen::Index i = 0; i <= d; ++i) {

@@ -38,7 +38,7 @@ HybridProblem WithIntervals(HybridProblem problem) {
   return problem;
 }
 
-// As many integration steps of an interval as the motions of this length from the guessed states need.
+// Returns the integration steps of an interval that motions of this length from the guessed states need.
 int StepsFromStates(const HybridProblem& problem) {
   const size_t n = problem.guess.initial.size();
   const auto width = static_cast<std::ptrdiff_t>(problem.system.num_controls());
