@@ -1,4 +1,4 @@
-// What feedback costs on two balls with 480 steps, beside a gradient of the loss: the linearization of the motion, the
+// The cost of feedback on two balls with 480 steps, beside a gradient of the loss: the linearization of the motion, the
 // gains of the regulator about it, and the propagation of a covariance in closed loop.
 #include <benchmark/benchmark.h>
 #include <glog/logging.h>

@@ -1,4 +1,4 @@
-// What motions of hybrid systems and their gradients cost: ratios of times of one run.
+// The costs of motions of hybrid systems and of their gradients: ratios of times of one run.
 //
 //   rollout_to_hand_written   a rollout of the SLIP hopper (7 events) beside the same method written for it alone
 //   gradient_to_rollout       rollout and adjoint beside the rollout, of the simplest walker (4 states)

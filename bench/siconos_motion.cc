@@ -97,7 +97,7 @@ class EventDrivenMotion final : public SiconosMotion {
     model_->insertDynamicalSystem(body);
     bodies_.push_back(std::move(body));
   }
-  // Of the body that has been added last.
+  // Adds a contact of the last body.
   void AddContact(const std::shared_ptr<Contact>& contact, double restitution) {
     model_->link(std::make_shared<Interaction>(std::make_shared<NewtonImpactNSL>(restitution), contact),
                  bodies_.back());

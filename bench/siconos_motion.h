@@ -55,7 +55,7 @@ class SiconosMotion {
 // From `initial` = [q v], with a relative and absolute tolerance of the integration. x, y and angle of each box in
 // turn.
 std::unique_ptr<SiconosMotion> BoxesBySiconos(const std::vector<double>& initial, double duration, double tolerance);
-// Likewise; the tip is on the ground at the start.
+// Makes the motion of a pendulum; its tip is on the ground at the start.
 std::unique_ptr<SiconosMotion> PendulumBySiconos(const std::vector<double>& initial, double duration, double tolerance);
 
 }  // namespace saltus

@@ -1,4 +1,4 @@
-// What a rollout with its loss (forward) and the loss with its whole gradient cost, and how that grows.
+// The costs of a rollout with its loss (forward) and of the loss with its whole gradient, and how they grow.
 //
 //   Gradient   per contact model, on two balls with 480 steps and 960 controls; beside it code written by hand for this
 //              one scene and model, a lower bound
@@ -197,7 +197,7 @@ void Growth(benchmark::State& state, const std::string& contact) {
   }
 }
 
-// Of two balls of which one is pushed against the other again and again.
+// The motion of two balls of which one is pushed against the other again and again.
 void CertificateOfManyImpacts(benchmark::State& state) {
   const auto run_of = [](double duration) {
     Scene scene = ProblemScene("two_balls", 480);

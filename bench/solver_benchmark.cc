@@ -1,4 +1,4 @@
-// What an iteration of a solver costs, in gradients (both are timed in the same run, in turns), and what a solution.
+// The cost of an iteration of a solver, in gradients (both are timed in the same run, in turns), and of a solution.
 //
 //   gradients_per_iteration
 //       thread time from one callback to the next, by that of SingleShooting::Evaluate with gradient

@@ -16,7 +16,7 @@ namespace py = pybind11;
 using Array = py::array_t<double, py::array::c_style>;
 using Shape = std::vector<py::ssize_t>;
 
-// As numpy writes it: "(480, 1, 2)".
+// Returns a shape as numpy writes it: "(480, 1, 2)".
 std::string ShapeToString(const Shape& shape);
 py::ssize_t SizeOf(const Shape& shape);
 
@@ -24,7 +24,7 @@ py::ssize_t SizeOf(const Shape& shape);
 // as many numbers. TypeError if it is no array of real numbers; ValueError for another shape and for what is not
 // finite.
 Array ReadArray(const py::handle& value, const std::string& name, const Shape& shape);
-// The same, finite or not: for those who look by themselves.
+// Reads numbers, finite or not, for callers that check by themselves.
 Array ReadNumbers(const py::handle& value, const std::string& name, const Shape& shape);
 bool AllFinite(std::span<const double> numbers);
 // ValueError that names the first that is not.

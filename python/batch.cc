@@ -92,8 +92,8 @@ class PointsOfScene {
     for (double& loss : losses) loss = ConvertLoss(loss, near_.units, scene_.units);
   }
 
-  // As Batch::Evaluate(), with NaN for points that are not finite. Each is looked at just before it is used, as a pass
-  // over all points would cost a tenth of the gradients. In lanes their motions are not finite either.
+  // Evaluates as Batch::Evaluate(), with NaN for points that are not finite. Each point is checked just before its use,
+  // as a pass over all points would cost a tenth of the gradients. In lanes their motions are not finite either.
   void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
     const size_t size = batch_->num_variables(), columns = num_variables_;
     const bool torques = HasTorques(scene_);

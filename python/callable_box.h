@@ -11,8 +11,8 @@
 
 namespace saltus::python {
 
-// What it gives besides final states. Gradients are of any function of the final state or, if there is a `loss`, of
-// that objective with its effort: then there are none of scenes with another.
+// The answers that it offers besides final states. Gradients are of any function of the final state or, if there is a
+// `loss`, of that objective with its effort: then there are none for scenes with another objective.
 struct CallableOffer {
   bool gradient = false, step = false, states = false;
   std::optional<Objective> loss = std::nullopt;

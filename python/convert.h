@@ -32,7 +32,7 @@ void WarnOfUnresolved(int unresolved_steps, int num_steps);
 // A contact model by its name, perhaps with options, or one made in Python. ValueError.
 Contact ReadContact(const py::handle& contact);
 
-// What a report says the surrogate is, or none. `surrogate`: its keyword arguments, or None. ValueError, TypeError.
+// Reads a surrogate from its keyword arguments, or None. Raises ValueError or TypeError.
 std::optional<Surrogate> ReadSurrogate(const py::object& surrogate);
 
 // 0 is one per core. ValueError.

@@ -23,7 +23,8 @@ class EndState {
     simulator_->set_stop(user_.stop());
   }
 
-  // Of scenes with discs that spin as all states are here: angle and angular velocity of a disc behind its velocity.
+  // Shapes of scenes with discs that spin, as all states here: angle and angular velocity of a disc behind its
+  // velocity.
   Shape InitialShape() const { return {scene_.num_bodies(), InitialSize(scene_) / scene_.num_bodies()}; }
   Shape ControlShape() const { return {simulator_->num_steps(), scene_.num_controlled(), ControlColumns(scene_)}; }
   Shape FinalShape() const { return {scene_.num_bodies(), simulator_->body_size()}; }

@@ -11,7 +11,7 @@
 
 namespace saltus::python {
 
-// What feedback needs of a motion.
+// The data of a motion that feedback needs.
 struct PlannedMotion {
   Plan plan;
   LinearMotion linear;

@@ -379,7 +379,7 @@ class Problem {
     return RegulatorToPython(regulator, remark);
   }
 
-  // Of a scheme in Python, or if `command` is not empty of that command.
+  // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
                  const std::string& command, int steps, bool width_sweep, double budget) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");

@@ -26,7 +26,7 @@ Scene ParseOrThrow(const std::string& text, const std::string& name) {
   throw py::error_already_set();
 }
 
-// Of what WriteScene() has written: quoted scalars are text; others a number or a truth value, if they read as one.
+// Converts text of WriteScene(): quoted scalars are text; others a number or a truth value, if they read as one.
 py::object NodeToPython(const YAML::Node& node) {
   if (node.IsMap()) {
     py::dict dict;
@@ -59,8 +59,8 @@ std::vector<int> AllBodies(const Scene& scene) {
   return bodies;
 }
 
-// The same scene from another start: positions and velocities (B x 2), angles and angular velocities (B), or those it
-// has if None. With `by_control` its decision variables are the control, whatever they were.
+// Returns the scene with another initial state: positions and velocities (B x 2), angles and angular velocities (B), or
+// the present ones for None. With `by_control` its decision variables are the control, whatever they were.
 Scene StartingAt(Scene scene, const py::object& position, const py::object& velocity, const py::object& angle,
                  const py::object& angular_velocity, bool by_control) {
   if (by_control) scene.optimize = Optimize::kControl;

@@ -63,7 +63,7 @@ SolverOptions ReadOptions(const Scene& scene, const Keywords& keywords) {
   return options;
 }
 
-// What a callback says: False ends the run, True and None go on.
+// Returns the answer of a callback: False ends the run, True and None go on.
 bool GoesOn(const py::object& answer) {
   if (answer.is_none()) return true;
   if (PyBool_Check(answer.ptr())) return answer.cast<bool>();

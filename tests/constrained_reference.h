@@ -58,7 +58,7 @@ inline Json Reference(const std::string& name) {
   throw std::out_of_range("no reference " + name);
 }
 
-// What a test of a reference is called.
+// Returns the name of the test of a reference.
 inline std::string TestName(const Json& reference) {
   std::string name = reference["name"];
   std::replace(name.begin(), name.end(), '.', '_');

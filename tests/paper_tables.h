@@ -1,4 +1,4 @@
-// What tests read off the tables of the report.
+// Access to the tables of the report for tests.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -11,7 +11,7 @@
 
 namespace saltus {
 
-// As CSV: what a cell says without its colour.
+// Returns a table as CSV: the cells without their colours.
 inline CsvDocument FindTable(const std::vector<CaptionedTable>& tables, const std::string& name) {
   for (const CaptionedTable& table : tables) {
     if (table.name == name) return *ParseCsv(table.table.ToCsv());
@@ -24,7 +24,7 @@ inline std::string Get(const CsvDocument& csv, size_t row, const std::string& co
   return csv.rows[row][*csv.Find(column)];
 }
 
-// Of the run of that model and solver; "" if there is none.
+// Returns the cell of the run of that model and solver; "" if there is none.
 inline std::string Get(const CsvDocument& csv, const std::string& contact, const std::string& solver,
                        const std::string& column) {
   for (size_t row = 0; row < csv.rows.size(); ++row) {

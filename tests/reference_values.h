@@ -1,4 +1,4 @@
-// What tests compare with: files of data/, which others than this library have computed.
+// Values that tests compare with: files of data/, which others than this library have computed.
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>

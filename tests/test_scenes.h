@@ -52,7 +52,7 @@ inline Scene StrikesTwo() {
   scene.optimize = Optimize::kControl;
   return scene;
 }
-// The same, with the lines of the two in the other order.
+// Returns the scene with the lines of the two in the other order.
 inline Scene StrikesTwoSwapped() {
   Scene scene = StrikesTwo();
   std::swap(scene.bodies[1], scene.bodies[2]);

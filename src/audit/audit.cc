@@ -18,7 +18,7 @@
 namespace saltus {
 namespace {
 
-// All entries in the unit of those by position.
+// Returns all entries of the gradient, scaled to the unit of derivatives by position.
 Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
   const double time = gradient.duration;
   std::vector<double> all = gradient.gradient.initial;
@@ -54,7 +54,7 @@ ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) 
   return gradient;
 }
 
-// Adds (value - exact)^2 in units of the standard error. What is rounding of the largest entry is taken for 0.
+// Sums up (value - exact)^2 in units of the standard error. Entries up to `rounding` are taken for 0.
 struct SquaredDeviation {
   double rounding = 0;
   double sum = 0;
@@ -68,8 +68,8 @@ struct SquaredDeviation {
 
 double Rounding(const std::vector<double>& values) { return 1e-12 * Largest(values); }
 
-// The control of an estimate is compared by segments, within which its entries are one number; if its grid is finer
-// than the exact one's, not at all.
+// Returns the distance of an estimate in standard errors. The control is compared by segments, over which entries of
+// the estimate are equal; if its grid is finer than that of the exact gradient, it is not compared.
 double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradient& exact) {
   SquaredDeviation deviation{.rounding = Rounding(exact.gradient.initial)};
   for (size_t i = 0; i < estimate.initial_error.size(); ++i) {
@@ -97,7 +97,7 @@ double DeviationInStandardErrors(const ModelGradient& estimate, const ModelGradi
   return root_mean();
 }
 
-// What a surrogate is, and how far from the exact gradient.
+// Describes a surrogate gradient, and its distance from the exact gradient.
 std::string DescribeSurrogate(const ModelAudit& audit) {
   const Surrogate& surrogate = *audit.gradient.surrogate;
   std::string why = "contact modes that leave a larger gradient";
@@ -113,14 +113,14 @@ std::string DescribeSurrogate(const ModelAudit& audit) {
   return why + "; " + ToText(*audit.error->in_standard_errors, 3) + " standard errors from the exact gradient";
 }
 
-// What the derivative of its source is, and not of its steps.
+// Whether the published derivative of the model differs from that of its steps by design.
 bool IsNotMeantAsDerivative(const Contact& contact) {
   return FindContactModel(contact)->published_jacobian || HasBiasedDerivative(contact);
 }
 
-// Why the gradient is not right.
+// Returns the reason why the gradient is not right.
 std::string CauseOf(const ModelAudit& audit) {
-  // A black box without a study: its first remark says why.
+  // Without a study, the first remark about a black box is the reason.
   const bool studied = audit.refinement || audit.widths;
   if (audit.black_box && !studied && !audit.black_box->remarks.empty()) return audit.black_box->remarks.front();
   if (audit.verdict == Verdict::kIllConditioned) {
@@ -129,7 +129,7 @@ std::string CauseOf(const ModelAudit& audit) {
            ToText(conditioning.condition, 2) + "): " + ToText(std::ceil(conditioning.DigitsLost()), 2) +
            " of 16 digits are lost";
   }
-  // Deviations from the exact motion itself, of which the linearization of a contact knows nothing.
+  // These are deviations of the motion itself, which linearizations of contacts do not show.
   const std::optional<ContactRecognition>& recognition = audit.recognition;
   if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
                       recognition->contact_class == ContactClass::kDepthFeedback)) {
@@ -256,7 +256,7 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   const auto threads = [&] { return options.threads_now ? options.threads_now() : options.threads; };
   ModelAudit audit;
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
-  // What was being studied when it was stopped is not kept.
+  // A study that was stopped is dropped.
   const auto keep = [&](auto found, auto* kept) {
     if (interrupted()) return false;
     *kept = std::move(found);

@@ -1,4 +1,4 @@
-// A vector of up to kMax entries in memory of its own: what is small and short-lived needs no heap.
+// A vector of up to kMax entries that are stored within the object, so that small, short-lived lists need no heap.
 #pragma once
 
 #include <glog/logging.h>
@@ -8,7 +8,7 @@
 
 namespace saltus {
 
-// As std::vector, for default-constructible types. Precondition: never more than kMax entries.
+// The interface is a part of std::vector's. Preconditions: T is default-constructible; never more than kMax entries.
 template <typename T, int kMax>
 class BoundedVector {
  public:

@@ -23,7 +23,7 @@ struct CsvDocument {
 // Reads RFC 4180 text; lines may end in LF or CRLF, empty lines are skipped. Errors name the line.
 StatusOr<CsvDocument> ParseCsv(std::string_view text);
 
-// The same for a file. Errors name the file and the line.
+// Reads a file of such text. Errors name the file and the line.
 StatusOr<CsvDocument> ReadCsv(const std::string& path);
 
 }  // namespace saltus

@@ -30,7 +30,8 @@ std::string FolderOf(const std::string& path) {
   return slash == std::string::npos ? "" : path.substr(0, slash + 1);
 }
 
-// What the links from `path` on lead to, which need not exist. An empty text, and errno, if they have no end.
+// Returns the path at the end of the chain of symbolic links that begins at `path`; no file need exist there. Returns
+// an empty text and sets errno if the chain has no end.
 std::string BehindLinks(std::string path) {
   for (int links = 0; links <= kMostLinks; ++links) {
     std::array<char, 4096> target;
@@ -47,7 +48,7 @@ bool IsSame(const struct stat& one, const struct stat& other) {
   return one.st_dev == other.st_dev && one.st_ino == other.st_ino;
 }
 
-// "is a directory", of what is written to neither in place nor by a new file.
+// Says what a file is that can be neither written in place nor replaced by a new file, for messages.
 const char* WhatItIs(mode_t mode) {
   if (S_ISDIR(mode)) return "is a directory";
   if (S_ISSOCK(mode)) return "is a socket";
@@ -67,7 +68,8 @@ int OpenTemporary(const std::string& folder, std::string* temporary) {
   return -1;
 }
 
-// Waits for a while until `file` takes more, or just waits if there is none. False, and errno, if waiting has to end.
+// Waits for a while until `file` accepts data, or just waits if `file` is negative. Returns false and sets errno if the
+// waiting has to end.
 bool Wait(int file, const Stop& stop) {
   pollfd writable{file, POLLOUT, 0};
   const int ready = poll(&writable, file < 0 ? 0 : 1, kLookMilliseconds);
@@ -91,7 +93,7 @@ bool WriteAll(int file, std::string_view contents, const Stop& stop) {
   return true;
 }
 
-// Closes the file. Whether that and the writing before succeeded; else errno tells of the first that failed.
+// Closes the file. Returns whether this and the writing before succeeded; if not, errno is that of the first failure.
 bool CloseWritten(int file, bool written) {
   const int error = errno;
   const bool closed = close(file) == 0;

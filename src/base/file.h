@@ -21,11 +21,11 @@ namespace saltus {
 // with an error instead of a wait.
 Status WriteFile(const std::string& path, std::string_view contents, const std::function<bool()>& stop = nullptr);
 
-// An error if `path` exists and is no regular file, for those that open files by themselves.
+// Returns an error if `path` exists and is no regular file; for callers that open the file by themselves.
 Status CheckRegularFile(const std::string& path);
 
-// An error that names the path if it cannot be read, is a directory, or has more than `most` bytes, as endless devices
-// have.
+// Returns an error that names the path if it cannot be read, is a directory, or has more than `most` bytes, which also
+// stops at devices without an end, such as /dev/zero.
 StatusOr<std::string> ReadFile(const std::string& path, std::size_t most = std::size_t{1} << 28);
 
 // write(), without the signal that a pipe without a reader sends.

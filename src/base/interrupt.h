@@ -17,8 +17,8 @@ class InterruptGuard {
 
   // Whether a signal has arrived. May be called from any thread.
   static bool Interrupted();
-  // Whether one has arrived 0.3 s ago or earlier. What makes a result out of what is computed asks this:
-  // checks, motions and figures that are short are still made after an interrupt, and long ones are left out.
+  // Whether a signal has arrived 0.3 s ago or earlier. Functions that complete a result (checks, motions, figures) stop
+  // when this becomes true rather than at the signal, so that short ones are still complete after an interrupt.
   static bool GraceIsOver();
 
  private:

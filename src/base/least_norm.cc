@@ -1,6 +1,6 @@
-// What linear_algebra.h has of the complete orthogonal decomposition. It is compiled for two kinds of matrices, each
-// with right sides that are vectors and matrices of its own kind: others are copied, as the compiler takes seconds for
-// each.
+// The complete orthogonal decompositions of linear_algebra.h. They are compiled for two types of matrices (bounded and
+// dynamic size), with right-hand sides of the same type only. Other types are copied, as each further instantiation
+// takes seconds to compile.
 #include <algorithm>
 
 #include "base/linear_algebra.h"
@@ -30,7 +30,7 @@ Matrix Inverse(const auto& matrix, std::optional<double> threshold) {
   return Solutions<Matrix>(matrix, threshold, Matrix::Identity(matrix.rows(), matrix.rows()));
 }
 
-// Sets the matrix of n rows, whatever its storage.
+// Sets `inverse` to the pseudo-inverse of `matrix`, which may be stored by rows or by columns.
 void InvertInto(const auto& matrix, std::optional<double> threshold, auto* inverse) {
   if (matrix.rows() <= kMostSmallRows) {
     *inverse = Inverse<SmallMatrix>(matrix, threshold);
@@ -82,7 +82,7 @@ Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& matrix) {
   return inverse;
 }
 
-// Not the inverse of the transpose: that would pivot otherwise.
+// Inverts by rows, because inverting the transpose instead would choose other pivots, and so round otherwise.
 void PseudoInvertRows(int n, std::span<double> matrix, double threshold) {
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   Eigen::Map<RowMajor> rows(matrix.data(), n, n);

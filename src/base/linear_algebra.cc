@@ -1,4 +1,4 @@
-// What linear_algebra.h has besides the complete orthogonal decomposition.
+// The functions of linear_algebra.h that do not need the complete orthogonal decomposition (for that: least_norm.cc).
 #include "base/linear_algebra.h"
 
 #include <Eigen/Dense>

@@ -35,57 +35,57 @@ class LeastNormSolver {
 };
 
 Eigen::VectorXd LeastNormSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
-// A solution for each column of `right`.
+// Returns the solution of least norm for each column of `right`.
 Eigen::MatrixXd LeastNormSolutions(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right);
 
-// `inverse` is of the size of a square matrix.
+// Sets `inverse`, a matrix of the size of the square `matrix`, to its Moore-Penrose pseudo-inverse.
 void PseudoInvert(const ConstMatrixRef& matrix, std::optional<double> threshold, MatrixRef inverse);
 Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& matrix);
 Eigen::MatrixXf PseudoInverse(const Eigen::MatrixXf& matrix);
-// The same of an n x n matrix that is given row by row, and overwritten.
+// Overwrites an n x n matrix, stored by rows, with its pseudo-inverse.
 void PseudoInvertRows(int n, std::span<double> matrix, double threshold);
 
-// Of a symmetric matrix M of information: the information on the first `count` numbers if the others are unknown too,
-// M_11 - M_12 M_22^+ M_21.
+// Returns M_11 - M_12 M_22^+ M_21 of a symmetric information matrix M, whose block M_11 belongs to the first `count`
+// parameters: the information on these when the other parameters are unknown too.
 Eigen::MatrixXd SchurComplement(const Eigen::MatrixXd& information, Eigen::Index count);
 
 // ---------------------------------------------------------------------------------------------------------------------
 // Square systems.
 
-// By Gauss elimination with partial pivoting.
+// Solves by Gauss elimination with partial pivoting.
 Eigen::VectorXd SolveLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
-// The same for each column of `right`.
+// Solves by the same elimination for each column of `right`.
 Eigen::MatrixXd SolveLuColumns(const Eigen::MatrixXd& matrix, const Eigen::MatrixXd& right);
-// With full pivoting, for matrices that may be nearly singular.
+// Solves by Gauss elimination with full pivoting, for matrices that may be nearly singular.
 Eigen::VectorXd SolveFullPivotLu(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
-// By the Cholesky decomposition. Nothing if the matrix is not positive definite.
+// Solves by the Cholesky decomposition. Returns std::nullopt if the matrix is not positive definite.
 std::optional<Eigen::VectorXd> SolveCholesky(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
-// The same without memory from the heap: overwrites the matrix with its factor and `right` with the solutions.
+// Solves without heap memory: overwrites the matrix with its Cholesky factor and `right` with the solutions.
 void SolveCholeskyInPlace(MatrixRef matrix, MatrixRef right);
 
-// The Cholesky decomposition L L^T of a symmetric n x n matrix, for several right sides. Precondition of what solves:
-// ok().
+// The Cholesky decomposition L L^T of a symmetric n x n matrix, for several right-hand sides. Precondition of all
+// members but ok(): ok().
 class CholeskySolver {
  public:
   explicit CholeskySolver(const Eigen::MatrixXd& matrix);
   // Returns false if the matrix is not positive definite.
   bool ok() const { return factor_.info() == Eigen::Success; }
-  // A solution for each column of `right`.
+  // Returns the solution for each column of `right`.
   Eigen::MatrixXd Solve(const Eigen::MatrixXd& right) const;
   // Returns L^{-1} right.
   Eigen::VectorXd SolveLower(const Eigen::VectorXd& right) const;
-  // The natural logarithm of the determinant of the matrix.
+  // Returns the natural logarithm of the determinant of the matrix.
   double LogDeterminant() const;
 
  private:
   Eigen::LLT<Eigen::MatrixXd> factor_;
 };
 
-// By L D L^T, for symmetric matrices that are semidefinite.
+// Solves by the decomposition L D L^T, for symmetric matrices that are semidefinite.
 Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
 
 // ---------------------------------------------------------------------------------------------------------------------
-// Others.
+// Least squares, null spaces, eigenvalues.
 
 // The least squares solution, for matrices of full rank, by a QR decomposition with column pivoting.
 Eigen::VectorXd LeastSquaresSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
@@ -104,11 +104,11 @@ SymmetricEigen EigenOf(const Eigen::MatrixXd& symmetric);
 // Products of matrices of which each is large or of unknown size.
 
 Eigen::MatrixXd Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b);
-// a^T b.
+// Returns a^T b.
 Eigen::MatrixXd MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b);
-// a b^T.
+// Returns a b^T.
 Eigen::MatrixXd MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b);
-// The same without memory from the heap, into a matrix of the product's size that is neither factor.
+// These products use no heap memory. `product` has the size of the product and is none of the factors.
 void Multiply(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);
 void MultiplyTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);
 void MultiplyByTransposed(const ConstMatrixRef& a, const ConstMatrixRef& b, MatrixRef product);

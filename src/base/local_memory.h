@@ -1,4 +1,4 @@
-// Memory for what a few contacts need until the end of a function.
+// Memory for temporaries of a few contacts, until the end of a function.
 #pragma once
 
 #include <array>
@@ -7,7 +7,7 @@
 
 namespace saltus {
 
-// On the stack; what is more goes to the heap.
+// A memory resource with a buffer on the stack, which takes from the heap only once the buffer is full.
 class LocalMemory {
  public:
   LocalMemory() = default;

@@ -1,5 +1,5 @@
-// Standard normal numbers that are the same everywhere: 64-bit Mersenne Twister, and the transformation of Box and
-// Muller (1958), which std::normal_distribution leaves to the library.
+// Reproducible standard normal variates: a 64-bit Mersenne Twister with the transformation of Box and Muller (1958),
+// because the algorithm of std::normal_distribution differs between standard libraries.
 #pragma once
 
 #include <cmath>
@@ -26,7 +26,7 @@ class NormalStream {
   }
 
  private:
-  // In (0, 1), 53 bits.
+  // Returns a uniform variate in (0, 1) with 53 random bits.
   double Uniform() { return (static_cast<double>(bits_() >> 11) + 0.5) * 0x1p-53; }
 
   std::mt19937_64 bits_;

@@ -20,8 +20,8 @@
 namespace saltus {
 namespace {
 
-// What happens before OrderBefore(at) happens before what follows OrderAfter(at). oneTBB sees to that; ThreadSanitizer,
-// with which it is not built, must be told.
+// Writes before OrderBefore(at) happen before reads after OrderAfter(at). oneTBB guarantees this order, but is not
+// built with ThreadSanitizer, which must be told.
 void OrderBefore([[maybe_unused]] void* at) {
 #ifdef __SANITIZE_THREAD__
   __tsan_release(at);
@@ -81,7 +81,7 @@ void ParallelFor(int threads, int count, const std::function<void(int thread, in
     for (int i = 0; i < count; ++i) job(0, i);
     return;
   }
-  // Of more threads than the machine has, TBB gives none, and warns.
+  // TBB provides no more threads than the machine has, and prints a warning if more are asked for.
   ArenaOfCall arena(std::min(threads, tbb::info::default_concurrency()));
   char begin, end;
   std::vector<char> of_thread(threads);

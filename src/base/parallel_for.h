@@ -1,11 +1,11 @@
-// Jobs shared out among threads.
+// Parallel loops over independent jobs.
 #pragma once
 
 #include <functional>
 
 namespace saltus {
 
-// `threads`, or one per core for 0.
+// Returns `threads`, or the number of cores if it is 0.
 int NumThreads(int threads);
 
 // Calls job(thread, i) for i = 0 .. count - 1, each once, on up to `threads` threads, and returns when all are done. No

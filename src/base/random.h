@@ -1,5 +1,5 @@
-// Random numbers that are the same on every machine: the distributions of the standard library differ from one library
-// to another, its engines do not.
+// Random numbers that are the same on every machine. The engines of the standard library are specified, but its
+// distributions differ between implementations.
 #pragma once
 
 #include <cmath>
@@ -20,9 +20,9 @@ class Random {
   // Uniform in [-1, 1).
   double Symmetric() { return 2 * Unit() - 1; }
   double Uniform(double low, double high) { return low + (high - low) * Unit(); }
-  // 0 .. count - 1, each as often but for 1e-19 of the cases. Precondition: count > 0.
+  // Returns one of 0 .. count - 1; the probabilities differ by less than 1e-10. Precondition: count > 0.
   int Below(int count) { return static_cast<int>(engine_() % static_cast<std::uint64_t>(count)); }
-  // Two independent normal numbers (Box and Muller 1958).
+  // Returns two independent standard normal variates (Box and Muller 1958).
   Vec2d Normal() {
     const double length = std::sqrt(-2 * std::log(1 - Unit()));
     const double angle = 2 * std::numbers::pi * Unit();

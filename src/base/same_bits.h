@@ -1,4 +1,4 @@
-// Whether numbers are the same to the last bit: -0 is not 0.
+// Bitwise comparison of numbers, for which -0 and 0 differ.
 #pragma once
 
 #include <cstring>

@@ -15,8 +15,8 @@ class ScratchMemory final : public std::pmr::memory_resource {
   // Takes back everything that was handed out.
   void Release();
 
-  // An object that Release() does not touch, made when first asked for: what a step keeps for the next one. All users
-  // of one memory ask for the same type.
+  // An object that survives Release(), for data that one step keeps for the next. It is made by the first call; all
+  // users of one memory ask for the same type.
   template <typename T>
   T& Kept() {
     if (!kept_.has_value()) kept_ = T();

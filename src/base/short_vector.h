@@ -1,4 +1,4 @@
-// A vector whose first few entries need no heap: for what there are many of and has few entries each.
+// A vector that stores its first kFew entries within the object, for many short lists.
 #pragma once
 
 #include <array>
@@ -7,7 +7,7 @@
 
 namespace saltus {
 
-// As std::vector, for default-constructible types.
+// The interface is a part of std::vector's. Precondition: T is default-constructible.
 template <typename T, int kFew>
 class ShortVector {
  public:

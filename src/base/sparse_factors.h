@@ -9,19 +9,19 @@ namespace saltus {
 
 using SparseMatrix = Eigen::SparseMatrix<double>;
 
-// Of the entries' sums; what is not named is zero.
+// Returns the square matrix whose entries are the sums of the given ones at each place, and zero elsewhere.
 SparseMatrix SparseFromEntries(Eigen::Index size, const std::vector<Eigen::Triplet<double>>& entries);
 
-// L D L^T of a symmetric matrix, of which the lower half counts.
+// The factorization L D L^T of a symmetric matrix. Only its lower half is read.
 class SparseLdlt {
  public:
   SparseLdlt();
   ~SparseLdlt();
 
-  // False if the matrix has no factors.
+  // Returns false if the factorization does not exist (a zero pivot).
   bool Factor(const SparseMatrix& matrix);
-  // The same in two parts, for matrices that have their entries at the same places: the order of elimination, which
-  // depends on these places alone, and the factors.
+  // Factor() in two parts, for several matrices with the same sparsity pattern: the order of elimination, which depends
+  // on the pattern only, and the numerical factorization.
   void Analyze(const SparseMatrix& matrix);
   bool FactorAnalyzed(const SparseMatrix& matrix);
   Eigen::VectorXd Solve(const Eigen::VectorXd& right) const;
@@ -31,13 +31,13 @@ class SparseLdlt {
   std::unique_ptr<Factors> factors_;
 };
 
-// P L U Q of a square matrix and of its transpose.
+// The factorization P L U Q of a square matrix, which also solves with the transposed matrix.
 class SparseLu {
  public:
   SparseLu();
   ~SparseLu();
 
-  // False if the matrix is singular.
+  // Returns false if the matrix is singular.
   bool Factor(const SparseMatrix& matrix);
   Eigen::VectorXd Solve(const Eigen::VectorXd& right) const;
   Eigen::VectorXd SolveTransposed(const Eigen::VectorXd& right) const;

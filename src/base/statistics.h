@@ -15,21 +15,21 @@ inline double Norm(const std::vector<double>& entries) {
   return std::sqrt(sum);
 }
 
-// The largest magnitude; 0 of none.
+// Returns the largest magnitude, 0 if there are no entries.
 inline double Largest(const std::vector<double>& entries) {
   double largest = 0;
   for (double entry : entries) largest = std::max(largest, std::abs(entry));
   return largest;
 }
 
-// The middle value; the upper one of two. Precondition: not empty.
+// Returns the median, the upper one of the two middle values if their number is even. Precondition: not empty.
 inline double Median(std::vector<double> values) {
   const auto middle = values.begin() + values.size() / 2;
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
 }
 
-// p of y ~ x^p, by least squares of the logarithms.
+// Returns the exponent p of the power law y = c x^p, fitted by linear least squares to the logarithms.
 inline double PowerOf(std::span<const double> x, std::span<const double> y) {
   double sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
   const double n = static_cast<double>(x.size());

@@ -1,4 +1,4 @@
-// What a mistyped word may have meant.
+// Suggestions for mistyped names in messages.
 #pragma once
 
 #include <string>

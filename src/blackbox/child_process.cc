@@ -28,8 +28,8 @@ void Close(int* descriptor) {
   *descriptor = -1;
 }
 
-// What follows runs between fork and exec, or in the keeper, where other threads may have held any lock: system calls
-// only.
+// The functions below run between fork and exec, or in the keeper. Other threads may have held any lock at the fork, so
+// they use system calls only.
 
 void Default(int signal_number) {
   struct sigaction action = {};
@@ -47,7 +47,7 @@ void Default(int signal_number) {
   _exit(kNothing);
 }
 
-// A moment at most; 0 if it goes on.
+// Waits a moment at most; returns 0 if the child still runs.
 pid_t WaitFor(pid_t child, int* status) {
   pid_t ended = 0;
   for (int i = 0; i < kGrace && (ended = waitpid(child, status, WNOHANG)) == 0; ++i) {

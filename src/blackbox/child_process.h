@@ -17,13 +17,13 @@ class ChildProcess {
   ChildProcess(const ChildProcess&) = delete;
   ChildProcess& operator=(const ChildProcess&) = delete;
 
-  // Not blocking; -1 if closed.
+  // The descriptors of its streams, which do not block; -1 if closed.
   int input() const { return input_; }    // to be written to
   int output() const { return output_; }  // to be read from, as is
   int errors() const { return errors_; }
 
-  // Closes its input, gives it a moment to end by itself, kills it if it does not, and waits for it. In words what it
-  // did: "ended with exit code 3", "was killed by signal 9".
+  // Closes its input, gives it a moment to end by itself, kills it if it does not, and waits for it. Returns how it
+  // ended, in words: "ended with exit code 3", "was killed by signal 9".
   std::string End();
 
  private:

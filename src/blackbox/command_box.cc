@@ -17,7 +17,7 @@ constexpr std::size_t kMostOutstanding = 16;               // of a copy
 constexpr std::size_t kForACopy = 4;                       // questions that make another copy worth its start
 constexpr std::size_t kShortLine = 1 << 20, kDigits = 40;  // characters of a line, and of a number
 
-// A scene as far as a question does not say it again.
+// Returns the scene without the data that each question states again.
 Scene WithoutMotion(Scene scene) {
   scene.name = "scene";
   scene.duration = scene.steps = 1;
@@ -38,7 +38,7 @@ std::size_t MostCharacters(const Scene& scene, const Question& question) {
 
 }  // namespace
 
-// The copies that were told of one scene.
+// The copies of the command that were given one scene.
 class CommandBox::Session {
  public:
   Session(const Scene& scene, const CommandOptions& options)
@@ -48,7 +48,7 @@ class CommandBox::Session {
   const BlackBoxTraits& traits() const { return traits_; }
   // Waits for the greeting of the first copy.
   std::string Start();
-  // Empty, or why the command is of no use from now on.
+  // Asks all questions. Returns the reason why the command can no longer be used; empty if it can.
   std::string Ask(const std::vector<Question>& questions, const StopRequest& stop, std::vector<Answer>* answers);
 
  private:
@@ -56,7 +56,7 @@ class CommandBox::Session {
 
   void AddCopy();
   void HandOut(const std::vector<Question>& questions, std::size_t* next);
-  // Waits until something happens, or a moment has passed, and takes the lines that have come.
+  // Waits until something happens, or a moment has passed, and takes the lines that have arrived.
   std::string Exchange(const Conversation::OnLine& on_line);
 
   Scene scene_, still_;

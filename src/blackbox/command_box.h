@@ -1,4 +1,4 @@
-// A black box that is a command which speaks the protocol: several copies of it, asked in parallel.
+// A black box that is a command with the protocol: several copies of it, asked in parallel.
 #pragma once
 
 #include <functional>
@@ -16,12 +16,12 @@ struct CommandOptions {
   std::string command;  // for /bin/sh
   int copies = 1;       // that run at a time, at most
   double seconds = 30;  // after which silence is an error; > 0
-  // What the command prints on standard error, line by line.
+  // Called with each line that the command prints on standard error.
   std::function<void(const std::string& line)> on_error_line = nullptr;
 };
 
-// A command that fails (does not start, ends, is silent, prints something else than an answer) is not started again:
-// all that is asked of it from then on has that error, which names the command, the request and what came back.
+// A command that fails (does not start, ends, is silent, or answers with something else) is not started again: all
+// further questions get that error, which names the command, the request and its output.
 class CommandBox final : public BlackBox {
  public:
   explicit CommandBox(CommandOptions options);

@@ -39,7 +39,7 @@ class CommandScheme final : public HybridScheme {
 
  private:
   int Ask(const SchemeStep& step, double* next, double* jacobian, std::string* error);
-  // Sends a line and waits for the one that answers it. What is wrong becomes broken_.
+  // Sends a line and waits for the one that answers it. An error is kept in broken_.
   std::string Answer(const std::string& line, const std::string& what);
 
   const HybridSystem system_;

@@ -1,4 +1,4 @@
-// One copy of a command: lines that it is sent, and lines that come back.
+// The exchange of lines with one copy of a command.
 #pragma once
 
 #include <poll.h>
@@ -15,14 +15,14 @@ namespace saltus {
 
 inline constexpr int kLook = 20;  // ms, how often time and interrupts are looked at while an answer is awaited
 
-// What a copy is waited for: one line in return for one that was sent.
+// An expected answer: one line in return for one that was sent.
 struct Expected {
   int index = -1;        // of the question; -1: the greeting
   std::string what;      // for messages: "request 7 (simulate of 480 steps)"
   std::size_t most = 0;  // characters of the answer
 };
 
-// Never blocks. After a failure nothing more is sent or read.
+// No member blocks. After a failure nothing more is sent or read.
 class Conversation {
  public:
   using Clock = std::chrono::steady_clock;
@@ -31,18 +31,18 @@ class Conversation {
   Conversation(const std::string& command, std::function<void(const std::string&)> on_error_line);
 
   void Send(std::string line, Expected expected);
-  // Writes what can be.
+  // Writes as much as the pipe takes.
   void Write();
-  // Writes and reads what can be, and calls on_line for each line that has come back. What on_line throws is a failure
-  // (ProtocolError).
+  // Writes and reads as much as the pipes allow, and calls on_line for each line that has arrived. A ProtocolError
+  // thrown by on_line is a failure.
   void Exchange(const OnLine& on_line);
-  // Fails if nothing has come back for so long.
+  // Fails if nothing has arrived for this long.
   void CheckTime(double seconds);
 
   const std::string& failure() const { return failure_; }
   const std::deque<Expected>& expected() const { return expected_; }
   bool has_unwritten() const { return written_ < unwritten_.size(); }
-  // What to wait for.
+  // Adds the descriptors to wait for.
   void AddTo(std::vector<pollfd>* waited) const;
 
  private:

@@ -15,7 +15,7 @@ namespace {
 constexpr std::size_t kExcerpt = 80;
 constexpr int kVersion = 1;
 
-// A scene file as JSON. What stands under a key of `texts` is a text even if it looks like a number.
+// Converts a scene file to JSON. Values under a key of `texts` are texts even if they look like numbers.
 ProtocolJson YamlToJson(const YAML::Node& node, const std::string& key) {
   static const std::set<std::string> texts = {"name", "body", "bodies", "free", "no_contact", "torque"};
   ProtocolJson json;
@@ -40,7 +40,7 @@ void Append(double value, std::string* text) {
   text->append(digits, std::to_chars(digits, digits + sizeof digits, value).ptr);
 }
 
-// [a, b]
+// Appends a row of numbers: [a, b].
 void AppendRow(std::span<const double> row, std::string* text) {
   for (std::size_t i = 0; i < row.size(); ++i) {
     *text += i == 0 ? '[' : ',';
@@ -90,7 +90,7 @@ ProtocolJson ParseObject(const std::string& line, const std::string& expected) {
   return json;
 }
 
-// "2 x 4"
+// Returns a shape in words: "2 x 4".
 std::string ShapeToString(const std::vector<std::size_t>& shape) {
   std::string text;
   for (const std::size_t size : shape) text += (text.empty() ? "" : " x ") + std::to_string(size);

@@ -28,32 +28,32 @@ namespace saltus {
 
 using ProtocolJson = nlohmann::ordered_json;
 
-// An answer that is not what was asked for: what was expected and what came.
+// The exception for an unexpected answer: its message says what was expected and what arrived.
 struct ProtocolError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Lines, without their ends.
+// Returns the line that greets the simulator, without its end.
 std::string HelloLine(const Scene& scene);
-// `traits`: of who is asked.
+// Returns the line of a question, without its end. `traits` are those of the simulator that is asked.
 std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id,
                          const BlackBoxTraits& traits = {});
 
-// Throw ProtocolError.
+// Read a greeting and an answer; both throw ProtocolError.
 BlackBoxTraits ReadHello(const std::string& line);
 Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& question, std::int64_t id,
                   const BlackBoxTraits& traits);
 
-// "request 7, simulate 480 steps", for messages.
+// Describes a question for messages: "request 7, simulate 480 steps".
 std::string Describe(const Question& question, std::int64_t id);
-// The beginning of a text, in quotes, what cannot be printed left out: at most 80 characters.
+// Returns the beginning of a text, in quotes and without unprintable characters: at most 80 characters.
 std::string Excerpt(const std::string& text);
 
-// Numbers in rows of `width`: [[a, b], [c, d]].
+// Returns numbers in rows of `width`: [[a, b], [c, d]].
 ProtocolJson RowsToJson(const std::vector<double>& numbers, std::size_t width);
-// Rows of rows: the control, `width` controlled discs a step.
+// Returns rows of rows of a control, with `discs` controlled discs a step.
 ProtocolJson ControlRowsToJson(const std::vector<double>& control, std::size_t discs);
-// The numbers of nested lists of that shape, all finite. `what` is for the message of ProtocolError.
+// Returns the numbers of nested lists of that shape, all finite. `what` is for the message of ProtocolError.
 std::vector<double> NumbersFrom(const ProtocolJson& json, const std::vector<std::size_t>& shape,
                                 const std::string& what);
 

@@ -31,7 +31,7 @@ std::vector<double> Rows(const ProtocolJson& question, const char* key, int rows
   return NumbersFrom(Require(question, key), {static_cast<std::size_t>(rows), width}, "\"" + std::string(key) + "\"");
 }
 
-// Position and velocity of each disc, without what the model keeps of its rotation.
+// Returns position and velocity of each disc, without rotation that only the model knows.
 std::vector<double> Plain(const std::vector<double>& state, int body_size) {
   std::vector<double> plain;
   for (std::size_t i = 0; i < state.size(); i += body_size) {
@@ -46,7 +46,7 @@ std::vector<double> StateAt(const Simulator& simulator, int k) {
   return Plain(state, simulator.body_size());
 }
 
-// The derivatives of the last rollout by parameters of the scene, by name.
+// Returns the derivatives of the last rollout by parameters of the scene, by name.
 ProtocolJson ByParameters(Simulator* simulator, const std::vector<double>& cotangent) {
   Sensitivity gradient;
   simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);

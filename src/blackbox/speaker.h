@@ -1,4 +1,4 @@
-// The other side of the protocol: a contact model of this library, as a black box.
+// A contact model of this library as a black box: the simulator's side of the protocol.
 #pragma once
 
 #include <memory>
@@ -11,26 +11,26 @@
 
 namespace saltus {
 
-// What a simulator gives besides final states.
+// The answers that a simulator offers besides final states.
 struct Offer {
   bool gradient = true, step = true, states = true;
 };
 
 class Speaker {
  public:
-  // Precondition: there is such a model.
+  // Precondition: there is a model of that name.
   Speaker(const Contact& contact, Precision precision, const Offer& offer);
 
-  // The line that answers a line, without its end. What is wrong with a line is an "error".
+  // Returns the line that answers a line, without its end; for an invalid line it is an "error".
   std::string AnswerTo(const std::string& line);
 
  private:
   ProtocolJson Greet(const ProtocolJson& scene);
   ProtocolJson Simulate(const ProtocolJson& question, bool with_gradient);
   ProtocolJson TakeStep(const ProtocolJson& question);
-  // The model over so many steps, made once.
+  // Returns the simulator with this many steps; it is made once.
   Simulator& SimulatorOf(int steps, double duration);
-  // Of one of its own steps, the mean of the forces in those of the grid that it covers.
+  // Returns the control of the model's steps: the mean of the forces in the steps of the grid that each covers.
   std::vector<double> OwnControl(const ProtocolJson& question, int steps) const;
 
   Contact contact_;

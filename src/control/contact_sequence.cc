@@ -26,7 +26,7 @@ ThingOfName NamesIn(const Scene& scene) {
   return things;
 }
 
-// Every pair that `text` may name: names may have hyphens themselves.
+// Returns every pair that `text` may name: more than one is possible, as names may have hyphens.
 ContactSequence FindPairs(const Scene& scene, const ThingOfName& things, std::string_view text) {
   ContactSequence found;
   for (size_t hyphen = text.find('-'); hyphen != std::string_view::npos; hyphen = text.find('-', hyphen + 1)) {
@@ -43,7 +43,7 @@ ContactSequence FindPairs(const Scene& scene, const ThingOfName& things, std::st
   return found;
 }
 
-// The pairs of a scene, or the first of very many.
+// Lists the pairs of a scene, or the first of very many.
 std::string ListPairs(const Scene& scene) {
   constexpr size_t kMost = 50;
   std::string list;

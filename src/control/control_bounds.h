@@ -13,7 +13,7 @@
 
 namespace saltus {
 
-// The force on pushed disc c within its bounds that is nearest to u.
+// Returns the force on pushed disc c within its bounds that is nearest to u.
 template <typename T>
 Vec2<T> NearestWithinBounds(const Control& control, int c, const Vec2<T>& u) {
   using std::sqrt;
@@ -35,13 +35,13 @@ Vec2<T> NearestWithinBounds(const Control& control, int c, const Vec2<T>& u) {
   return corner;
 }
 
-// The largest |torque / radius| of turned disc t, N; infinity without a bound.
+// Returns the bound on |torque / radius| of turned disc t, N; infinity without a bound.
 inline double MostTurn(const Scene& scene, int t) {
   if (scene.control.max_torque.empty()) return std::numeric_limits<double>::infinity();
   return scene.control.max_torque[t] / scene.bodies[scene.control.turned[t]].radius;
 }
 
-// All intervals of a control at once.
+// Moves the forces and torques of all intervals of a control within their bounds.
 inline void MoveWithinBounds(const Scene& scene, std::span<double> control) {
   if (!scene.control.IsBounded()) return;
   for (size_t k = 0; k < control.size() / scene.control_width(); ++k) {

@@ -5,8 +5,8 @@
 namespace saltus {
 namespace {
 
-// Calls visit(where it stands in rows, where it stands in the control, radius of the disc if it is a torque, else 1)
-// for each number of one interval.
+// Calls visit(index in rows, index in the control, radius of the disc for a torque, else 1) for each number of one
+// interval.
 template <typename Visit>
 void ForEachNumber(const Scene& scene, const Visit& visit) {
   const std::vector<int>&bodies = scene.control.bodies, &turned = scene.control.turned;

@@ -1,4 +1,4 @@
-// Derivatives by the design parameters of a scene as differences.
+// Finite differences by the design parameters of a scene.
 #pragma once
 
 #include <cstddef>
@@ -9,7 +9,7 @@
 
 namespace saltus {
 
-// A vector as a function of the values of Scene::design; empty where it has no value.
+// A vector as a function of the values of Scene::design; empty where it is not defined.
 using FunctionOfDesign = std::function<std::vector<double>(const std::vector<double>& values)>;
 // Its derivative by the i-th value at `values`, by differences of fourth order: to both sides, or where it has no value
 // there, to one; empty if it has values on neither. Precondition: the scene is in natural units.

@@ -104,7 +104,7 @@ std::vector<int> DistributeIntervals(const Scene& scene, const std::vector<Candi
   const auto pushed = [&](int body) {
     return std::find(scene.control.bodies.begin(), scene.control.bodies.end(), body) != scene.control.bodies.end();
   };
-  // Phases up to the last impact of a pushed disc have work to do; all, if one is aimed.
+  // Control acts in the phases up to the last impact of a pushed disc; in all, if one has a target.
   const int phases = static_cast<int>(sequence.size()) + 1;
   int working = 0;
   for (int k = 0; k + 1 < phases; ++k) {

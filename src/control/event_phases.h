@@ -34,7 +34,7 @@ struct Knot {
   int phase = 0;  // that starts here
 };
 
-// A pushed disc between two of its knots.
+// The motion of a pushed disc between two of its knots.
 template <typename T>
 struct Arc {
   int body = 0;
@@ -90,11 +90,11 @@ class EventPhases {
   // IsSteered(k).
   int SpeedIndex(int k) const { return index_[k] + 2; }
 
-  // The path of variables z; false if an impact is not later than the one before.
+  // Sets the path of variables z; returns false if an impact is not later than the one before.
   template <typename T>
   bool Unroll(const T* z, Path<T>* path) const;
 
-  // Square roots of effort (4 an arc) and of the terminal terms (2 each).
+  // Sets the residuals whose squares are effort (4 an arc) and terminal terms (2 each).
   template <typename T>
   void LossResiduals(const Path<T>& path, T* residuals) const;
   double Loss(const Path<double>& path) const;
@@ -102,11 +102,11 @@ class EventPhases {
     return num_effort_residuals() + 2 * static_cast<int>(scene_.objective.terminal.size());
   }
 
-  // What intervals of finite length add to the mean Hamiltonian of phase j (costate.h).
+  // Returns the contribution of intervals of finite length to the mean Hamiltonian of phase j (costate.h).
   template <typename T>
   T GridHamiltonian(const Path<T>& path, int j) const;
 
-  // The variables of a path that is at `before(time)` just before each of `times`, and at `end`.
+  // Returns the variables of a path that is at `before(time)` just before each of `times`, and at `end`.
   struct State {
     std::vector<Vec2d> p, v;  // of every disc
   };
@@ -186,8 +186,8 @@ Knot<T> EventPhases::Drift(const Knot<T>& knot, int body, const T& time) const {
   return {time, knot.p + Scale(s, Vec2<T>(knot.v + Scale(T(0.5), gain))), knot.v + gain, knot.phase};
 }
 
-// The states of the pushed discs of impact k just before it, from their variables; `other` is the state of b if it is
-// not pushed, and of a if only b is.
+// Sets the states of the pushed discs of impact k just before it, from their variables; `other` is the state of b if it
+// is not pushed, and of a if only b is.
 template <typename T>
 void EventPhases::PlaceSteered(int k, const T* z, const Knot<T>& other, std::array<Knot<T>, 2>* knots) const {
   using std::cos;

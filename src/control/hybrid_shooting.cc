@@ -156,7 +156,7 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
          AllFinite(values->residuals);
 }
 
-// "at t = 1 in mode 'flight'".
+// Describes the place where a term is evaluated, such as "at t = 1 in mode 'flight'".
 std::string HybridShooting::WhereIs(const Place& place) const {
   const HybridEvent* event = place.event >= 0 ? &simulator_.events()[place.event] : nullptr;
   const int mode = event == nullptr     ? simulator_.ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
@@ -169,7 +169,7 @@ bool HybridShooting::FailAt(const Place& place) {
   return Fail(place.term->name + ": the function has no finite value " + WhereIs(place));
 }
 
-// Looks at the terms first, whose derivatives may be all that is wrong, then at the motion.
+// Says why a derivative is not finite: checks the terms first, then the motion.
 bool HybridShooting::FailAtDerivatives() {
   Values values;
   for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
@@ -230,7 +230,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   const int num_controls = system.num_controls(), num_parameters = system.num_parameters();
   *loss = 0;
   HybridCotangent cotangent;
-  // What terms read of z themselves.
+  // The derivatives through the parts of z that terms read directly.
   HybridGradient by;
   by.control.resize(input_.control.size());
   by.parameters.resize(num_parameters);
@@ -319,7 +319,7 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
   const HybridSystem& system = problem_.system;
   ++num_adjoints_;
   const HybridSensitivity motion = simulator_.Sensitivity();
-  // By all of the input, of which the variables are some columns.
+  // The Jacobian by all of the input, of which the variables are some columns.
   const int n0 = static_cast<int>(input_.initial.size()), controls = static_cast<int>(input_.control.size());
   const int first_parameter = n0 + controls, duration = motion.columns - 1;
   const int first_of_kind[] = {n0, 0, first_parameter, duration};

@@ -1,5 +1,5 @@
-// Single shooting of a hybrid system. Decision variables, those of them that are free: the control (K x m), components
-// of the initial state, parameters, the duration.
+// Single shooting of a hybrid system. The decision variables are the free ones among the control (K x m), components
+// of the initial state, parameters and the duration.
 #pragma once
 
 #include <functional>
@@ -35,7 +35,7 @@ class HybridShooting final : public ShootingFunction {
   std::string WhyFailed() const override { return why_; }
   bool stopped() const override { return stopped_; }
 
-  // Costs at events are no part of them: their number changes with the motion.
+  // Costs at events have no residuals, because their number changes with the motion.
   int num_residuals() const override { return num_residuals_; }
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
   void ResidualJacobian(double* jacobian) override;
@@ -48,8 +48,8 @@ class HybridShooting final : public ShootingFunction {
 
   HybridInput InputAt(std::span<const double> z) const;
 
-  // The loss of any input of the system, and what it leaves of the constraints. False if it has none; WhyFailed() says
-  // why.
+  // Computes the loss and the violation of the constraints of any input of the system. Returns false if they do not
+  // exist; WhyFailed() has the reason.
   struct Outcome {
     double loss = 0;
     double violation = 0;  // the largest |r| of an equality, r of an inequality
@@ -57,8 +57,8 @@ class HybridShooting final : public ShootingFunction {
   };
   bool Simulate(const HybridInput& input, Outcome* outcome);
 
-  // What the terms of the problem are at the last motion, for conditions of optimality: of each place where a term is
-  // evaluated, the residuals and their derivatives by what the term reads.
+  // A term of the problem at a place of the last motion, for conditions of optimality: its residuals and their
+  // derivatives by the blocks that the term reads.
   struct TermAt {
     const HybridTerm* term = nullptr;
     int interval = -1, event = -1;  // neither: the end
@@ -66,12 +66,12 @@ class HybridShooting final : public ShootingFunction {
     std::vector<std::vector<double>> jacobians;  // of the function's blocks, row-major
     std::vector<std::vector<double>> blocks;     // what it reads
   };
-  // False if a function has no finite value or derivative there; WhyFailed() says why.
+  // Returns false if a function has no finite value or derivative there; WhyFailed() has the reason.
   bool EvaluateTerms(std::vector<TermAt>* terms);
   const std::vector<FreeVariable>& variables() const { return variables_; }
 
  private:
-  // Where a term is evaluated in the motion, and what of it the function reads.
+  // A place in the motion where a term is evaluated, with the data that its function reads.
   struct Place {
     const HybridTerm* term;
     int interval = -1, event = -1;  // neither: the end
@@ -87,10 +87,10 @@ class HybridShooting final : public ShootingFunction {
 
   bool Rollout(std::span<const double> z);
   bool RolloutOf(HybridInput input);
-  // Every place of a term. False if one has no meaning in this motion.
+  // Finds every place of a term. Returns false if a term is not defined in this motion.
   bool FindPlaces();
   std::vector<const double*> BlocksOf(const Place& place) const;
-  // False if the function has no finite value.
+  // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
   std::string WhereIs(const Place& place) const;
   // Keep the reason why there is no loss, or no derivative of it, and return false.

@@ -9,7 +9,7 @@
 
 namespace saltus {
 
-// Where the model's free flight for h s leads from the state x = [p_x p_y v_x v_y] under the acceleration a.
+// Sets `next` to the model's free flight from the state x = [p_x p_y v_x v_y] under the acceleration a.
 inline void Fly(const StepLinearization::FreeFlight& by, const double* x, const Vec2d& a, double* next) {
   for (int j = 0; j < 2; ++j) {
     next[j] = by.pp * x[j] + by.pv * x[2 + j] + by.pa * a[j];
@@ -37,7 +37,7 @@ class ModelStep final : public ceres::CostFunction {
   std::optional<Push> push_;
 };
 
-// The same of a disc that is turned, as TurnedStep. Blocks: rotation, torque / radius, begin, end, next rotation. Rows:
+// A step of a disc with a torque, as TurnedStep. Blocks: rotation, torque / radius, begin, end, next rotation. Rows:
 // 2 equalities and a cost.
 class ModelTurn final : public ceres::CostFunction {
  public:

@@ -10,10 +10,10 @@
 namespace saltus {
 namespace {
 
-// How many entries of the state a term reads.
+// Returns how many entries of the state a term reads.
 int Width(const TerminalTerm& term) { return term.IsOfSpin() ? 1 : 2; }
 
-// Index of the first of the entries that a term reads in a state of `size` numbers.
+// Returns the index of the first entry that a term reads in a state of `size` numbers.
 int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
   CHECK(term.body >= 0 && (term.body + 1) * static_cast<std::size_t>(body_size) <= size)
       << "a terminal term of body " << term.body << ", which is not in the state";

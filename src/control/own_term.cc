@@ -94,7 +94,7 @@ OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene, int steps)
 }
 
 bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  // The function's own blocks, in SI units.
+  // The blocks of the user's function, in SI units.
   std::vector<std::vector<double>> blocks;
   std::size_t at = 0;
   for (; at < to_si_of_.size(); ++at) {

@@ -24,7 +24,7 @@ class OwnTermCost final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
-  // Whether the last two blocks are those times.
+  // Whether the last two blocks are the times at which the phase begins and ends.
   bool divides() const { return term_.with_length && term_.at == OwnTerm::At::kEachStep; }
 
  private:
@@ -36,8 +36,8 @@ class OwnTermCost final : public ceres::CostFunction {
   std::vector<std::vector<double>> to_si_of_;  // of each block but the length: factors of its entries
 };
 
-// On a motion in the scene's units: the sum of squares of costs, and the largest violation of a constraint, in parts of
-// its scale. Infinite where a function fails. `control` has a row for each of `durations`.
+// Values on a motion in the scene's units: the sum of squares of costs, and the largest violation of a constraint,
+// relative to its scale; infinite where a function fails. `control` has a row for each of `durations`.
 struct OwnValues {
   double cost = 0, violation = 0;
   std::string worst;  // the name of the constraint that is violated most

@@ -20,7 +20,7 @@
 
 namespace saltus {
 
-// Which step of its phase, from 0, out of how many.
+// A step of a phase: its index, from 0, and the number of steps.
 struct StepOfPhase {
   int index = 0, count = 1;
 
@@ -30,7 +30,7 @@ struct StepOfPhase {
   }
 };
 
-// The acceleration of a disc in free flight, m/s^2; `force` is null if nothing pushes it.
+// Returns the acceleration of a disc in free flight, m/s^2; `force` is null if nothing pushes it.
 template <typename T>
 Vec2<T> FlightAcceleration(const Vec2d& gravity, double inverse_mass, const T* force) {
   Vec2<T> a = gravity.template cast<T>();
@@ -38,7 +38,7 @@ Vec2<T> FlightAcceleration(const Vec2d& gravity, double inverse_mass, const T* f
   return a;
 }
 
-// Where free flight for a time s leads from x.
+// Sets `next` to the state after free flight for a time s from x.
 template <typename T>
 void Fly(const T* x, const Vec2<T>& a, const T& s, T* next) {
   for (int j = 0; j < 2; ++j) {
@@ -68,7 +68,7 @@ struct PushedStep {
   }
 };
 
-// The same for a disc that nothing pushes. Blocks: node, begin, end, next node.
+// A step of a disc without a force. Blocks: node, begin, end, next node. Rows: 4 equalities next - f(node, h).
 struct CoastingStep {
   StepOfPhase step;
   Vec2d gravity;
@@ -82,8 +82,8 @@ struct CoastingStep {
   }
 };
 
-// A disc that spins between two times, of its impacts or the first or last. Blocks: rotation, begin, end, next
-// rotation. Rows: 2 equalities.
+// Rotation of a disc that spins between two times, those of impacts or the first or last one. Blocks: rotation, begin,
+// end, next rotation. Rows: 2 equalities.
 struct Turning {
   static constexpr int kRows = 2;
   template <typename T>
@@ -114,7 +114,7 @@ struct TurnedStep {
   }
 };
 
-// scale (q - target) with q an angle or an angular velocity. Block: rotation. Row: 1, a cost or an equality.
+// The row scale (q - target), with q an angle or angular velocity; a cost or an equality. Block: rotation.
 struct RotationTarget {
   TerminalTerm::Quantity quantity;
   double target, scale, radius;

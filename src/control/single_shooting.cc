@@ -19,7 +19,7 @@
 namespace saltus {
 namespace {
 
-// Indices into the initial state: of the first of two entries of each body, and the next.
+// Adds two indices into the initial state for each body: of its position (offset 0) or velocity (2).
 void AddPairs(const std::vector<int>& bodies, int offset, std::vector<int>* indices) {
   for (int body : bodies) {
     for (int j = 0; j < 2; ++j) indices->push_back(4 * body + offset + j);
@@ -50,7 +50,7 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
   return indices;
 }
 
-// Why derivatives of the simulator's last rollout are not finite; empty if they are.
+// Returns the reason why derivatives of the simulator's last rollout are not finite; empty if they are.
 std::string WhyNotFinite(const Simulator& simulator, std::span<const double> control,
                          std::span<const double> derivatives) {
   if (simulator.stopped() || std::ranges::all_of(derivatives, [](double entry) { return std::isfinite(entry); })) {
@@ -216,7 +216,7 @@ void SingleShooting::DifferenceByParameters(const Numbers& numbers, const Put& p
   Rollout(at);
 }
 
-// That of the loss of the last rollout, with terms on the way.
+// Computes the gradient of the loss of the last rollout with path costs.
 void SingleShooting::WayGradient(std::span<const double> z, double* gradient) {
   ++num_adjoints_;
   if (!controls_) {
@@ -271,7 +271,7 @@ void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShoo
     for (std::size_t i = 0; i < count; ++i) ok[i] = shootings[0]->Evaluate(point(i), &losses[i], gradient(i));
     return;
   }
-  // First, as a loss whose effort is not finite is not either.
+  // The effort is checked first: a loss is not finite if its effort is not.
   std::array<const double*, kLanes> controls;
   for (std::size_t i = 0; i < kLanes; ++i) controls[i] = shootings[0]->ControlIn(point(i < count ? i : 0)).data();
   const std::array<double, kLanes> squares = SumsOfSquares(controls, shootings[0]->ControlIn(point(0)).size());
@@ -289,7 +289,7 @@ void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShoo
     motions.push_back(
         {static_cast<LaneSimulator*>(shooting.simulator_.get()), shooting.initial_, shooting.ControlIn(point(i))});
   }
-  // The next points in memory are most often evaluated next. To fetch what is not there does nothing.
+  // The next points in memory are most often evaluated next. A prefetch beyond the end has no effect.
   const std::ptrdiff_t next = points.size(), set = gradients.empty() ? 0 : gradients.data() + next - points.data();
   if (!motions.empty()) motions[0].simulator->RolloutTogether(motions, /*force_unit=*/1, {next, set});
   for (std::size_t m = 0; m < motions.size(); ++m) {

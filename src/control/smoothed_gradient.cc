@@ -19,7 +19,7 @@ Scene WithoutEffort(Scene scene) {
   return scene;
 }
 
-// Mean and standard error of some numbers, a sample at a time (Welford 1962).
+// Mean and standard error of samples, updated one sample at a time (Welford 1962).
 class Moments {
  public:
   explicit Moments(size_t size) : mean_(size), squares_(size) {}

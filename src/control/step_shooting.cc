@@ -17,7 +17,7 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-// Columns of `b` that belong to the control.
+// Returns the columns of `b` that belong to the control.
 RowMajor ControlColumns(const Simulator& simulator, const RowMajor& b) {
   const auto size = static_cast<size_t>(b.cols()), width = static_cast<size_t>(simulator.control_width());
   RowMajor columns(b.rows(), width);

@@ -24,7 +24,7 @@
 
 namespace saltus {
 
-// The terminal terms. Parameter block: the final state, B * body_size numbers.
+// The cost of the terminal terms. Parameter block: the final state, B * body_size numbers.
 class TerminalCost final : public ceres::CostFunction {
  public:
   // Precondition: objective.IsSumOfSquares() and there is at least one term.
@@ -37,7 +37,7 @@ class TerminalCost final : public ceres::CostFunction {
   Eigen::MatrixXd jacobian_;
 };
 
-// scale * u, for the effort. Parameter block: u, `size` numbers.
+// The residual scale * u, for the effort. Parameter block: u, `size` numbers.
 class EffortCost final : public ceres::CostFunction {
  public:
   EffortCost(double scale, int size);
@@ -59,10 +59,10 @@ class StepShooting {
   int state_size() const { return simulator().state_size(); }
 
   double* State(int k) { return &states_[static_cast<size_t>(k) * state_size()]; }
-  // The parameter blocks of a StepCost of step k.
+  // Returns the parameter blocks of a StepCost of step k.
   std::vector<double*> StepBlocks(int k);
 
-  // The decision variables of single shooting among the variables.
+  // Returns the decision variables of single shooting among the variables.
   std::vector<double> Decisions() const;
 
   // Hands over the effort of each step with its forces; none if these are given.
@@ -78,17 +78,17 @@ class StepShooting {
   std::vector<int> decision_indices_;  // indices in x_0 of the decision variables, unless these are forces
 };
 
-// The cost of any step of a simulator, which must outlive it.
+// Makes the cost of any step of a simulator, which must outlive it.
 std::unique_ptr<StepCost> MakeStepCost(const Simulator& simulator);
 
-// Null if the objective has no terminal terms.
+// Makes the cost of the terminal terms; null if the objective has none.
 std::unique_ptr<TerminalCost> MakeTerminalCost(const Simulator& simulator);
 
-// The states of the simulator's last rollout, (K + 1) x state size.
+// Returns the states of the simulator's last rollout, (K + 1) x state size.
 std::vector<double> StatesOf(const Simulator& simulator);
 
-// Of each step, the largest component of its defect, in the scene's units of length or speed. `states` is (K + 1) x
-// state size.
+// Returns the largest component of the defect of each step, in the scene's units of length or speed. `states` is
+// (K + 1) x state size.
 std::vector<double> LargestDefects(const Simulator& simulator, std::span<const double> states,
                                    std::span<const double> control);
 

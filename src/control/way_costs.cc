@@ -17,7 +17,7 @@ using Quantity = TerminalTerm::Quantity;
 
 int OffsetOf(Quantity quantity) { return quantity == Quantity::kPosition ? 0 : 2; }
 
-// One row of the least squares: scale (q_axis(t) - target).
+// A row of the least squares: scale (q_axis(t) - target).
 struct Row {
   int segment = 0;
   double offset = 0;  // s, after the start of the segment
@@ -139,8 +139,8 @@ class ExactWayCosts final : public WayCosts {
     return piece.at_start.p[body] + 0.5 * offset * (piece.at_start.v[body] + v);
   }
 
-  // Rows of terminal and via terms, and of the Gauss nodes of each step that nothing cuts, one after the other; a step
-  // that is cut is one row, the root of its integral.
+  // Calls on_row for terminal and via terms, and for the Gauss nodes of each step without an impact, in their order;
+  // a step with an impact is one row, the root of its integral.
   template <typename OnRow, typename OnCutStep>
   void ForEachRow(const OnRow& on_row, const OnCutStep& on_cut_step) const {
     const int last = static_cast<int>(sweep_->segments().size()) - 1;
@@ -148,7 +148,7 @@ class ExactWayCosts final : public WayCosts {
       for (row.axis = 0; row.axis < 2; ++row.axis) {
         Row one = row;
         one.value = row.scale * miss[row.axis];
-        // The scale of running terms is the root of a step.
+        // The scale of a row of a running term is the root of the length of a step.
         one.by_duration = row.by_duration * one.value - row.scale * target_rate[row.axis];
         take(one);
       }
@@ -216,7 +216,7 @@ class ExactWayCosts final : public WayCosts {
   std::optional<CostateSweep> sweep_;
 };
 
-// By the model's own steps.
+// Path costs on the states after the model's steps.
 class SteppedWayCosts final : public WayCosts {
  public:
   explicit SteppedWayCosts(const Simulator& simulator) : scene_(simulator.scene()), num_steps_(simulator.num_steps()) {
@@ -279,7 +279,7 @@ class SteppedWayCosts final : public WayCosts {
   }
 
  private:
-  // scale (q - target) with q an entry of a disc's state, between two states.
+  // The row scale (q - target) with q an entry of a disc's state, interpolated between two states.
   struct NodeRow {
     int body = 0, entry = 0;
     int step = 0;
@@ -322,7 +322,7 @@ class SteppedWayCosts final : public WayCosts {
     return steps;
   }
 
-  // From the derivatives by each state up to number `last` to those by what decides them.
+  // Pulls the derivatives by each state up to number `last` back to those by control and initial state.
   void PullBack(const std::vector<StepLinearization>& steps, const std::vector<double>& cotangents, int last,
                 std::span<double> control, std::span<double> initial) const {
     const size_t size = simulator_->state_size();

@@ -29,10 +29,10 @@ class WayCosts {
   // state (B x 4), and final time if all steps scale with it (exact dynamics only). What is empty or null is left out.
   virtual void Gradient(std::span<double> control, std::span<double> initial, double* duration) const = 0;
 
-  // Terminal rows first, two per term. The sum of the squares of all rows is the loss of the terminal terms and Loss().
+  // Rows: two for each terminal term first. The sum of all squares is the loss of the terminal terms and Loss().
   virtual int num_residuals() const = 0;
   virtual void Residuals(std::span<double> residuals) const = 0;
-  // The derivatives of all rows, with the shapes rows x control, rows x initial state, and rows.
+  // Sets the derivatives of all rows, with the shapes rows x control, rows x initial state, and rows.
   virtual void Jacobian(std::span<double> control, std::span<double> initial, std::span<double> duration) const = 0;
 };
 

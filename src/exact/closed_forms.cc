@@ -20,7 +20,7 @@ using exact_internal::PairParameters;
 using exact_internal::Polynomial;
 using exact_internal::Refuse;
 
-// Between two collisions: the derivatives of the loss by a change of the motion at the start of the phase.
+// A phase between two collisions, with the derivatives of the loss by a change of the motion at its start.
 struct Phase {
   double start = 0;
   double end = 0;
@@ -54,7 +54,7 @@ std::vector<std::vector<Vec2d>> ControlGradient(const Scene& scene, const std::v
   return gradient;
 }
 
-// A motion with unit dual parts from `first` on.
+// Returns `motion` with unit derivatives of its four numbers, from dual part `first` on.
 template <typename T>
 Motion<T> Seed(const Motion<double>& motion, int first) {
   Motion<T> seeded;
@@ -70,7 +70,7 @@ Motion<double> Costate(const T& loss, int first) {
   return {Vec2d(loss.v[first], loss.v[first + 1]), Vec2d(loss.v[first + 2], loss.v[first + 3])};
 }
 
-// Fills everything but family and events; phases[0] starts at time 0.
+// Sets all of `form` but family and events. Precondition: phases[0] starts at time 0.
 void Complete(const Scene& scene, double terminal, const std::vector<Motion<double>>& final,
               const std::vector<Phase>& phases, ClosedForm* form) {
   form->terminal = terminal;
@@ -132,8 +132,8 @@ PairParameters MakePair(const Scene& scene) {
           exact_internal::InitialAcceleration(scene, 1)};
 }
 
-// |first - second|^2 - (contact distance)^2 as a polynomial of the time from now; exactly 0 at time 0 if the discs
-// touch.
+// Returns |first - second|^2 - (contact distance)^2 as a polynomial in the time from now. It is exactly 0 at time 0 if
+// the discs touch.
 Polynomial SquaredGap(const PairParameters& pair, const DiscPair<double>& discs) {
   const Vec2d d = discs.first.position - discs.second.position;
   const Vec2d w = discs.first.velocity - discs.second.velocity;
@@ -145,7 +145,7 @@ Polynomial SquaredGap(const PairParameters& pair, const DiscPair<double>& discs)
 
 enum class Meeting { kNone, kImpact, kResting };
 
-// Whether and when the discs collide within `remaining`.
+// Finds whether and when the discs collide within `remaining`, s; a contact at time 0 counts if they approach.
 Meeting FindMeeting(const PairParameters& pair, const DiscPair<double>& discs, double remaining, double* when) {
   Polynomial gap = SquaredGap(pair, discs);
   *when = 0;
@@ -175,7 +175,7 @@ DiscPair<PairJet> SeedPair(const DiscPair<double>& discs) {
   return {Seed<PairJet>(discs.first, 0), Seed<PairJet>(discs.second, 4)};
 }
 
-// The phase without a collision, from `discs` at `start` to the end of the scene.
+// Returns the last phase, which has no collision, from `discs` at `start` to the end of the scene.
 Phase LastPhase(const Scene& scene, const PairParameters& pair, const DiscPair<double>& discs, double start) {
   const DiscPair<PairJet> end = FlyBoth(pair, SeedPair(discs), PairJet(scene.duration - start));
   const PairJet loss = exact_internal::TerminalLoss<PairJet>(scene.objective, {end.first, end.second});

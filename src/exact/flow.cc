@@ -6,7 +6,7 @@
 namespace saltus::exact_internal {
 namespace {
 
-// The root of p in [low, high], where p is monotone and changes sign: Newton, and bisection where Newton leaves.
+// Returns the root of p in [low, high], where p is monotone and changes sign: Newton's method with bisection.
 double RootOfMonotone(const Polynomial& p, const Polynomial& slope, double low, double high) {
   const bool rising = Evaluate(p, high) > 0;
   double t = 0.5 * (low + high);

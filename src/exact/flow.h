@@ -1,5 +1,5 @@
-// What the closed forms are made of: real roots and minima of polynomials, parabolas, the impulse of a collision, and
-// the time of a collision with its derivatives. What has derivatives is templated on the scalar T (double, or a
+// The parts of the closed forms: real roots and minima of polynomials, parabolas, the impulse of a collision, and the
+// time of a collision with its derivatives. Functions with derivatives are templates on the scalar T (double, or a
 // ceres::Jet of any width).
 #pragma once
 
@@ -22,17 +22,17 @@ Polynomial Derivative(const Polynomial& p);
 Polynomial Multiply(const Polynomial& a, const Polynomial& b);
 Polynomial Add(const Polynomial& a, const Polynomial& b);
 
-// Where p changes sign in [low, high], in increasing order, and `low` and `high` if p is zero there. A root of even
-// multiplicity inside the interval is not reported. Finds the roots of p' first: between them p is monotone.
+// Returns where p changes sign in [low, high], in increasing order, and `low` and `high` if p is zero there. A root of
+// even multiplicity inside the interval is not reported. The roots of p' come first: between them p is monotone.
 std::vector<double> RootsBetween(const Polynomial& p, double low, double high);
 
 double MinimumBetween(const Polynomial& p, double low, double high);
 
-// In natural units, as all that closed forms work on (scene/units.h).
+// Thresholds in natural units (scene/units.h), in which all closed forms compute.
 inline constexpr double kTouching = 1e-12;  // the overlap that a valid scene may start with
 inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no usable derivative
 
-// What ValidateStructure says of a scene; empty if nothing is wrong with it.
+// Returns the message of ValidateStructure(); empty if the scene is valid.
 inline std::string WhatIsWrongWith(const Scene& scene) {
   const std::optional<SceneError> error = ValidateStructure(scene);
   if (error) return "the scene is wrong: " + error->ToString();
@@ -40,7 +40,7 @@ inline std::string WhatIsWrongWith(const Scene& scene) {
   return beyond.empty() ? "" : "the scene has " + beyond + "; the closed forms are of discs and planes";
 }
 
-// Nothing, and why.
+// Returns std::nullopt, and sets the reason.
 inline std::nullopt_t Refuse(std::string* why_not, const std::string& reason) {
   if (why_not != nullptr) *why_not = reason;
   return std::nullopt;
@@ -57,7 +57,7 @@ Motion<T> Cast(const Motion<double>& motion) {
   return {motion.position.template cast<T>(), motion.velocity.template cast<T>()};
 }
 
-// `motion` after `time` under a constant acceleration.
+// Returns `motion` after `time` under a constant acceleration.
 template <typename T>
 Motion<T> Fly(const Motion<T>& motion, const Vec2d& acceleration, const T& time) {
   const Vec2<T> gain = Scale(time, acceleration);
@@ -70,8 +70,8 @@ struct ContactLaw {
   T friction;
 };
 
-// The impulse on the first of two bodies that meet with normal n (towards it), relative velocity w and effective mass
-// m.
+// Returns the impulse on the first of two bodies, N s, with the normal n towards it, the relative velocity w and the
+// effective mass m.
 template <typename T>
 Vec2<T> Impulse(const ContactLaw<T>& law, const Vec2<T>& n, const Vec2<T>& w, double m,
                 ExactEvent::Mode* mode = nullptr) {
@@ -90,8 +90,8 @@ Vec2<T> Impulse(const ContactLaw<T>& law, const Vec2<T>& n, const Vec2<T>& w, do
   return Scale(normal, n) + Scale(tangential, t);
 }
 
-// When a point at height `gap` >= 0 with vertical velocity `speed` and acceleration `a` comes down to height 0; nothing
-// if it never does. From gap = 0 it must first rise. Both forms of the root avoid the difference of near numbers.
+// Returns when a point at height `gap` >= 0 with vertical velocity `speed` and acceleration `a` comes down to height 0,
+// std::nullopt if never. From gap = 0 it must first rise. Neither form of the root subtracts near numbers.
 template <typename T>
 std::optional<T> FallTime(const T& gap, const T& speed, double a) {
   const T square = speed * speed - T(2 * a) * gap;
@@ -104,7 +104,7 @@ std::optional<T> FallTime(const T& gap, const T& speed, double a) {
   return T(2) * gap / (landing - speed);
 }
 
-// The constant acceleration of body i under the initial forces.
+// Returns the constant acceleration of body i under the initial forces.
 inline Vec2d InitialAcceleration(const Scene& scene, int i) {
   Vec2d acceleration = scene.gravity;
   for (int c = 0; c < scene.num_controlled(); ++c) {
@@ -117,13 +117,13 @@ inline Motion<double> InitialMotion(const Scene& scene, int i) {
   return {scene.bodies[i].position, scene.bodies[i].velocity};
 }
 
-// The image of a disc's centre p behind a plane.
+// Returns the mirror image of a disc's centre p behind a plane.
 inline Vec2d Mirror(const Plane& plane, double radius, const Vec2d& p) {
   const Vec2d n = plane.normal.normalized();
   return p - 2 * (n.dot(p - plane.point) - radius) * n;
 }
 
-// The terminal part of the loss.
+// Returns the terminal part of the loss.
 template <typename T>
 T TerminalLoss(const Objective& objective, const std::vector<Motion<T>>& final) {
   T loss(0);
@@ -142,12 +142,12 @@ T TerminalLoss(const Objective& objective, const std::vector<Motion<T>>& final) 
 
 // --- One disc among planes ---
 
-// A hit of the disc: on which plane.
+// A sequence of impacts of the disc: the index of the plane of each.
 using PlaneSequence = std::vector<int>;
 
-// The disc at the end of the scene if, from time `start` on, it strikes the planes of `hits` in this order, and no
-// others. The hits need not fall before the end of the scene: the formulas are continued. Nothing if it cannot reach a
-// plane.
+// Returns the disc at the end of the scene if, from time `start` on, it strikes the planes of `hits` in this order and
+// no others. The impacts may be after the end of the scene: the formulas are continued. Returns std::nullopt if it
+// cannot reach a plane.
 template <typename T>
 std::optional<Motion<T>> FlyAlong(const Scene& scene, const ContactLaw<T>& law, const PlaneSequence& hits,
                                   Motion<T> disc, double start) {
@@ -167,14 +167,14 @@ std::optional<Motion<T>> FlyAlong(const Scene& scene, const ContactLaw<T>& law, 
   return Fly(disc, acceleration, T(T(scene.duration) - time));
 }
 
-// Where the disc goes by itself.
+// The path of the disc in simulation.
 struct DiscPath {
   PlaneSequence hits;
   std::vector<ExactEvent> events;           // one per hit
   std::vector<Motion<double>> phase_start;  // at time 0 and just after each hit
 };
 
-// Nothing, and the reason, if the disc meets a corner, grazes or rests on a plane, or hits more than `kMostHits` times.
+// Follows the disc. Fails, with a reason, at corners, grazing or resting contacts, and after `kMostHits` impacts.
 inline constexpr int kMostHits = 1000;
 std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not);
 
@@ -199,8 +199,8 @@ DiscPair<T> FlyBoth(const PairParameters& pair, const DiscPair<T>& discs, const 
   return {Fly(discs.first, pair.acceleration_first, time), Fly(discs.second, pair.acceleration_second, time)};
 }
 
-// The pair `remaining` later than at the given state, if the discs collide once and do so `guess` after it: exactly so
-// for the values, which makes the one Newton step for the time of the collision exact for the derivatives.
+// Returns the pair `remaining` later, if the discs collide once, `guess` after the given state. That time must be exact
+// as a value, so that one Newton step for the time of the collision gives exact derivatives.
 template <typename T>
 DiscPair<T> CollideOnce(const PairParameters& pair, const ContactLaw<T>& law, DiscPair<T> discs, double guess,
                         double remaining, ExactEvent::Mode* mode = nullptr) {

@@ -21,7 +21,7 @@ using exact_internal::PathPiece;
 using exact_internal::TwoDiscLoss;
 using exact_internal::TwoDiscProblem;
 
-// One scene's grid, and where Newton's method starts.
+// The grid of a scene, and the angle of impact from which Newton's method starts.
 struct Grid {
   TwoDiscProblem problem;  // with step
   double angle = 0;
@@ -37,7 +37,7 @@ std::optional<Grid> MakeGrid(const Scene& scene, TwoDiscSequence sequence, std::
   return grid;
 }
 
-// The least loss with the impact on `node`; nothing if Newton's method fails or the discs would not approach.
+// Returns the least loss with the impact on `node`; std::nullopt if Newton's method fails or the discs would separate.
 std::optional<TwoDiscLoss<double>> BestAtNode(const Grid& grid, int node) {
   double s = node * grid.problem.step;
   double phi = grid.angle;
@@ -65,7 +65,7 @@ std::vector<PathPiece> PathsBeforeImpact(const Scene& scene, const GridOptimum& 
   return pieces;
 }
 
-// The gradient of the terminal loss by the first disc's position and velocity at the node, if `force` acts on it there.
+// Returns the gradient of the terminal loss by position and velocity of the first disc at the node, under `force`.
 std::array<Vec2d, 2> ImpactCostate(const Scene& scene, const TwoDiscProblem& problem, const GridOptimum& o,
                                    const Vec2d& force) {
   using Jet = ceres::Jet<double, 4>;
@@ -85,7 +85,7 @@ std::array<Vec2d, 2> ImpactCostate(const Scene& scene, const TwoDiscProblem& pro
   return {Vec2d(loss.v[0], loss.v[1]), Vec2d(loss.v[2], loss.v[3])};
 }
 
-// The gradient of the loss by each force before the impact, if `force` acts at the impact.
+// Returns the gradient of the loss by each force before the impact, if `force` acts at the impact.
 std::vector<Vec2d> ControlGradient(const Scene& scene, const TwoDiscProblem& problem, const GridOptimum& o,
                                    const Vec2d& force) {
   const std::array<Vec2d, 2> costate = ImpactCostate(scene, problem, o, force);
@@ -149,7 +149,7 @@ GridOptimum Convert(GridOptimum o, const Units& from, const Units& to) {
   return o;
 }
 
-// What `find` finds for the scene in its natural units, in those of the scene.
+// Calls `find` with the scene in natural units, and converts its result to the units of the scene.
 template <typename Find>
 std::optional<GridOptimum> FindInNaturalUnits(const Scene& scene, const Find& find) {
   const Scene natural = InNaturalUnits(scene);

@@ -45,7 +45,7 @@ struct GridOptimum {
 std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSequence sequence, int node,
                                                 std::string* why_not = nullptr);
 
-// The best over all nodes.
+// Returns the best optimum over all nodes.
 std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence sequence,
                                            std::string* why_not = nullptr);
 

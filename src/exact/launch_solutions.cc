@@ -15,7 +15,7 @@ using exact_internal::DiscPath;
 using exact_internal::Motion;
 using exact_internal::PlaneSequence;
 
-// All sequences of at most `hits` hits.
+// Returns all sequences of at most `hits` impacts.
 std::vector<PlaneSequence> Sequences(int planes, int hits) {
   std::vector<PlaneSequence> sequences = {{}};
   for (size_t done = 0; done < sequences.size(); ++done) {
@@ -31,7 +31,7 @@ std::vector<PlaneSequence> Sequences(int planes, int hits) {
 
 const TerminalTerm& Target(const Scene& scene) { return scene.objective.terminal[0]; }
 
-// How far the disc, launched with `velocity` and striking `hits`, ends from the target.
+// The distance from the target of the disc launched with `velocity` along `hits`, as a vector, with its derivative.
 struct Miss {
   Eigen::Vector2d error;
   Eigen::Matrix2d slope;  // by velocity
@@ -51,7 +51,7 @@ std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const 
   return miss;
 }
 
-// Newton's method, with steps halved until the miss shrinks. False if it gets stuck.
+// Newton's method, with steps halved until the miss decreases. Returns false if no step decreases it.
 bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
   std::optional<Miss> now = Launch(scene, hits, *velocity);
   if (!now) return false;
@@ -72,7 +72,7 @@ bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
   return false;
 }
 
-// The velocity of the straight line to the target, mirrored at the planes in reverse, and raised against gravity.
+// Returns the velocity of the straight line to the target, mirrored at the planes in reverse, and raised for gravity.
 Vec2d StraightLaunch(const Scene& scene, const PlaneSequence& hits) {
   Vec2d image = Target(scene).target;
   for (auto hit = hits.rbegin(); hit != hits.rend(); ++hit) {
@@ -82,7 +82,7 @@ Vec2d StraightLaunch(const Scene& scene, const PlaneSequence& hits) {
          0.5 * scene.duration * exact_internal::InitialAcceleration(scene, 0);
 }
 
-// Adds what Newton's method finds from `velocity`, if it is new and the disc does strike `hits`.
+// Adds the solution that Newton's method finds from `velocity`, if it is new and the disc does strike `hits`.
 void Try(const Scene& scene, const PlaneSequence& hits, Vec2d velocity, std::vector<LaunchSolution>* solutions) {
   if (!Solve(scene, hits, &velocity)) return;
   for (const LaunchSolution& known : *solutions) {

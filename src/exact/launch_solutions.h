@@ -1,4 +1,4 @@
-// Which initial velocities bring one disc among planes exactly to the target.
+// The initial velocities with which one disc among planes reaches the target exactly.
 //
 // Along a given sequence of planes the final position is a smooth closed form of the initial velocity (see
 // closed_forms.h), so that each sequence gives two equations in two unknowns, solved by Newton's method. A solution

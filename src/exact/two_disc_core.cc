@@ -14,13 +14,13 @@ Path Straight(const Vec2d& position, const Vec2d& velocity) {
 
 Polynomial Scaled(double s, const Polynomial& p) { return Multiply({s}, p); }
 
-// The distance of a disc to a plane, less its radius.
+// Returns the distance of a disc to a plane, less its radius, as a polynomial in time.
 Polynomial PlaneGap(const Plane& plane, double radius, const Path& path) {
   const Vec2d n = plane.normal.normalized();
   return Add(Add(Scaled(n[0], path[0]), Scaled(n[1], path[1])), {-n.dot(plane.point) - radius});
 }
 
-// |first - second|^2 - (contact distance)^2
+// Returns |first - second|^2 - (contact distance)^2 as a polynomial in time.
 Polynomial DiscGap(double contact_distance, const PathPiece& piece) {
   Polynomial gap = {-contact_distance * contact_distance};
   for (int c = 0; c < 2; ++c) {

@@ -1,5 +1,5 @@
-// What the optimum in continuous time and the optimum on a time grid share: the loss as a function of the time and the
-// angle of the impact, Newton's method on it, and a check of the paths. See saltus/exact/two_disc_optimum.h.
+// The common part of the optima in continuous time and on a time grid: the loss as a function of the time and the angle
+// of the impact, Newton's method on it, and a check of the paths. See saltus/exact/two_disc_optimum.h.
 #pragma once
 
 #include <ceres/jet.h>
@@ -13,7 +13,7 @@
 
 namespace saltus::exact_internal {
 
-// A constant in T, which may be a Jet over Jets.
+// Makes a constant in T, which may be a Jet over Jets.
 template <typename T>
 struct ConstantOf {
   static T Make(double value) { return T(value); }
@@ -27,7 +27,7 @@ Vec2<T> ConstantVector(const Vec2d& value) {
   return {ConstantOf<T>::Make(value[0]), ConstantOf<T>::Make(value[1])};
 }
 
-// The state that the loss is differentiated by.
+// The initial state of both discs, by which the loss is differentiated.
 template <typename T>
 struct TwoDiscState {
   Vec2<T> p1, v1, p2, v2;
@@ -45,7 +45,7 @@ struct TwoDiscProblem {
   double step = 0;               // length of the control's constant pieces; 0 for any control
 };
 
-// The problem of `scene`, or nothing and a reason. `step` is 0.
+// Returns the problem of `scene`, or std::nullopt and a reason. `step` is 0.
 std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequence sequence, std::string* why_not);
 
 template <typename T>
@@ -112,7 +112,7 @@ TwoDiscDerivatives DifferentiateTwoDisc(const TwoDiscProblem& problem, double s,
 // False if it leaves 0 < s < T or does not converge.
 bool MinimizeTwoDisc(const TwoDiscProblem& problem, bool move_time, double* s, double* phi);
 
-// Positions as polynomials of the time since `start`, per coordinate.
+// The position of a disc as polynomials in the time since `start`, per coordinate.
 using Path = std::array<Polynomial, 2>;
 struct PathPiece {
   double start;

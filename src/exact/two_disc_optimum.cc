@@ -17,7 +17,7 @@ using exact_internal::TwoDiscLoss;
 using exact_internal::TwoDiscProblem;
 using exact_internal::TwoDiscState;
 
-// The discs from 0 to s, time 0 first.
+// Returns the paths of both discs from time 0 to the impact at s.
 PathPiece PathsBeforeImpact(const TwoDiscProblem& problem, double s, const Vec2d& c0, const Vec2d& c1) {
   const TwoDiscState<double>& x = problem.start;
   PathPiece piece = {0, s, {}, {}};
@@ -28,7 +28,7 @@ PathPiece PathsBeforeImpact(const TwoDiscProblem& problem, double s, const Vec2d
   return piece;
 }
 
-// By the envelope theorem, the gradient of the minimum by the initial state.
+// Returns the gradient of the minimum by the initial state (envelope theorem).
 TwoDiscCostate InitialCostate(const TwoDiscProblem& problem, double s, double phi) {
   using Jet = ceres::Jet<double, 8>;
   const TwoDiscState<double>& x = problem.start;
@@ -42,7 +42,7 @@ TwoDiscCostate InitialCostate(const TwoDiscProblem& problem, double s, double ph
   return {{part(0), part(4)}, {part(2), part(6)}};
 }
 
-// Fills the costates and the Hamiltonian from the rest.
+// Sets the costates and the Hamiltonian from the other results.
 void FillCostates(const TwoDiscProblem& problem, TwoDiscOptimum* o) {
   const TwoDiscState<double>& x = problem.start;
   const double s = o->impact_time;
@@ -65,7 +65,7 @@ void FillCostates(const TwoDiscProblem& problem, TwoDiscOptimum* o) {
   o->kink_slope = problem.effort * last.squaredNorm();
 }
 
-// The candidate at a minimum (s, phi), or nothing if its paths are not as assumed.
+// Returns the candidate at a minimum (s, phi), or std::nullopt if its paths meet anything else.
 std::optional<TwoDiscOptimum> CandidateAt(const Scene& scene, TwoDiscSequence sequence, const TwoDiscProblem& problem,
                                           double s, double phi) {
   const TwoDiscLoss<double> loss = EvaluateTwoDisc(problem, problem.start, s, phi);

@@ -70,7 +70,7 @@ struct TwoDiscOptimum {
   double kink_slope =
       0;  // effort |u(s-)|^2: how fast the loss of a fixed control rises as the impact leaves the jump of u
 
-  // u(t): N; zero from the impact on.
+  // Returns u(t), N; it is zero from the impact on.
   Vec2d Control(double t) const;
 };
 

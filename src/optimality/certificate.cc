@@ -50,7 +50,7 @@ Certificate CertifyControl(const Scene& scene, const std::vector<double>& initia
   return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
 }
 
-// The largest derivative by what is optimized of the initial state.
+// Returns the largest derivative by the free part of the initial state (velocity or position).
 double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
   double largest = 0;
   const int offset = scene.optimize == Optimize::kVelocity ? 2 : 0;
@@ -129,7 +129,7 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
        {&certificate.gradient_early, &certificate.gradient_late, &certificate.gradient_combined}) {
     if (*gradient) **gradient *= by.loss / by.force;
   }
-  // Its square integrates to 1, whatever the unit of force.
+  // The square of the direction integrates to 1, whatever the unit of force.
   if (certificate.curvature) {
     for (double& force : certificate.curvature->direction) force /= std::sqrt(by.time);
   }

@@ -89,7 +89,7 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
   }
 }
 
-// The intervals whose forces act just before and just after an impact.
+// Returns the intervals whose forces act just before and just after an impact.
 std::pair<int, int> CondensedLoss::IntervalsAt(int hit) const {
   const int at = interval_at_[hit];
   return {flight_.hits()[hit].on_node && at > 0 ? at - 1 : at, at};
@@ -101,7 +101,7 @@ int CondensedLoss::AddArc(int body, int from_hit, int to_hit) {
   const double end = to_hit >= 0 ? flight_.hits()[to_hit].time : scene_.duration;
   int first = from_hit >= 0 ? IntervalsAt(from_hit).second : 0;
   const int last = to_hit >= 0 ? IntervalsAt(to_hit).first : static_cast<int>(lengths_.size()) - 1;
-  // Where it is cut: at waypoints, and if it has running terms, at nodes and where targets turn.
+  // Cuts of an arc: waypoints, and for discs with running terms also nodes and times at which targets turn.
   struct Cut {
     double time;
     int interval;  // that starts there, or that it lies in
@@ -165,7 +165,7 @@ void CondensedLoss::AddLeg(int body, double begin, double end, int first, int la
 CondensedLoss::Push CondensedLoss::AddForce(int body, int interval) {
   if (pushed_[body] < 0) return {};
   if (!IsTracked(body)) return AddFunctionals(body, interval, {1.0});
-  // Several legs share it.
+  // Several legs share the functionals of one force.
   const int at = static_cast<int>(scene_.ForceIndex(interval, pushed_[body]));
   if (const auto known = forces_.find(at); known != forces_.end()) {
     return {known->second, turned_[body] < 0 ? -1 : known->second + 2};
@@ -199,7 +199,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     Vec2<T> p, v;
     T angle = T(0.0), spin = T(0.0);
   };
-  // What the way back needs of an impact, at its time, which is dt after that of the flight.
+  // Data of an impact for the backward sweep, at its time, which is dt after that of the flight.
   struct Passed {
     T dt;
     Impact<T> impact;
@@ -243,7 +243,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       for (int axis = 0; axis < 2; ++axis) *gaps++ = held[axis];
     }
   };
-  // The derivatives of the rate of the running terms by position and velocity, and their rate as far as velocities go.
+  // Derivatives of the rate of the running terms by position and velocity; the rate, and its part from velocities.
   struct Rate {
     Vec2<T> by_position = Vec2<T>(T(0.0), T(0.0)), by_velocity = by_position;
     T of_velocity = T(0.0), all = T(0.0);
@@ -393,7 +393,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       }
     }
   };
-  // The Hamiltonian's part of a disc, without the running terms of its position.
+  // Returns the contribution of a disc to the Hamiltonian, without the running terms of its position.
   const auto kinetic = [&](int body, const Vec2<T>& velocity, const Push& push) {
     const Costate<T>& costate = costates[body];
     T sum = Dot(costate.position, velocity) + Dot(costate.velocity, acceleration(body, push));
@@ -406,7 +406,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     if (push.turn >= 0) sum += effort * s[push.turn] * s[push.turn];
     return sum;
   };
-  // The derivatives by the forces as these act for dt longer.
+  // Adds the derivatives by the forces when these act for dt longer.
   const auto lengthen = [&](int body, const Push& push, const T& dt) {
     if (push.force < 0) return;
     const Vec2<T> slope = Scale(1 / scene_.bodies[body].mass, costates[body].velocity);
@@ -658,8 +658,8 @@ CurvatureRange CondensedLoss::SmallestCurvature() const {
   return result;
 }
 
-// With q = G' + G'' F d + A^T lambda, A the derivatives of what is held, 2 effort M (u + d) + F^T q vanishes and so
-// does A F d: equations for q and lambda, whose number does not grow with the intervals.
+// With q = G' + G'' F d + A^T lambda and A the derivatives of what is held, the conditions 2 effort M (u + d) + F^T q =
+// 0 and A F d = 0 are equations for q and lambda, whose number does not grow with the intervals.
 std::optional<Eigen::VectorXd> CondensedLoss::NewtonStep() const {
   Eigen::MatrixXd hessian, held;
   SecondDerivatives(&hessian, &held);

@@ -62,7 +62,7 @@ struct LeastCurvature {
 LeastCurvature FindLeastCurvature(const Eigen::MatrixXd& gram, const Eigen::MatrixXd& hessian,
                                   const Eigen::MatrixXd& held, double unit);
 
-// The least and the largest curvature along directions, as a part of that of the costs of the control alone.
+// The least and the largest curvature along directions, relative to that of the costs of the control alone.
 struct CurvatureRange {
   double smallest = 1, largest = 1;
   Eigen::VectorXd direction;  // of the least
@@ -76,31 +76,31 @@ class CondensedLoss {
                 std::span<const double> lengths, std::vector<std::optional<double>> theta = {},
                 Restrictions restrictions = {});
 
-  // The number of rows of F.
+  // Returns the number of rows of F.
   int num_functionals() const { return static_cast<int>(values_.size()); }
 
-  // By the control, of its shape, 1/N. With impacts held or hard terms it is that of the Lagrangian; bounds are left
-  // out.
+  // Returns the gradient by the control, in its layout, 1/N. With held impacts or hard terms it is that of the
+  // Lagrangian; bounds are left out.
   Eigen::VectorXd Gradient() const;
 
-  // The least curvature along directions d with integral |d|^2 dt = 1, as a part of that of the effort (and of the
-  // bounds on norms) alone, and its direction, of the shape of the control.
+  // Returns the least curvature along directions d with integral |d|^2 dt = 1, relative to that of the effort (and of
+  // the bounds on norms) alone, and its direction, in the layout of the control.
   CurvatureRange SmallestCurvature() const;
 
-  // The control that one step of Newton's method leads to, along directions that keep what is held: to the optimum, if
-  // this is near. Nothing if second derivatives are singular. Precondition: forces are not restricted.
+  // Returns the control after one step of Newton's method along directions that keep what is held. Returns std::nullopt
+  // if second derivatives are singular. Precondition: forces are not restricted.
   std::optional<Eigen::VectorXd> NewtonStep() const;
 
-  // 2 effort M + F^T G'' F, for tests; behind the control the final time, if that varies.
+  // Returns 2 effort M + F^T G'' F, for tests; after the control it has the final time, if that varies.
   Eigen::MatrixXd DenseHessian() const;
 
  private:
-  // Functionals of a disc: a force, or a change by the forces, and a torque or a change by the torques; -1: there are
-  // none.
+  // Indices of functionals of a disc: of a force, or a change by the forces, and of a torque or a change by the
+  // torques; -1: none.
   struct Push {
     int force = -1, turn = -1;
   };
-  // A disc that is not fixed, from one of its impacts (or the start) to the next (or the end): its legs.
+  // The arc of a disc that is not fixed, from one of its impacts (or the start) to the next (or the end), and its legs.
   struct Arc {
     int first = 0, end = 0;
   };
@@ -125,18 +125,18 @@ class CondensedLoss {
   };
 
   int AddArc(int body, int from_hit, int to_hit);
-  // Between intervals first..last, both of which it may have a part of only.
+  // Adds a leg between intervals first..last; it may contain only a part of each of these two.
   void AddLeg(int body, double begin, double end, int first, int last, int via);
   Push AddForce(int body, int interval);
   Push AddFunctionals(int body, int first, const std::vector<double>& weights);
   std::pair<int, int> IntervalsAt(int hit) const;
   double RateOfTurn(int body) const;  // angular acceleration per torque / radius, 1/(kg m)
   bool IsTracked(int body) const;
-  // Derivatives of G by F u where that is s; and unless null what is held: the gaps at impacts (in order), and what
-  // hard terms hold.
+  // Computes the derivatives of G by F u at F u = s and, unless null, the values that are held: the gaps at impacts (in
+  // order), then those of hard terms.
   template <typename T>
   void Sweep(const T* s, T* gradient, T* gaps) const;
-  // G'', and the derivatives of what is held, a row each.
+  // Computes G'', and the derivatives of what is held, one row each.
   void SecondDerivatives(Eigen::MatrixXd* hessian, Eigen::MatrixXd* gaps) const;
   Eigen::VectorXd Transposed(const Eigen::VectorXd& s) const;  // F^T s
   Eigen::MatrixXd Gram() const;                                // F M^-1 F^T, M restricted
@@ -147,7 +147,7 @@ class CondensedLoss {
   bool IsFreeTurn(size_t interval, int t) const {
     return restrictions_.turns.empty() || restrictions_.turns[interval * scene_.num_turned() + t];
   }
-  // M^-1 x of the free directions, and how many these are.
+  // Computes M^-1 x of the free directions, and the number of these.
   void DivideByWeights(Eigen::VectorXd* x) const;
   Eigen::Index NumFree() const;
 

@@ -1,4 +1,4 @@
-// Conditions of optimality with unknown multipliers: values that are affine in them are to lie in convex cones.
+// Conditions of optimality with unknown multipliers: functions affine in these must lie in convex cones.
 #pragma once
 
 #include <Eigen/Dense>
@@ -24,7 +24,7 @@ class NormalCone {
  public:
   explicit NormalCone(std::vector<Vec2d> normals) : normals_(std::move(normals)) {}
 
-  // w less its projection on the cone, and the derivative by w.
+  // Computes w less its projection on the cone, and its derivative by w.
   void Residual(const Vec2d& w, Vec2d* residual, Eigen::Matrix2d* derivative) const {
     *residual = w;
     derivative->setIdentity();
@@ -55,18 +55,18 @@ class NormalCone {
   std::vector<Vec2d> normals_;
 };
 
-// Conditions of optimality that are affine in unknown multipliers theta, each of which is to lie in a convex cone. The
-// distances from the cones are convex functions, so the theta that meets all conditions best is found by Newton's
-// method on their sum of squares.
+// Conditions of optimality that are affine in unknown multipliers theta, each of which must lie in a convex cone. The
+// distances from the cones are convex functions of theta; Newton's method minimises the sum of their squares,
+// sum_i dist(value_i + columns_i theta, C_i)^2, which is convex and once continuously differentiable.
 class ConeConditions {
  public:
   explicit ConeConditions(int num_unknowns) : theta_(Eigen::VectorXd::Zero(num_unknowns)) {}
 
-  // `value`, whose derivative by theta is `columns`, is to be opposite to the cone of these normals.
+  // Adds a force condition: `value` + `columns` theta must be opposite to the cone of these normals.
   void AddForce(const Vec2d& value, const Eigen::Matrix2Xd& columns, std::vector<Vec2d> normals) {
     forces_.push_back({value, columns, NormalCone(std::move(normals))});
   }
-  // A number that is to vanish, or to have the sign `allowed`.
+  // Adds a number that must vanish, or have the sign `allowed`.
   void AddNumber(double value, const Eigen::RowVectorXd& columns, int allowed) {
     numbers_.push_back({value, columns, allowed});
   }
@@ -103,7 +103,7 @@ class ConeConditions {
     return largest;
   }
   double Number(size_t i) const { return Left(numbers_[i], theta_); }
-  // Force i, as it was added, at theta.
+  // Returns force i, as it was added, at theta.
   Vec2d Force(size_t i) const { return forces_[i].value + forces_[i].columns * theta_; }
 
  private:

@@ -1,4 +1,4 @@
-// The conditions with bounds on the forces, hard terms, running and via terms and a free final time.
+// The conditions of optimality with bounds on the forces, hard terms, running and via terms and a free final time.
 //
 // Along a given motion the costates are affine in the multipliers of impacts and of hard terms, theta, and so are what
 // is left of the conditions:
@@ -30,7 +30,7 @@ namespace {
 constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
 constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
 
-// Of the contact distance: pairs that must not touch and stay so far apart are free. Solvers keep them apart by less.
+// Relative to the contact distance: pairs that must not touch and are further apart are inactive constraints.
 constexpr double kApart = 2e-4;
 
 class ConstrainedCertifier {
@@ -86,8 +86,8 @@ class ConstrainedCertifier {
   const Body& Turned(int t) const { return scene_.bodies[scene_.control.turned[t]]; }
   double Turn(int interval, int t) const { return motion_.control[scene_.TurnIndex(interval, t)]; }
 
-  // The sweep of the objective alone, and of each unknown: of impacts k for which `unknown[k]`, then of hard terms, two
-  // each. Other impacts keep the Hamiltonian.
+  // Returns the sweep of the objective alone, then of each unknown: of impacts k for which `unknown[k]`, then of hard
+  // terms, two each. The multipliers of other impacts keep the Hamiltonian continuous.
   std::vector<Result> Sweeps(const std::vector<bool>& unknown) const {
     std::vector<Result> sweeps;
     const auto add = [&](const CostateSweep::Source& source, int impact) {
@@ -108,7 +108,7 @@ class ConstrainedCertifier {
     return sweeps;
   }
 
-  // What all sweeps together are at theta: sizes, and the multipliers.
+  // Returns the linear combination of all sweeps at theta: sizes, and the multipliers.
   Result Combined(const std::vector<bool>& unknown, const Eigen::VectorXd& theta) const {
     std::vector<double> nu(num_hits());
     Eigen::Index next = 0;
@@ -127,7 +127,7 @@ class ConstrainedCertifier {
     return !norms.empty() && Force(interval, c).norm() >= (1 - kAtBound) * norms[c];
   }
 
-  // Of the bounds that a force is at.
+  // Returns the outward normals of the bounds that a force is at.
   std::vector<Vec2d> NormalsAt(int interval, int c) const {
     std::vector<Vec2d> normals;
     const Vec2d u = Force(interval, c);
@@ -169,7 +169,7 @@ class ConstrainedCertifier {
     for (int t = 0; t < scene_.num_turned(); ++t) AddTorques(t, sweeps, conditions);
   }
 
-  // Of one turned disc, as forces with a second component that is always 0.
+  // Adds the conditions of one torque, as forces with a second component that is always 0.
   void AddTorques(int t, const std::vector<Result>& sweeps, ConeConditions* conditions) const {
     const int n = static_cast<int>(sweeps.size()) - 1;
     const double radius = Turned(t).radius, mass = Turned(t).MomentOfInertia() / (radius * radius);
@@ -188,7 +188,7 @@ class ConstrainedCertifier {
   struct Phase {
     int begin = 0, end = 0;  // segments
   };
-  // The phase that ends (begins) at a boundary; empty if that is at the beginning (end).
+  // Returns the phase that ends (begins) at a boundary; an empty one at the initial (final) time.
   Phase PhaseBefore(int boundary) const {
     const auto at = std::lower_bound(boundaries_.begin(), boundaries_.end(), boundary);
     return at == boundaries_.begin() ? Phase{} : Phase{*(at - 1), boundary};
@@ -198,7 +198,7 @@ class ConstrainedCertifier {
     return at == boundaries_.end() ? Phase{} : Phase{boundary, *at};
   }
 
-  // The derivative of the loss as the end (or else the beginning) of a phase is moved, and its intervals with it.
+  // Returns the derivative of the loss when the end (or else the beginning) of a phase moves, with its intervals.
   double MovedBy(const Phase& phase, bool end, const Result& sweep, bool of_objective) const {
     const std::vector<CostateSweep::Segment>& segments = sweep_.segments();
     const double begin = segments[phase.begin].piece.start;
@@ -215,7 +215,7 @@ class ConstrainedCertifier {
     return end ? stretched : drift - stretched;
   }
 
-  // The Hamiltonian just after impact k where no phase follows it, but another impact or the end.
+  // Returns the Hamiltonian just after impact k, where no phase follows but another impact or the final time.
   double JustAfter(int k, const Result& sweep, bool of_objective) const {
     const int last = std::max(sweep_.SegmentAfter(k) - 1, 0);
     const Flight::Piece& piece = sweep_.segments()[last].piece;
@@ -230,7 +230,7 @@ class ConstrainedCertifier {
     return sum;
   }
 
-  // The derivative of the loss by the time of impact k.
+  // Returns the derivative of the loss by the time of impact k.
   double ByImpactTime(int k, const Result& sweep, bool of_objective) const {
     const auto follows = [&](int i) {
       return i >= 0 && i + 1 < num_hits() && sweep_.SegmentAfter(i) == sweep_.SegmentAfter(i + 1);
@@ -261,7 +261,7 @@ class ConstrainedCertifier {
     conditions->AddNumber(constant + of(sweeps[0], true), columns, allowed);
   }
 
-  // The signs that the derivative of the loss by the final time may have.
+  // Returns the sign that the derivative of the loss by the final time may have at its bounds; 0 inside.
   int SignByDuration() const {
     const FreeDuration& free = *scene_.objective.duration;
     if (scene_.duration <= free.min * (1 + kAtBound)) return 1;
@@ -285,7 +285,7 @@ class ConstrainedCertifier {
     ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
     AddForces(sweeps, &conditions);
     for (int k = 0; k < num_hits(); ++k) {
-      // At the final time an impact may want to be later.
+      // An impact at the final time may only be bounded from being later.
       const auto by_time = [&](const Result& sweep, bool whole) { return ByImpactTime(k, sweep, whole); };
       Add(sweeps, by_time, 0, IsAtEnd(k) ? -1 : 0, &conditions);
     }
@@ -331,7 +331,7 @@ class ConstrainedCertifier {
     if (scene_.objective.duration) {
       result->gradient = std::max(*result->gradient, std::abs(RelativeHamiltonian(conditions.Number(0))));
     }
-    // Where between the one-sided multipliers those of impacts on nodes are.
+    // Finds where the multipliers of impacts on nodes are between the one-sided ones.
     sweep_.Sweep({.objective = true, .hard = HardOf(conditions.theta())},
                  [&](int k, const ImpactJump& jump, double gain) {
                    const double late = sweep_.Late(k, jump, gain);
@@ -367,7 +367,7 @@ class ConstrainedCertifier {
         CondensedLoss(scene_, motion_.flight, motion_.control, motion_.lengths, std::move(held), restrictions_));
   }
 
-  // At the multipliers found.
+  // Sets the restrictions of the second-order condition, at the multipliers found.
   void SetRestrictions(const ConeConditions& conditions) {
     restrictions_.hard = HardOf(conditions.theta());
     restrictions_.duration = IsDurationFree();

@@ -29,7 +29,7 @@ class LeastCurvatureSearch {
       : hessian_(hessian), equations_(equations), metric_(metric), gram_(equations.transpose() * equations) {
     VectorXd diagonal = metric_.diagonal();
     start_ = VectorXd::Zero(diagonal.size());
-    // Any start will do that no symmetry makes orthogonal to the least direction.
+    // Any start serves that is not orthogonal to the least direction by a symmetry.
     for (Eigen::Index i = 0; i < start_.size(); ++i) {
       if (diagonal[i] > 0) start_[i] = 1 + 0.5 * std::sin(1.0 + static_cast<double>(i) * static_cast<double>(i));
     }
@@ -54,7 +54,7 @@ class LeastCurvatureSearch {
       const bool settled = std::abs(quotient - high) <= kConverged * std::max(1.0, std::abs(quotient));
       high = std::min(high, quotient);
       if (settled || high - low <= kConverged * std::max(1.0, std::abs(high))) break;
-      // As near to the upper bound as the factorization stays positive definite.
+      // The shift is as near to the upper bound as the factorization stays positive definite.
       for (const double part : {0.01, 0.1, 0.5}) {
         const double trial = high - part * (high - low);
         if (!IsBelow(trial)) continue;

@@ -33,7 +33,7 @@ struct HmpSystem {
   int num_variables() const { return phases->num_variables() + phases->num_impacts(); }
   int num_impacts() const { return phases->num_impacts(); }
 
-  // `y`: the variables of the path, then the multipliers. False if there is no such path.
+  // Computes the residuals. `y`: the path's variables, then multipliers. Returns false if there is no such path.
   template <typename T>
   bool Evaluate(const T* y, Path<T>* path, T* residuals) const;
 

@@ -15,7 +15,7 @@ using Quantity = TerminalTerm::Quantity;
 
 constexpr int kOrder = 18;  // of Taylor's series
 constexpr int kPieces = 8;  // of a flight, each with a series or a quadrature of its own
-// Gauss and Legendre on [0, 1].
+// Nodes of the quadrature of Gauss and Legendre on [0, 1].
 constexpr std::array<double, 8> kNodes = {0.019855071751231884,
                                           0.10166676129318664,
                                           0.23723379504183550,
@@ -157,7 +157,7 @@ T CostateShooting::Hamiltonian(int body, const T& time, const Flying<T>& x, bool
            Running(body, time, x, of_velocity_only));
 }
 
-// Of a force that follows from the costates without its bounds.
+// Flies a disc whose force follows from the costates without bounds.
 template <typename T>
 void CostateShooting::FlyBySeries(int body, const T& from, const T& length, Flying<T>* x, T* loss) const {
   const double mass = scene_.bodies[body].mass, effort = scene_.objective.effort;
@@ -207,7 +207,7 @@ void CostateShooting::FlyBySeries(int body, const T& from, const T& length, Flyi
   }
 }
 
-// The times, rising, at which a force gets to its bounds or leaves them, in (0, length).
+// Returns the times, rising, at which a force reaches its bounds or leaves them, in (0, length).
 std::vector<double> CostateShooting::Switches(int body, const Vec2d& lambda_q, const Vec2d& lambda_v,
                                               double length) const {
   const double scale = -1 / (2 * scene_.objective.effort * scene_.bodies[body].mass);
@@ -306,7 +306,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     since[body] = time;
   };
 
-  // Via terms in order of time; an impact at the same time comes after.
+  // Via terms are in order of time; an impact at the same time comes after them.
   std::vector<size_t> vias;
   for (size_t i = 0; i < scene_.objective.via.size(); ++i) vias.push_back(i);
   std::stable_sort(vias.begin(), vias.end(), [&](size_t a, size_t b) {

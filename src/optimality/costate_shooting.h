@@ -39,7 +39,7 @@ class CostateShooting {
   struct Flying {
     Vec2<T> p, v, q, w;
   };
-  // A flight from event to event.
+  // A flight of one disc from one event to the next.
   struct Leg {
     int body = 0;
     double begin = 0;  // s
@@ -49,14 +49,14 @@ class CostateShooting {
   // `moving_end`: the final time is unknown. Preconditions: WhyNot() is empty, effort > 0.
   CostateShooting(const Scene& scene, std::vector<Candidate> sequence, bool moving_end);
 
-  // Why the method does not apply to a scene; empty if it does.
+  // Returns the reason why the method does not apply to a scene; empty if it does.
   static std::string WhyNot(const Scene& scene);
 
   int num_unknowns() const { return num_unknowns_; }
   const Scene& scene() const { return scene_; }
 
-  // The vector of unknowns for given costates of all discs at the start and after each impact, times and multipliers of
-  // impacts, multipliers of hard terms (terminal ones first), and the final time.
+  // Returns the vector of unknowns for given costates of all discs at the start and after each impact, times and
+  // multipliers of impacts, multipliers of hard terms (terminal ones first), and the final time.
   std::vector<double> Unknowns(const std::vector<Costate<double>>& start,
                                const std::vector<std::vector<Costate<double>>>& after_impact,
                                const std::vector<double>& times, const std::vector<double>& multipliers,
@@ -68,7 +68,7 @@ class CostateShooting {
   // times are not in order, or the two bodies of an impact separate. Loss and legs are not computed where null.
   template <typename T>
   bool Evaluate(const T* y, T* residuals, T* loss = nullptr, std::vector<Leg>* legs = nullptr) const;
-  // The force on pushed disc c at a time. Precondition: `legs` are those of a motion, the time is in it.
+  // Returns the force on pushed disc c at a time. Precondition: `legs` are those of a motion that contains the time.
   Vec2d ForceAt(const std::vector<Leg>& legs, int c, double time) const;
 
   double Time(const double* y, int impact) const { return y[impact_index_[impact]]; }

@@ -20,7 +20,7 @@ double LargestOf(const std::vector<double>& numbers) {
   return largest;
 }
 
-// The initial state with the fixed discs where the scene has them.
+// Returns the initial state with the fixed discs at their positions in the scene.
 std::vector<double> InitialIn(const Scene& scene, std::vector<double> initial) {
   for (int i = 0; i < scene.num_bodies(); ++i) {
     if (scene.bodies[i].fixed) std::copy_n(scene.bodies[i].position.data(), 2, &initial[4 * i]);
@@ -53,8 +53,8 @@ class FollowingRuns {
     }
   }
 
-  // The Lagrangian at other values of the design parameters; without constraints it is the loss. Empty if the impacts
-  // differ from those at the given values.
+  // Returns the Lagrangian at other values of the design parameters; without constraints it is the loss. Empty if the
+  // impacts differ from those at the given values.
   std::vector<double> LagrangianAt(const std::vector<double>& values) const {
     const Scene designed = WithDesign(scene_, values);
     const std::vector<double> initial = InitialIn(designed, initial_);
@@ -80,7 +80,7 @@ class FollowingRuns {
   static constexpr double kOnNode = 1e-8, kSettled = 1e-15;  // of the duration
   static constexpr int kMostRuns = 20;
 
-  // Multipliers times the quantities of terminal equality constraints and hard waypoints.
+  // Returns the sum of multipliers times the terminal equality constraints and hard waypoints.
   double OfConstraints(const Scene& designed, const std::vector<double>& initial, const std::vector<double>& lengths,
                        const ExactRun& run) const {
     if (constraints_.empty()) return 0;
@@ -145,7 +145,7 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
   const std::vector<double> end = ToState(run.end, scene.num_bodies());
   std::vector<double> costate(end.size());
   TerminalGradient(scene.objective, end, simulator->body_size(), costate);
-  // In natural units costates are about 1, but vanish with a loss that reaches zero.
+  // In natural units costates are about 1, but they vanish with a loss that reaches zero.
   gradient.costate = std::max(1.0, LargestOf(costate));
   for (const ConstraintCertificate& constraint : constraints) {
     gradient.costate = std::max(gradient.costate, constraint.multiplier.cwiseAbs().maxCoeff());

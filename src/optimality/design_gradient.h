@@ -20,7 +20,7 @@ struct DesignGradient {
   bool ok() const { return reason.empty(); }
 };
 
-// The loss as a function of the parameters, under a given control from a given initial state.
+// Computes the derivatives of the loss by the parameters, under a given control from a given initial state.
 //
 // On equal intervals these are the adjoint's derivatives. On intervals of any length an impact at the boundary of two
 // of them stays there: the boundary moves with it. So are the derivatives of the least loss over controls and lengths,

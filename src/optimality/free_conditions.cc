@@ -1,4 +1,4 @@
-// The conditions where forces are free and the loss is terminal terms and effort.
+// The conditions of optimality for forces without bounds and a loss of terminal terms and effort.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -66,7 +66,7 @@ class Certifier {
     return {u[0], u[1]};
   }
 
-  // Pieces of phase j, which lies before impact j.
+  // Returns the pieces of phase j, which lies before impact j.
   std::pair<int, int> PiecesOf(int j) const {
     const int begin = j > 0 ? flight_.hits()[j - 1].next_piece : 0;
     const int end = j < num_hits() ? flight_.hits()[j].next_piece : static_cast<int>(flight_.pieces().size());
@@ -86,9 +86,9 @@ class Certifier {
     arcs_[c].push_back(FitArc(c, start, begin, static_cast<int>(flight_.pieces().size())));
   }
 
-  // The least-squares line through the forces on pieces [begin, end) from time `start` on, those of one interval taken
-  // together. Intervals that an impact of the disc cuts serve both of its sides, and count only if there are hardly any
-  // others.
+  // Fits the least-squares line to the forces on pieces [begin, end) from time `start` on; those of one interval are
+  // taken together. Intervals that an impact of the disc cuts serve both of its sides, and count only if there are
+  // hardly any others.
   Arc FitArc(int c, double start, int begin, int end) const {
     struct Sample {
       double start, length;
@@ -141,12 +141,12 @@ class Certifier {
     const auto at = std::ranges::upper_bound(arcs_[c], t, {}, &Arc::end);
     return at == arcs_[c].end() ? arcs_[c].back() : *at;
   }
-  // The arc that ends with (starts at) the impact at `time`.
+  // Returns the arc that ends with (starts at) the impact at `time`.
   const Arc& ArcBefore(int c, double time) const {
     const std::vector<Arc>& arcs = arcs_[c];
     auto nearest = std::ranges::lower_bound(arcs, time, {}, &Arc::end);
     if (nearest == arcs.end() || (nearest != arcs.begin() && time - (nearest - 1)->end <= nearest->end - time)) {
-      // The first of those that end together: the others have no forces.
+      // The first of the arcs that end together counts: the others have no forces.
       nearest = std::ranges::lower_bound(arcs, (nearest - 1)->end, {}, &Arc::end);
     }
     return *nearest;
@@ -175,7 +175,7 @@ class Certifier {
     for (const Costate<double>& costate : now_) Note(costate);
   }
 
-  // Of a disc after an impact. Forces say nothing of the costates of spin, which are carried backwards.
+  // Returns the costate of a disc after an impact. Costates of spin do not follow from forces: they come from the end.
   Costate<double> CostateAfter(int body, double time) {
     const int c = pushed_[body];
     const Costate<double> carried = now_[body].At(time);
@@ -186,7 +186,7 @@ class Certifier {
     return costate;
   }
 
-  // The Hamiltonian on one piece, constant there since the force is.
+  // Returns the Hamiltonian on one piece, where it is constant because the force is.
   double PieceHamiltonian(const Flight::Piece& piece) {
     const double t = piece.start + 0.5 * piece.duration;
     double sum = 0;
@@ -204,7 +204,7 @@ class Certifier {
     return sum;
   }
 
-  // Its mean over phase j.
+  // Returns the mean of the Hamiltonian over phase j.
   double PhaseHamiltonian(int j) {
     const auto [begin, end] = PiecesOf(j);
     double sum = 0, length = 0;
@@ -225,7 +225,7 @@ class Certifier {
     }
     const ImpactJump jump = MakeImpactJump(scene_, hit, after);
 
-    // The pushed discs' costates before the impact are known from their forces.
+    // The costates of pushed discs before the impact are known from their forces.
     std::array<Costate<double>, 2> known;
     std::array<bool, 2> is_known = {false, false};
     int count = 0;
@@ -265,15 +265,15 @@ class Certifier {
     if (count > 0 && hit.on_node) AddKink(k, jump);
   }
 
-  // Of an impact between discs that are not pushed: that which keeps the Hamiltonian, in the mean over the phases if
-  // their lengths could be chosen.
+  // Returns the multiplier of an impact between discs that are not pushed: the one that keeps the Hamiltonian, in the
+  // mean over the phases if their lengths could be chosen.
   double UnpushedMultiplier(int k, const ImpactJump& jump) {
     const Flight::Hit& hit = flight_.hits()[k];
     if (hit.on_node) return (next_hamiltonian_ - PhaseHamiltonian(k)) / hit.impact.speed;
     return jump.MultiplierAt(flight_.pieces()[hit.next_piece], hit.impact.speed);
   }
 
-  // Early (late) is as if the forces just before (after) the impact acted on both of its sides.
+  // Adds the one-sided multipliers: early (late) has the forces just before (after) the impact on both of its sides.
   void AddKink(int k, const ImpactJump& jump) {
     const Flight::Hit& hit = flight_.hits()[k];
     const int next = std::min<int>(hit.next_piece, static_cast<int>(flight_.pieces().size()) - 1);
@@ -304,11 +304,11 @@ class Certifier {
     result->gradient_combined = of_combined.lpNorm<Eigen::Infinity>();
   }
 
-  // The largest costates of either kind, of all discs; over the whole time one kind makes the other.
+  // The largest costates of either kind, over all discs; over the whole time one kind makes the other.
   double PositionScale() const { return std::max(largest_position_, largest_velocity_ / scene_.duration); }
   double VelocityScale() const { return PositionScale() * scene_.duration; }
 
-  // The gradient by each force as what is left of 2 effort m u + lambda_v in the mean over its interval: the largest.
+  // Returns the largest residual of 2 effort m u + lambda_v (mean over an interval), given the gradient by forces.
   double RelativeGradient(const Eigen::VectorXd& gradient) const {
     double largest = 0;
     const int width = scene_.control_width();
@@ -319,7 +319,7 @@ class Certifier {
     return largest > 0 ? largest / VelocityScale() : 0.0;
   }
 
-  // From absolute residuals to relative ones.
+  // Divides absolute residuals by their scales.
   void Scale(Certificate* result) const {
     for (const Kink& kink : kinks_) {
       ImpactCertificate* impact = &result->impacts[kink.impact];

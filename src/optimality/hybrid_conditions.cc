@@ -2,8 +2,8 @@
 //
 // With multipliers theta of events, equalities and active inequalities, the derivatives of the Lagrangian by controls,
 // initial state, parameters, the times of the events and the final time are affine in theta: one backward sweep through
-// the motion for the objective, and one for each multiplier. Those theta are found that leave least of all conditions
-// (cone_conditions.h).
+// the motion for the objective, and one for each multiplier. ConeConditions (cone_conditions.h) computes the theta that
+// minimises the residual of all conditions.
 #include <ceres/cost_function.h>
 
 #include <Eigen/Dense>
@@ -39,7 +39,7 @@ constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so sh
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
 constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
 
-// A step of the motion, from `begin` to `end`, with its derivatives [x t p u h].
+// A step of the motion, from `begin` to `end`, with its derivatives by [x t p u h].
 struct Step {
   int mode = 0, interval = 0, phase = 0;
   bool projects = false;
@@ -53,11 +53,11 @@ struct Sweep {
   VectorXd control;  // K x m
   VectorXd initial, parameters;
   VectorXd times;  // by the boundaries of phases, whose steps and intervals move with them
-  // By the times of the events while the ends of intervals stay, with the control before (after) the event on both of
-  // its sides.
+  // The derivatives by the times of the events while the ends of intervals stay, with the control before (after) the
+  // event on both of its sides.
   VectorXd event_early, event_late;
   double scale = 0;  // by the duration, with all intervals scaled
-  // Sizes of what cancels: of controls by component, of states at the start, of the Hamiltonian.
+  // Sizes of the terms that cancel: of controls by component, of states at the start, of the Hamiltonian.
   VectorXd control_size, initial_size, parameters_size;
   double hamiltonian_size = 0;
 
@@ -162,7 +162,7 @@ class HybridConditions {
     return "";
   }
 
-  // Which derivative along the motion is not finite.
+  // Says which derivative along the motion is not finite.
   std::string WhyNotFinite() {
     shooting_.simulator().Adjoint(std::vector<double>(simulator().final_state().size(), 1.0));
     const std::string& why = simulator().WhyNotFinite();
@@ -258,10 +258,10 @@ class HybridConditions {
     }
   }
 
-  // Of the objective and all multipliers: the weights of one of them alone, or of the Lagrangian.
+  // Returns the weights, over the objective and all multipliers, that select one multiplier.
   VectorXd WeightsOf(int multiplier) const { return VectorXd::Unit(1 + num_multipliers(), 1 + multiplier); }
 
-  // The derivative of what a term adds to the Lagrangian by its rows; nothing if it adds nothing.
+  // Returns the derivative of a term's contribution to the Lagrangian by its rows; std::nullopt if it has none.
   std::optional<Eigen::RowVectorXd> RowWeights(size_t term, const VectorXd& residuals, const VectorXd& weights) const {
     const HybridTerm& of = *terms_[term].term;
     if (of.IsCost()) {
@@ -275,7 +275,7 @@ class HybridConditions {
     if (rows.isZero(0)) return std::nullopt;
     return rows;
   }
-  // The same by what the term reads.
+  // The derivatives of a term's contribution by what the term reads.
   struct Source {
     VectorXd state, control, parameters;
     double time = 0, length = 0;
@@ -304,13 +304,13 @@ class HybridConditions {
 
   // ------------------------------------------------------------------------------------------------------------ sweeps
 
-  // Where in a phase a time is: 0 at its beginning, 1 at its end.
+  // Returns where in a phase a time is: 0 at its beginning, 1 at its end.
   double PartOf(int phase, double t) const {
     const double begin = boundaries_[phase], length = boundaries_[phase + 1] - begin;
     return length > 0 ? std::clamp((t - begin) / length, 0.0, 1.0) : 1.0;
   }
 
-  // Adds the derivative by a time that is not a boundary of phases but lies in one, as these move.
+  // Adds the derivative by a time inside a phase to those by the two boundaries of the phase, which it moves with.
   void AddTime(double t, int phase, double by, VectorXd* times) const {
     const double part = PartOf(phase, t);
     (*times)[phase] += (1 - part) * by;
@@ -323,7 +323,7 @@ class HybridConditions {
     return phase;
   }
 
-  // Costates that a sweep leaves: after each step, and after each event and what terms read there.
+  // Costates of a sweep: after each step, and after each event and the terms there.
   struct Costates {
     std::vector<VectorXd> of_steps, of_events;
   };
@@ -369,14 +369,14 @@ class HybridConditions {
       }
     }
     sweep.control = own_control;
-    // Backwards.
+    // Sweeps backwards from the final time.
     VectorXd costate = VectorXd::Zero(system_.state_size(simulator().final_mode()));
     for (const Source& source : at_end) {
       if (source.state.size() > 0) costate += source.state;
     }
     VectorXd by_flow = VectorXd::Zero(K * m), by_flow_size = VectorXd::Zero(K * m), terms;
     int event = num_events() - 1, interval = K;
-    // Of the states at the beginnings of intervals that are not before `time`.
+    // Adds the states at the beginnings of intervals that are not before `time`.
     const auto add_interval_states = [&](double time) {
       while (interval > 0 && times_[interval - 1] >= time - kSameTime * input_.duration) {
         for (const auto& source : at_interval[--interval]) {
@@ -408,7 +408,7 @@ class HybridConditions {
     for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
     sweep.initial = costate;
     sweep.initial_size = costate.cwiseAbs();
-    // The terms of the first step, if its state is the initial one.
+    // The state of the first step is the initial one if the motion does not begin with an event.
     if (terms.size() == costate.size() + 1 + P + m + 1) {
       sweep.initial_size = sweep.initial_size.cwiseMax(terms.head(costate.size()));
     }
@@ -422,7 +422,7 @@ class HybridConditions {
     return sweep;
   }
 
-  // The costate before event k from that after it; by_flow is the derivative by the control.
+  // Computes the costate before event k from that after it; by_flow is the derivative by the control.
   void JumpBack(int k, double multiplier, const std::vector<std::vector<Source>>& at_event, Sweep* sweep,
                 VectorXd* by_flow, VectorXd* costate, Costates* costates) const {
     const HybridEvent& event = events()[k];
@@ -462,7 +462,7 @@ class HybridConditions {
     double own_time = 0;  // the derivative by the time of the event that terms read
     for (const Source& source : at_event[k]) own_time += source.time;
     by_time += own_time;
-    // Of the event alone, with one control on both sides: H before less H after.
+    // Returns H before less H after, for the event alone with the same control u on both sides.
     const auto one_sided = [&](const double* u) {
       VectorXd in(n), out(costate_after.size());
       functions_.Flow({event.mode, event.time, event.before.data(), u, at.p}, in.data());
@@ -550,7 +550,7 @@ class HybridConditions {
 
   double LengthOf(int interval) const { return times_[interval + 1] - times_[interval]; }
 
-  // The derivatives of what the motion reads by the unknowns.
+  // The derivatives of all quantities of the motion by the unknowns.
   struct Directions {
     bool moving = false;
     SparseRows boundaries;  // of the boundaries of phases
@@ -590,7 +590,7 @@ class HybridConditions {
     return std::abs(variable.In(input_));
   }
 
-  // The derivative of a time in a phase.
+  // Returns the derivative of a time in a phase by the unknowns.
   SparseRow TimeRow(const Directions& to, double t, int phase) const {
     if (t == boundaries_[phase]) return to.boundaries[phase];
     if (t == boundaries_[phase + 1]) return to.boundaries[phase + 1];
@@ -599,7 +599,7 @@ class HybridConditions {
     return Combined(1 - part, to.boundaries[phase], part, to.boundaries[phase + 1]);
   }
 
-  // By central differences of a gradient.
+  // Returns the second derivative by central differences of a gradient.
   template <typename Gradient>
   static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const Gradient& gradient) {
     constexpr double kWidth = 1e-5;
@@ -631,7 +631,7 @@ class HybridConditions {
     if (!least) return std::nullopt;
     found.smallest = least->smallest;
     found.largest = least->largest;
-    // The control, and behind it what else is free.
+    // The direction has the control first, then the other free variables.
     found.direction = VectorXd::Zero(input_.control.size());
     double square = 0;
     std::vector<double> others;
@@ -657,7 +657,7 @@ class HybridConditions {
     if (found.direction[most] < 0) found.direction = -found.direction;
     return WithKind(found, kRounding);
   }
-  // The change of variable i of the unbound ones.
+  // Returns the change of unbound variable i along the least direction.
   static double Along(const ConstrainedCurvature& least, const Directions& to, size_t i) {
     return to.variables[i][0].second * least.direction[to.variables[i][0].first];
   }
@@ -686,7 +686,7 @@ class HybridConditions {
     }
   }
 
-  // The sizes of states by mode, of controls and of parameters over the motion.
+  // Finds the sizes of states by mode, of controls and of parameters over the motion.
   void FindStateSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
       state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
@@ -700,7 +700,7 @@ class HybridConditions {
     parameter_sizes_ = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
   }
 
-  // Adds a state as unknowns that equal `image`, which a step or a reset leads to.
+  // Adds a state as unknowns that equal `image`, the result of a step or a reset.
   static SparseRows AddState(const SparseRows& image, const VectorXd& sizes, QuadraticForm* form) {
     SparseRows state;
     for (size_t i = 0; i < image.size(); ++i) {
@@ -738,7 +738,7 @@ class HybridConditions {
       VectorXd at(size), sizes(size);
       at << step.state, step.begin, Eigen::Map<const VectorXd>(input_.parameters.data(), P),
           Eigen::Map<const VectorXd>(ControlOf(step.interval), m), step.end - step.begin;
-      // A step may be far shorter than others.
+      // The length of a step is scaled by the mean, as a step may be far shorter than others.
       sizes << state_sizes_[step.mode], input_.duration, parameter_sizes_, control_sizes_,
           input_.duration / static_cast<double>(steps_.size());
       form->Add(SecondDerivative(at,
@@ -765,7 +765,7 @@ class HybridConditions {
                          const SparseRows& states, QuadraticForm* form) const {
     const HybridEvent& event = events()[k];
     const int n = system_.state_size(event.mode), P = system_.num_parameters(), columns = n + 1 + P;
-    // With the control behind, if the guard depends on it.
+    // The row has the control too if the guard depends on it.
     const int m = functions_.ReadsControl(event.mode, event.guard) ? width() : 0, before = interval_before_[k];
     const VectorXd& costate = costates.of_events[k];
     VectorXd after(functions_.most_states()), guard(columns + width());
@@ -888,14 +888,14 @@ class HybridConditions {
 
   // -------------------------------------------------------------------------------------------------------- conditions
 
-  // Of a variable: the sign that the derivative of the loss may have at its bounds; nothing if it cannot move.
+  // Returns the sign that the derivative of the loss by a variable may have at its bounds; std::nullopt if it is fixed.
   static std::optional<int> SignAt(double value, double min, double max) {
     const double range = std::isfinite(max - min) ? max - min : std::max(1.0, std::abs(value));
     const bool low = value <= min + kAtBound * range, high = value >= max - kAtBound * range;
     if (low && high) return std::nullopt;
     return low ? 1 : high ? -1 : 0;
   }
-  // The variables that can move, with that sign.
+  // Collects the variables that can move, with that sign.
   void FindVariables() {
     for (const FreeVariable& variable : FreeVariables(problem_.free, width(), input_.num_intervals)) {
       const bool of_control = variable.kind == Kind::kControl;
@@ -904,7 +904,7 @@ class HybridConditions {
       if (sign) variables_.emplace_back(variable, *sign);
     }
   }
-  // The derivative by a variable. That by the duration moves the last phase alone, or scales all intervals.
+  // Returns the derivative by a variable. The duration moves the last phase alone, or scales all intervals.
   double ByVariable(const Sweep& sweep, const FreeVariable& variable, bool moving) const {
     switch (variable.kind) {
       case Kind::kControl:
@@ -919,7 +919,7 @@ class HybridConditions {
     return moving ? sweep.times[num_events() + 1] : sweep.scale;
   }
 
-  // Adds a derivative of the loss, as a part of its size.
+  // Adds a derivative of the loss, relative to its size, as a condition.
   template <typename Of>
   void Add(const Of& of, double size, int allowed, ConeConditions* conditions, std::vector<size_t>* kind) {
     const double scale = size > 0 ? 1 / size : 1;
@@ -963,7 +963,7 @@ class HybridConditions {
     }
   }
 
-  // Of the terms of a derivative that cancel, with the multipliers found so far.
+  // Returns the size of the terms that cancel in a derivative, with the multipliers found up to now.
   template <typename Of>
   double SizeOf(const Of& of) const {
     double size = 0;

@@ -117,7 +117,7 @@ class KinkCertifier {
     return part;
   }
 
-  // The gap is a linear function of the positions then, to first order.
+  // Returns the gradient of the gap at the kink by the control; to first order the gap is linear in the positions.
   VectorXd GapGradient(const Kink& kink) const {
     Scene scene = scene_;
     scene.duration = kink.time;
@@ -138,7 +138,7 @@ class KinkCertifier {
     return gradient;
   }
 
-  // Of the loss, with the strikes at the final time.
+  // Returns the gradient of the loss, with the strikes at the final time.
   VectorXd Gradient() const {
     std::vector<std::optional<double>> early(flight_.hits().size());
     for (std::size_t k = 0; k < early.size(); ++k) {
@@ -149,7 +149,7 @@ class KinkCertifier {
 
   VectorXd Multipliers(const VectorXd& gradient) const { return LeastSquaresSolution(gaps_, gradient); }
 
-  // What is left of 2 effort m u + lambda_v in the mean over an interval, relative to the largest 2 effort m u.
+  // Returns the residual of 2 effort m u + lambda_v in the mean over an interval, relative to the largest 2 effort m u.
   double Residual(const VectorXd& gradient, const VectorXd& multipliers) const {
     const VectorXd left = gradient - gaps_ * multipliers;
     double largest = 0, scale = 0;
@@ -162,7 +162,7 @@ class KinkCertifier {
     return largest / std::max(scale, 1e-300);
   }
 
-  // The rounding error of multipliers and slopes.
+  // Returns the rounding error of multipliers and slopes.
   double Noise() const { return kNoJump * std::max(1.0, std::abs(exact_.loss)); }
 
   std::string WhyOtherSideIsLess(const Kink& kink, std::size_t i) const {
@@ -184,7 +184,7 @@ class KinkCertifier {
     return multipliers[static_cast<Eigen::Index>(i)] < -Noise() ? "without the impact" : "";
   }
 
-  // The derivative of the loss by an impulse between the pair as it touches.
+  // Returns the derivative of the loss by an impulse between the pair as it touches.
   double SlopeByImpulse(const Kink& kink) const {
     Scene rest = scene_;
     rest.duration = scene_.duration - kink.time;

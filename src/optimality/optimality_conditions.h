@@ -20,25 +20,25 @@ struct ControlledMotion {
   const ExactRun& exact;
 };
 
-// The durations of the control intervals; if they are empty, the scene's is shared equally.
+// Returns the durations of the control intervals, s; if `durations` is empty, equal parts of the scene's.
 std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
                                     const std::vector<double>& durations);
 
-// A certificate with times, names and speeds of the impacts; the residuals are left out.
+// Returns a certificate with times, names and speeds of the impacts, without residuals.
 Certificate WithImpactsOf(const ControlledMotion& motion);
 
-// Costates of controlled discs follow from the forces. Preconditions: BeyondTerminalCost() is empty, effort > 0.
+// Conditions if costates follow from the forces. Preconditions: BeyondTerminalCost() is empty, effort > 0.
 Certificate FreeConditions(const ControlledMotion& motion);
 
-// With bounds on the forces, hard terms, running and via terms, torques and a free final time. Costates are carried
-// backwards through the motion, and the multipliers are those that meet the conditions best.
+// Conditions with bounds on the forces, hard terms, running and via terms, torques and a free final time. Costates are
+// carried backwards through the motion, and the multipliers minimise the residuals.
 Certificate ConstrainedConditions(const ControlledMotion& motion);
-// When two discs, or a disc and a plane, are nearest, s, and their gap then, in parts of the distance of a contact.
+// The time at which two discs, or a disc and a plane, are nearest, s, and their gap then, in contact distances.
 struct NearestPass {
   double time = 0, gap = 0;
 };
 NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candidate& pair);
-// Why ConstrainedConditions() does not apply; empty if it does.
+// Returns the reason why ConstrainedConditions() does not apply; empty if it does.
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight);
 
 // Sets the theta of an impact on a node, by its multiplier and the one-sided ones: 0 at the late one, 1 at the early
@@ -46,9 +46,9 @@ std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight
 // until the impact by less than their tolerance, in parts of `scale`, the largest costate of a velocity, is rounding.
 void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact);
 
-// Returns std::nullopt if the matrices would be too large.
+// Computes the curvature. Returns std::nullopt if the matrices would be too large.
 std::optional<Curvature> FindCurvature(const CondensedLoss& loss);
-// With its kind: it is flat if it is nearly zero, or less than `rounding` times the largest.
+// Adds the kind of a curvature: it is flat if it is nearly zero, or less than `rounding` times the largest.
 Curvature WithKind(const CurvatureRange& found, double rounding);
 
 }  // namespace saltus

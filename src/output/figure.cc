@@ -44,7 +44,7 @@ std::string ReadFromStart(std::FILE* file) {
   return text;
 }
 
-// Waits for the end of a child, which is killed when the grace of an interrupt (base/interrupt.h) is over.
+// Waits for the end of a child process, which is killed when the grace of an interrupt (base/interrupt.h) is over.
 int WaitFor(pid_t child, int* wait_status) {
   using namespace std::chrono_literals;
   auto pause = 100us;
@@ -58,8 +58,8 @@ int WaitFor(pid_t child, int* wait_status) {
   }
 }
 
-// Runs the program on files as its standard streams. Returns errno of the start, or 0 and the wait status. It is in a
-// process group of its own, so that Ctrl-C in the terminal does not end it before its figure is done.
+// Runs the program with files as its standard streams. Returns errno of the start, or 0 and the wait status. It has its
+// own process group, so that Ctrl-C in the terminal does not end it before its figure is done.
 int Spawn(const std::string& executable, std::FILE* in, std::FILE* out, std::FILE* err, int* wait_status) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
@@ -103,7 +103,7 @@ StatusOr<std::string> RunGnuplot(const std::string& executable, const std::strin
 
 // ---- The script
 
-// Colours that are not data.
+// Colours of the drawing that do not stand for data.
 constexpr char kInk[] = "#24292f", kFaintInk[] = "#6e7781", kGrid[] = "#e6e8eb", kGround[] = "#d0d4d9";
 constexpr char kPaper[] = "#ffffff";
 
@@ -113,7 +113,7 @@ constexpr size_t kAllMarked = 40, kMarksOnALine = 9;
 
 std::string Number(double value) { return std::isfinite(value) ? Format("%.9g", value) : "NaN"; }
 
-// Text as a gnuplot string. Single quotes take everything literally but themselves and line ends.
+// Returns a text as a gnuplot string. Single quotes take all characters literally but themselves and line ends.
 std::string Quote(std::string_view text) {
   std::string quoted = "'";
   for (const char c : text) {
@@ -123,18 +123,18 @@ std::string Quote(std::string_view text) {
   return quoted + "'";
 }
 
-// Text that stands in a figure as it is, whatever gnuplot's markup.
+// Returns a text that appears in a figure literally, without gnuplot's markup.
 std::string Label(std::string_view text) { return Quote(text) + " noenhanced"; }
 
 std::string Colour(std::string_view colour) { return " lc rgb " + Quote(colour); }
 
-// Lines end in half discs, which lengthen every dash by the width of the line.
+// Returns the style of a line. Lines end in half discs, which lengthen every dash by the width of the line.
 std::string LineStyle(double width, Dash dash, std::string_view colour) {
   static constexpr std::string_view kDashes[] = {"solid", "(5,5)", "(0.5,4)", "(8,4,0.5,4)"};
   return " lw " + Number(width) + " dt " + std::string(kDashes[static_cast<int>(dash)]) + Colour(colour);
 }
 
-// gnuplot's number of a marker, and a size that makes all look equally large.
+// Returns gnuplot's number of a marker, with a size that makes all markers look equally large.
 std::string MarkStyle(Marker marker) {
   static constexpr std::pair<int, double> kPoints[] = {
       {0, 0}, {7, 0.6}, {5, 0.55}, {9, 0.65}, {11, 0.65}, {13, 0.65}, {6, 0.65}, {4, 0.6}, {2, 0.6}};
@@ -146,7 +146,7 @@ struct Range {
   double min = 0, max = 1;
 };
 
-// The range of an axis: what it has to show with a margin, except where the axis states its own.
+// The range of an axis: all of its data with a margin, except where the axis states a bound.
 class Extent {
  public:
   explicit Extent(const Axis& axis) : axis_(axis) {}
@@ -160,7 +160,7 @@ class Extent {
 
   Range WithMargin(double share) const {
     double low = low_ > high_ ? 0 : low_, high = low_ > high_ ? 1 : high_;
-    // A constant still needs a span, wider than its own rounding.
+    // A constant needs a span too, wider than its rounding.
     if (high - low <= 1e-9 * std::max(std::abs(low), std::abs(high))) {
       const double half = low == 0 || axis_.log ? 1 : 0.1 * std::abs(low);
       low -= half;
@@ -169,7 +169,7 @@ class Extent {
     const double margin = share * (high - low);
     const auto value = [&](double at) { return axis_.log ? std::pow(10, std::clamp(at, -300.0, 300.0)) : at; };
     Range range{axis_.min.value_or(value(low - margin)), axis_.max.value_or(value(high + margin))};
-    // All data lie beyond the one end that is stated: an empty plot, but a plot.
+    // If all data lie beyond the one bound that is stated, the plot is empty but valid.
     if (range.min >= range.max && !axis_.max) range.max = axis_.log ? 10 * range.min : range.min + 1;
     if (range.min >= range.max) range.min = axis_.log ? range.max / 10 : range.max - 1;
     return range;
@@ -203,7 +203,7 @@ std::pair<Range, Range> RangesOf(const Panel& panel) {
   return {x.WithMargin(0.02), y.WithMargin(0.05)};
 }
 
-// Panels in cells of equal size, with one key beside or below them; margins, ticks and their labels are gnuplot's.
+// Places panels in cells of equal size, with one key beside or below; gnuplot places margins, ticks and their labels.
 class ScriptWriter {
  public:
   ScriptWriter(const Figure& figure, FigureFormat format) : figure_(figure), format_(format) {}
@@ -264,7 +264,7 @@ class ScriptWriter {
     Line("set tics nomirror out scale 0.6,0.3 textcolor rgb " + Quote(kInk));
   }
 
-  // The place of the next plot, in pixels from the top left.
+  // Sets the place of the next plot, in pixels from the top left.
   void Place(double left, double top, double width, double height) {
     Line("set origin " + Number(left / figure_.width) + "," + Number(1 - (top + height) / height_));
     Line("set size " + Number(width / figure_.width) + "," + Number(height / height_));
@@ -303,7 +303,7 @@ class ScriptWriter {
     Plot(plots);
   }
 
-  // A line, marks, or a line with few of them.
+  // Returns the style of a series: a line, marks, or a line with a few of them.
   static std::string LookOf(const Series& series) {
     const std::string line = LineStyle(series.width, series.dash, series.colour);
     if (series.marker == Marker::kNone) return " with lines" + line;
@@ -315,7 +315,7 @@ class ScriptWriter {
 
   void Shapes(const Panel& panel, const Range& x, const Range& y) {
     const std::vector<std::array<double, 2>> whole = {{x.min, y.min}, {x.max, y.min}, {x.max, y.max}, {x.min, y.max}};
-    // What is solid outside of a line would cover all that is solid elsewhere.
+    // The solid outside of a line comes first, as it would cover other solid areas.
     for (const Outline& outline : panel.outlines) {
       if (outline.solid != Outline::Solid::kOutside) continue;
       Polygon(whole, kGround);
@@ -337,7 +337,7 @@ class ScriptWriter {
     }
   }
 
-  // The part of a polygon that lies in the ground (Sutherland and Hodgman 1974, for one line).
+  // Returns the part of a polygon that lies in the ground (Sutherland and Hodgman 1974, for one line).
   static std::vector<std::array<double, 2>> SolidPart(const std::vector<std::array<double, 2>>& polygon,
                                                       const SolidHalfPlane& ground) {
     const auto height = [&](const std::array<double, 2>& p) {
@@ -357,7 +357,7 @@ class ScriptWriter {
 
   static std::string Point(const std::array<double, 2>& point) { return Number(point[0]) + "," + Number(point[1]); }
 
-  // The inside of a closed line.
+  // Fills the inside of a closed line.
   void Polygon(const std::vector<std::array<double, 2>>& points, std::string_view colour) {
     if (points.size() < 3) return;
     std::string path;
@@ -366,7 +366,7 @@ class ScriptWriter {
     Line("set object polygon" + path + " behind fc rgb " + Quote(colour) + " fs solid noborder");
   }
 
-  // Points that are not finite interrupt the line.
+  // Writes points as a data block. Points that are not finite interrupt the line.
   std::string DataBlock(const std::vector<std::array<double, 2>>& points) {
     const std::string name = "$data" + std::to_string(++blocks_);
     Line(name + " << EOD");
@@ -380,7 +380,7 @@ class ScriptWriter {
     return name;
   }
 
-  // How each label of the figure looks, once.
+  // Returns each label of the figure once, with its style.
   std::vector<std::pair<std::string, std::string>> KeyEntries() const {
     std::vector<std::pair<std::string, std::string>> entries;
     const auto add = [&](const std::string& label, const std::string& look) {
@@ -396,7 +396,7 @@ class ScriptWriter {
     return entries;
   }
 
-  // Beside the panels as few columns as their height allows, below them as many as the width does.
+  // Returns the size of the key: as few columns as its height allows beside the panels, as many as fit below them.
   KeySize SizeOfKey(double panels_height) const {
     const auto entries = KeyEntries();
     if (figure_.legend == Legend::kNone || entries.empty()) return {};
@@ -410,7 +410,7 @@ class ScriptWriter {
     return {static_cast<int>(columns), columns * width, (std::ceil(count / columns) + 1) * kLine};
   }
 
-  // A plot of nothing but its key.
+  // Plots nothing but the key.
   void KeyPlot(int columns) {
     for (const char* what : {"title", "xlabel", "ylabel", "border", "tics", "grid", "logscale"}) {
       Line(std::string("unset ") + what);
@@ -428,7 +428,7 @@ class ScriptWriter {
 
   void Plot(const std::vector<std::string>& plots) {
     Line("plot " + Joined(plots));
-    // What belongs to this plot must not be drawn again with the next.
+    // Objects of this plot must not be drawn again with the next one.
     Line("unset object");
     Line("unset arrow");
   }

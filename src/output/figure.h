@@ -14,7 +14,7 @@
 
 namespace saltus {
 
-// A line from point to point. What is on one side of a closed one may be solid.
+// A line from point to point. One side of a closed line may be solid.
 struct Outline {
   enum class Solid { kNeither, kInside, kOutside };
   std::string name;
@@ -59,7 +59,7 @@ struct ReferenceLine {
   Dash dash = Dash::kDashed;
 };
 
-// Shapes are in data coordinates.
+// A circle in data coordinates.
 struct Circle {
   std::array<double, 2> centre = {0, 0};
   double radius = 0;
@@ -67,7 +67,7 @@ struct Circle {
   double opacity = 0.15;  // of the inside
 };
 
-// Filled, without a border: a cell of a heat map.
+// A rectangle that is filled and has no border, such as a cell of a heat map.
 struct Rectangle {
   std::array<double, 2> from = {0, 0};
   std::array<double, 2> to = {0, 0};
@@ -105,15 +105,15 @@ struct Figure {
   Legend legend = Legend::kRight;
 };
 
-// The bytes of an SVG file, or of a PNG file twice as wide as the figure's width in pixels. An error if gnuplot is
-// missing or fails. Preconditions, here and below: at least one panel, x and y of each series have the same length.
+// Returns the bytes of an SVG file, or of a PNG file twice as wide as the figure's width in pixels, or an error if
+// gnuplot is missing or fails. Preconditions, here and below: at least one panel; x and y of a series have one length.
 enum class FigureFormat { kSvg, kPng };
 StatusOr<std::string> RenderFigure(const Figure& figure, FigureFormat format, const std::string& gnuplot = "gnuplot");
 
 // Writes <path>.svg and <path>.png.
 Status WriteFigure(const Figure& figure, const std::string& path);
 
-// As the viewer of pages (page/plot.js) reads it, numbers with six significant digits.
+// Returns the figure for the viewer of pages (page/plot.js), with numbers of six significant digits.
 nlohmann::ordered_json FigureToJson(const Figure& figure);
 
 }  // namespace saltus

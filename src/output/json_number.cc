@@ -26,13 +26,13 @@ void AppendNumber(double value, int significant_digits, std::string* text) {
   if (digits.find_first_of(".e") == std::string_view::npos) text->append(".0");
 }
 
-// Documents have millions of numbers: each is formatted once.
+// Writes the document. Each number is formatted once only, because documents have millions of them.
 class Writer {
  public:
   explicit Writer(int significant_digits) : digits_(significant_digits) {}
 
   std::string Document(const Json& document) {
-    // The outermost object is always opened up.
+    // The outermost object is always written over several lines.
     if (document.is_object() || !OnOneLine(document, RoomAfter(0))) Open(document, 0);
     return std::move(text_) + "\n";
   }
@@ -57,7 +57,7 @@ class Writer {
     return false;
   }
 
-  // False as soon as the text is longer than `limit`.
+  // Appends the value; returns false as soon as the text is longer than `limit`.
   bool AppendUpTo(size_t limit, const Json& value) {
     const char* separator = "";
     if (value.is_object()) {
@@ -93,7 +93,7 @@ class Writer {
     text_.append(depth * kIndent, ' ');
   }
 
-  // A value that does not fit on the line.
+  // Appends a value that does not fit on the line.
   void Open(const Json& value, size_t depth) {
     if (value.is_object() && !value.empty()) {
       Object(value, depth);

@@ -7,7 +7,7 @@
 
 namespace saltus {
 
-// Digits after which every double (float) is read back as the same bits.
+// Numbers of digits after which every double (float) is read back with the same bits.
 inline constexpr int kDoubleDigits = 17;
 inline constexpr int kFloatDigits = 9;
 

@@ -33,7 +33,7 @@ struct NpyText {
 constexpr char32_t kReplacement = 0xfffd;
 constexpr char32_t kLargestCharacter = 0x10ffff;
 
-// Reads one character at `at` and moves on.
+// Decodes one character at `at` and advances `at`.
 char32_t TakeCharacter(const std::string& text, size_t* at) {
   const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
   const unsigned first = byte((*at)++);
@@ -58,7 +58,7 @@ void AppendCharacter(char32_t c, std::string* text) {
   for (int i = more - 1; i >= 0; --i) *text += static_cast<char>(0x80 | (c >> (6 * i) & 0x3f));
 }
 
-// Bytes that are not UTF-8 become U+FFFD.
+// Encodes texts; bytes that are not UTF-8 become U+FFFD.
 NpyText EncodeNpyText(const std::vector<std::string>& texts) {
   std::vector<std::u32string> wide;
   size_t width = 1;
@@ -75,7 +75,7 @@ NpyText EncodeNpyText(const std::vector<std::string>& texts) {
   return result;
 }
 
-// Nothing if the bytes are no such entries. Precondition: width > 0.
+// Decodes texts; returns std::nullopt if the bytes are no such entries. Precondition: width > 0.
 std::optional<std::vector<std::string>> DecodeNpyText(const NpyText& text) {
   const size_t width = static_cast<size_t>(text.width);
   const size_t entry = width * sizeof(char32_t);
@@ -117,7 +117,7 @@ std::string ShapeTuple(const std::vector<int64_t>& shape) {
   return tuple + (shape.size() == 1 ? ",)" : ")");
 }
 
-// Product of the dimensions; nothing if it overflows.
+// Returns the product of the dimensions; std::nullopt if it overflows.
 std::optional<int64_t> Count(const std::vector<int64_t>& shape) {
   int64_t count = 1;
   for (const int64_t dimension : shape) {
@@ -139,20 +139,20 @@ std::string Header(std::string_view descriptor, const std::vector<int64_t>& shap
   return header + dictionary;
 }
 
-// What a header says. Read by hand: std::regex needs stack for every character.
+// The fields of a header. It is parsed by hand, because std::regex needs stack for every character.
 struct HeaderFields {
   std::string_view descriptor, shape;
   bool fortran_order = false;
 };
 
-// Takes `prefix` off the front of `text`, if it stands there.
+// Removes `prefix` from the front of `text`; returns false if it does not begin so.
 bool Take(std::string_view prefix, std::string_view* text) {
   if (!text->starts_with(prefix)) return false;
   text->remove_prefix(prefix.size());
   return true;
 }
 
-// Takes what stands before `mark`, and the mark.
+// Removes the text up to `mark`, and the mark; returns the text.
 std::string_view TakeUntil(char mark, std::string_view* text) {
   const size_t end = std::min(text->find(mark), text->size());
   const std::string_view taken = text->substr(0, end);
@@ -160,7 +160,7 @@ std::string_view TakeUntil(char mark, std::string_view* text) {
   return taken;
 }
 
-// {'descr': '...', 'fortran_order': False, 'shape': (...), } and spaces up to the end of the line.
+// Parses {'descr': '...', 'fortran_order': False, 'shape': (...), } and spaces up to the end of the line.
 std::optional<HeaderFields> ParseHeader(std::string_view text) {
   HeaderFields fields;
   if (!Take("{'descr': '", &text)) return std::nullopt;
@@ -177,7 +177,7 @@ std::optional<HeaderFields> ParseHeader(std::string_view text) {
   return fields;
 }
 
-// The numbers between the brackets.
+// Parses the numbers between the brackets.
 std::optional<std::vector<int64_t>> ParseShape(std::string_view text) {
   constexpr std::string_view kDigits = "0123456789";
   std::vector<int64_t> shape;
@@ -238,7 +238,7 @@ StatusOr<ZipHandle> OpenZip(const std::string& path) {
   return status;
 }
 
-// `bytes` must live until the archive is closed.
+// Adds a member; `bytes` must live until the archive is closed.
 bool AddMember(zip_t* archive, const std::string& name, const std::string& bytes) {
   zip_source_t* source = zip_source_buffer(archive, bytes.data(), bytes.size(), /*freep=*/0);
   if (source == nullptr) return false;
@@ -252,7 +252,7 @@ bool AddMember(zip_t* archive, const std::string& name, const std::string& bytes
          zip_file_set_dostime(archive, member, /*dostime=*/0, kDosEpoch, 0) == 0;
 }
 
-// All that a source has; nothing if it cannot be read.
+// Returns all bytes of a source; std::nullopt if it cannot be read.
 std::optional<std::string> ReadSource(zip_source_t* source) {
   zip_stat_t is;
   if (zip_source_stat(source, &is) != 0 || zip_source_open(source) != 0) return std::nullopt;
@@ -263,7 +263,7 @@ std::optional<std::string> ReadSource(zip_source_t* source) {
   return bytes;
 }
 
-// Reads member `index`; nothing if the archive is damaged (libzip checks the CRC at the end of the data).
+// Reads member `index`; std::nullopt if the archive is damaged (libzip checks the CRC at the end of the data).
 std::optional<std::string> ReadMember(zip_t* archive, zip_uint64_t index) {
   zip_file_t* file = zip_fopen_index(archive, index, 0);
   if (file == nullptr) return std::nullopt;
@@ -329,7 +329,7 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
 
 Status WriteNpz(const std::string& path, const NpzArrays& arrays) {
   CHECK(!arrays.empty()) << path;
-  // In memory: libzip would replace whatever stands at `path`, devices too.
+  // The archive is made in memory, because libzip would replace whatever is at `path`, devices too.
   const ZipSource whole(zip_source_buffer_create(nullptr, 0, /*freep=*/0, nullptr));
   if (whole == nullptr) throw std::bad_alloc();
   zip_source_keep(whole.get());  // the archive takes one reference

@@ -26,20 +26,20 @@ struct NpyArray {
   bool operator==(const NpyArray&) const = default;
 };
 
-// The numbers of an array as doubles; nothing of text.
+// Returns the numbers of an array as doubles; std::nullopt if it has text.
 std::optional<std::vector<double>> NumbersOf(const NpyArray& array);
 
-// By key, as in numpy.load(path)[key].
+// Arrays by key, as in numpy.load(path)[key].
 using NpzArrays = std::map<std::string, NpyArray>;
 
-// The bytes of one .npy file. Precondition: data and shape agree, no dimension is negative.
+// Returns the bytes of one .npy file. Precondition: data and shape agree, no dimension is negative.
 std::string EncodeNpy(const NpyArray& array);
 
 // Reads version 1.0 files of little-endian float64, float32, int64 or str_ in C order; anything else is an error.
 StatusOr<NpyArray> DecodeNpy(const std::string& bytes);
 
-// Writes the archive, replacing what stood at `path` only once it is complete. Equal arrays give equal bytes (no time
-// stamps). Precondition: at least one array, keys not empty.
+// Writes the archive; an existing file at `path` is replaced once the archive is complete. Equal arrays give equal
+// bytes (no time stamps). Precondition: at least one array, keys not empty.
 Status WriteNpz(const std::string& path, const NpzArrays& arrays);
 
 StatusOr<NpzArrays> ReadNpz(const std::string& path);

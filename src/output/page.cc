@@ -10,7 +10,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t kMostItems = 1000;  // of a list of results
 
-// Lists that are longer than a page can show keep every n-th item, as {"every": n, "items": [...]}.
+// Returns the document with long lists thinned: lists beyond kMostItems keep every n-th, {"every": n, "items": [...]}.
 Json Thinned(const Json& value) {
   if (!value.is_structured()) return value;
   if (value.is_array() && value.size() > kMostItems) {
@@ -108,7 +108,7 @@ std::string RenderPage(const Json& document) {
   const std::string_view viewer = internal::Viewer();
   const std::size_t at = viewer.find(kMark);
   std::string html(viewer.substr(0, at));
-  // Nothing in the document can end the element that it stands in.
+  // The character < is escaped, so that nothing in the document can end its HTML element.
   for (const char c : document.dump(-1, ' ', false, Json::error_handler_t::replace)) {
     if (c == '<') {
       html += "\\u003c";

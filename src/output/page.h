@@ -1,4 +1,4 @@
-// A page: one HTML file that needs nothing else, which holds a document and the viewer (src/output/page) that draws it.
+// A page: one self-contained HTML file with a document and the viewer (src/output/page) that draws it.
 //
 // The document is JSON: {"title", "subtitle", "results", "styles", "parts": [{"kind", ...}, ...]}. `results` is what a
 // program prints with --json, its long lists of numbers thinned; the parts say what is shown, in which order.
@@ -16,14 +16,14 @@
 
 namespace saltus {
 
-// One number that matters, shown large.
+// A tile: one important number, shown large.
 struct Tile {
   std::string value;
   std::string label;
   Tone tone = Tone::kPlain;
 };
 
-// The file with any document that the viewer knows: one with parts, or that of a hybrid system's program.
+// Returns the file with any document that the viewer supports: one with parts, or that of a hybrid system's program.
 std::string RenderPage(const nlohmann::ordered_json& document);
 
 // Collects the parts in order. All text is taken literally, except that `words between backquotes` are set as code.
@@ -37,18 +37,18 @@ class Page {
   void AddParagraph(const std::string& text) { Add("text", {{"text", text}}); }
   void AddPreformatted(const std::string& text) { Add("code", {{"text", text}}); }
   void AddList(const std::vector<std::string>& items);
-  // Items that the first replay of the page shows: the motion of a label at a time, s. No label: as in a list.
+  // A list of moments, which the first replay of the page shows: the motion of a label at a time, s; no label: a note.
   struct Moment {
     std::string text, motion;
     double time = 0;
   };
   void AddMoments(const std::vector<Moment>& moments);
   void AddTiles(const std::vector<Tile>& tiles);
-  // Links to files beside the page.
+  // Adds links to files beside the page.
   void AddLinks(const std::vector<std::string>& files) { Add("links", {{"files", files}}); }
 
-  // Tables and figures are numbered. `notes` stand numbered below the table. A folded table shows its caption only,
-  // until opened.
+  // Adds a table; tables and figures are numbered. `notes` are listed below it. A folded table shows its caption only,
+  // until it is opened.
   void AddTable(const Table& table, const std::string& caption, const std::vector<std::string>& notes = {},
                 bool folded = false);
   void AddTableIfAny(const Table& table, const std::string& caption) {
@@ -56,13 +56,13 @@ class Page {
   }
   void AddFigure(const Figure& figure, const std::string& caption);
   void AddReplay(const Replay& replay, const std::string& caption);
-  // A figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Left out if there is no data.
+  // Adds a figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Omitted if it has no data.
   void AddPlot(const std::string& plot, const std::string& caption) {
     Add("plot", {{"plot", plot}, {"caption", caption}});
   }
 
   void SetResults(const nlohmann::ordered_json& results);
-  // How each run of the results looks in plots, in their order.
+  // Sets the style of each run of the results in plots, in their order.
   void AddStyle(const std::string& label, const std::string& colour, Dash dash);
 
   std::string Render() const { return RenderPage(document_); }
@@ -76,7 +76,7 @@ class Page {
 
 namespace internal {
 
-// The file, with a mark where the document goes.
+// Returns the viewer's file, with a mark in the place of the document.
 std::string_view Viewer();
 
 }  // namespace internal

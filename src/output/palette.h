@@ -1,4 +1,4 @@
-// How each contact model looks in every figure: one colour, dash and marker per name.
+// The styles of contact models in every figure: one colour, dash and marker for each name.
 //
 // The colours were chosen by maximising the smallest OKLab distance between any two, as seen with normal vision and
 // with full protanopia and deuteranopia (Machado, Oliveira and Fernandes 2009, "A physiologically-based model for
@@ -14,12 +14,12 @@ namespace saltus {
 enum class Dash { kSolid, kDashed, kDotted, kDashDotted };
 inline constexpr int kNumDashes = 4;
 
-// "solid", "dashed", "dotted" or "dashdotted".
+// Returns "solid", "dashed", "dotted" or "dashdotted".
 std::string_view DashName(Dash dash);
 
 enum class Marker { kNone, kCircle, kSquare, kTriangle, kTriangleDown, kDiamond, kOpenCircle, kOpenSquare, kCross };
 
-// "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare" or "cross".
+// Returns "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare" or "cross".
 std::string_view MarkerName(Marker marker);
 
 struct ModelStyle {
@@ -29,15 +29,15 @@ struct ModelStyle {
   Marker marker = Marker::kNone;
 };
 
-// Every name with a style of its own: "analytic" (black), then the contact models.
+// Returns every name that has a style: "analytic" (black), then the contact models.
 const std::vector<ModelStyle>& ModelStyles();
 
-// The style of a contact model; a name that is not in the table always gets the same one of its styles.
+// Returns the style of a contact model. A name that is not in the table always gets the same one of its styles.
 const ModelStyle& StyleOf(std::string_view model);
 
 std::string ColourOf(std::string_view model);
 
-// A colour for a quantity that is swept, from dark blue (0) to light orange (1), with lightness growing throughout.
+// Returns a colour for a swept quantity, from dark blue (0) to light orange (1), with lightness growing throughout.
 std::string RampColour(double fraction);
 
 }  // namespace saltus

@@ -25,7 +25,7 @@ std::string Print(const char* format, Args... args) {
   return std::string(buffer.data(), std::min(static_cast<size_t>(std::max(size, 0)), buffer.size() - 1));
 }
 
-// 83 s as "1:23", two hours as "2:00:00".
+// Returns 83 s as "1:23", two hours as "2:00:00".
 std::string Duration(double seconds) {
   const long long s = std::llround(std::clamp(seconds, 0.0, 1e9));
   if (s < 3600) return Print("%lld:%02lld", s / 60, s % 60);
@@ -38,7 +38,7 @@ double Fraction(const ProgressState& state) {
   return std::clamp(static_cast<double>(state.done) / static_cast<double>(state.total), 0.0, 1.0);
 }
 
-// "512/1000  51%  128/s  0:04 left"
+// Returns the numbers of a line: "512/1000  51%  128/s  0:04 left".
 std::string Figures(const ProgressState& state) {
   std::string text = Print("%lld", static_cast<long long>(state.done));
   if (state.total > 0) {
@@ -48,7 +48,7 @@ std::string Figures(const ProgressState& state) {
   if (measured && state.alike) text += Print("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
   const std::string passed = "  " + Duration(state.elapsed);
   if (IsFinished(state) || state.ended || state.total <= 0 || !measured || !state.alike) return text + passed;
-  // From the time that the units took which are done. Where the estimate has proved too short, there is none.
+  // The estimate is from the time of the finished units. Once it has proved too short, it is not shown.
   const double until = state.last_done > 0 ? state.last_done : state.elapsed;
   const double whole = until * static_cast<double>(state.total) / static_cast<double>(state.done);
   return whole < state.elapsed ? text + passed : text + "  " + Duration(whole - state.elapsed) + " left";

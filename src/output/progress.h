@@ -1,4 +1,4 @@
-// How far a long computation is, for a person who waits: a redrawn bar on a terminal, a line now and then elsewhere.
+// The progress of a long computation: a redrawn bar on a terminal, a line now and then elsewhere.
 #pragma once
 
 #include <chrono>
@@ -18,10 +18,10 @@ enum class ProgressMode {
   kNone,   // nothing
 };
 
-// "auto", "plain" or "none"; nothing for other words.
+// Parses "auto", "plain" or "none"; std::nullopt for other words.
 std::optional<ProgressMode> ParseProgressMode(std::string_view word);
 
-// What a bar says at one moment.
+// The state of a progress bar at one moment.
 struct ProgressState {
   std::string name;
   int64_t done = 0;
@@ -33,10 +33,10 @@ struct ProgressState {
   bool ended = false;    // no more units follow
 };
 
-// One line of at most `columns` columns with a bar, e.g. "sweep [=====>    ] 512/1000  51%  128/s  0:04 left  lcp".
+// Returns a line of up to `columns` columns, e.g. "sweep [=====>    ] 512/1000  51%  128/s  0:04 left  lcp".
 std::string ProgressBar(const ProgressState& state, size_t columns);
 
-// The same without the bar and of any length, for log files.
+// Returns the line without the bar and of any length, for log files.
 std::string ProgressLine(const ProgressState& state);
 
 // Reports the progress of one task; the last report is made when the object goes. All members may be called from any
@@ -52,10 +52,10 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
 
-  // So many more units are finished; `note` says what is being worked on.
+  // Reports that `units` more units are finished; `note` says what is being worked on.
   void Advance(int64_t units = 1, std::string_view note = "");
 
-  // Some units take far longer than others: nothing is said of the time left.
+  // Reports that some units take far longer than others, so that the time left is not estimated.
   void UnitsDiffer();
 
   // Makes the last report; further calls report nothing.

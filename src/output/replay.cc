@@ -40,14 +40,14 @@ std::string Base64(const std::vector<double>& numbers) {
   return Base64(bytes);
 }
 
-// Whole numbers near to zero in few bytes: 0, -1, 1, -2, ... as 0, 1, 2, 3, ... with 7 bits in each byte.
+// Appends an integer, near zero in few bytes: 0, -1, 1, -2, ... as 0, 1, 2, 3, ... with 7 bits in each byte.
 void AppendInteger(int64_t value, std::vector<uint8_t>* bytes) {
   uint64_t code = value < 0 ? 2 * static_cast<uint64_t>(-(value + 1)) + 1 : 2 * static_cast<uint64_t>(value);
   for (; code > 127; code >>= 7) bytes->push_back(static_cast<uint8_t>(128 | (code & 127)));
   bytes->push_back(static_cast<uint8_t>(code));
 }
 
-// Numbers in rows of so many columns. Column j has the quantum j modulo their number.
+// Packs numbers in rows of `columns`; column j has the quantum j modulo their number.
 Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<double>& quanta) {
   std::vector<uint8_t> bytes;
   bytes.reserve(numbers.size());
@@ -55,7 +55,7 @@ Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<
     const double quantum = quanta[column % quanta.size()];
     int64_t value = 0, slope = 0;
     for (size_t i = column; i < numbers.size(); i += columns) {
-      // What is not finite has no place on paper; it stays where it was.
+      // A number that is not finite is drawn at the position before it.
       const double multiple = numbers[i] / quantum;
       const int64_t next = std::abs(multiple) < 4e15 ? std::llround(multiple) : value;
       AppendInteger(next - value - slope, &bytes);
@@ -80,7 +80,7 @@ const char* KindName(ReplayWall::Kind kind) {
   return "";
 }
 
-// The largest of |numbers[i]| over i = first, first + 1 modulo `period`; 1 if all are 0.
+// Returns the largest of |numbers[i]| over i = first, first + 1 modulo `period`; 1 if all are 0.
 double Largest(const std::vector<double>& numbers, size_t first, size_t period) {
   double largest = 0;
   for (size_t i = 0; i < numbers.size(); ++i) {
@@ -90,7 +90,7 @@ double Largest(const std::vector<double>& numbers, size_t first, size_t period) 
   return largest > 0 ? largest : 1;
 }
 
-// How far the positions of all motions reach, m.
+// Returns the extent of the positions of all motions, m.
 double SizeOf(const Replay& replay) {
   double size = 0;
   for (size_t j = 0; j < 2; ++j) {

@@ -1,4 +1,4 @@
-// Motions of discs that a reader plays in a page.
+// Motions of discs that a reader can play in a page.
 //
 // The data are JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
 // velocities and forces 1e-6 of the largest, of angles 1e-5 rad); each column is written as its second differences,
@@ -21,8 +21,8 @@ struct ReplayDisc {
   bool fixed = false;
 };
 
-// What discs touch: a half-plane, on whose side `normal` (of length 1) points discs stay; a side of a wall that ends;
-// a part of a circle, or a point; or the table under them.
+// A wall of discs: a half-plane, whose `normal` (of length 1) points to the side of the discs; a side of a wall with
+// ends; a part of a circle, or a point; or the table under the discs.
 struct ReplayWall {
   enum class Kind { kHalfPlane, kSide, kCircle, kTable };
   std::string name;
@@ -32,7 +32,7 @@ struct ReplayWall {
   double radius = 0;                      // m, of a circle
 };
 
-// Disc a and disc b, or wall b, touch; equal times are an impact.
+// A contact of disc a and disc b, or wall b; with equal times it is an impact.
 struct ReplayTouch {
   int a = 0, b = 0;
   bool wall = false;
@@ -40,7 +40,7 @@ struct ReplayTouch {
   std::array<double, 2> impulse = {0, 0};  // N s, on disc a, or of the one on disc b the opposite if a is fixed
 };
 
-// How far positions scatter about a motion.
+// The covariance of positions about a motion.
 struct ReplaySpread {
   std::string label;                // "closed loop"
   std::vector<double> times;        // s, rising
@@ -72,7 +72,7 @@ struct Replay {
   std::vector<ReplayMotion> motions;
 };
 
-// Preconditions: at least one disc and one motion, sizes as stated.
+// Converts a replay. Preconditions: at least one disc and one motion, sizes as stated.
 nlohmann::ordered_json ReplayToJson(const Replay& replay);
 
 }  // namespace saltus

@@ -29,7 +29,7 @@ std::string Pad(const std::string& text, size_t width, bool right) {
   return right ? space + text : text + space;
 }
 
-// Columns of the widest line or word.
+// Returns the columns of the widest line or word.
 size_t Widest(std::string_view text, std::string_view separators) {
   size_t widest = 0;
   for (size_t begin = 0; begin <= text.size();) {
@@ -60,7 +60,7 @@ std::string EscapeMarkdown(std::string_view text) {
   std::string escaped;
   for (size_t i = 0; i < text.size(); ++i) {
     const char c = text[i];
-    // An underscore within a word is no markup, and model names are full of them.
+    // An underscore within a word is no Markdown markup, and model names have many of them.
     const bool within_word = c == '_' && i > 0 && IsAlphanumeric(text, i - 1) && IsAlphanumeric(text, i + 1);
     if (c == '\n') {
       escaped += "<br>";
@@ -80,7 +80,7 @@ std::string QuoteCsv(const std::string& field) {
 }
 
 std::string CsvLine(const std::vector<std::string>& fields) {
-  // A line of one empty field would be an empty line, which readers skip.
+  // A record of one empty field is quoted, because readers skip empty lines.
   if (fields.size() == 1 && fields[0].empty()) return "\"\"\n";
   std::string line;
   for (const std::string& field : fields) line += (&field == &fields[0] ? "" : ",") + QuoteCsv(field);
@@ -221,7 +221,7 @@ bool Table::FitsOneLine(size_t width) const {
 std::vector<size_t> Table::FitWidths(const std::vector<TextColumn>& columns, size_t width) {
   std::vector<size_t> widths;
   for (const TextColumn& column : columns) widths.push_back(column.least);
-  // What is left goes to the column that is wrapped most,
+  // The remaining columns go to the text that is wrapped most.
   for (size_t used = WidthOf(widths); used < width; ++used) {
     size_t most = 0;
     for (size_t j = 1; j < columns.size(); ++j) {
@@ -230,7 +230,7 @@ std::vector<size_t> Table::FitWidths(const std::vector<TextColumn>& columns, siz
     if (widths[most] >= columns[most].natural) break;
     ++widths[most];
   }
-  // and what is missing is taken from the widest text, whose words then break.
+  // Missing columns are taken from the widest text, whose words then break.
   while (WidthOf(widths) > width) {
     size_t widest = columns.size();
     for (size_t j = 0; j < columns.size(); ++j) {
@@ -397,7 +397,7 @@ std::vector<std::string> WrapText(std::string_view text, size_t width) {
 }
 
 std::string Paragraph(std::string_view text, size_t width, size_t indent, std::string_view label) {
-  // Too narrow for an indent is too narrow.
+  // In a width of two indents or less the indent is dropped.
   const size_t room = width > 2 * indent ? width - indent : width;
   const std::string margin(width - room, ' ');
   std::string paragraph(label);

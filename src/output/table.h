@@ -14,46 +14,46 @@
 
 namespace saltus {
 
-// For whom text is laid out.
+// The width and colours for which text is laid out.
 struct TextLayout {
   size_t width = 100;   // columns; nothing is ever cut off, but what cannot be broken may stick out
   bool colour = false;  // ANSI escapes show tones
 };
 
-// Of standard output: $COLUMNS columns if that is set, else those of the terminal, else 100; colour on a terminal,
-// unless NO_COLOR is set.
+// Returns the layout of standard output: $COLUMNS columns if that is set, else those of the terminal, else 100; colour
+// on a terminal, unless NO_COLOR is set.
 TextLayout LayoutOfStandardOutput();
 
-// Columns of the terminal that `sink` writes to; nothing is asked of the environment.
+// Returns the columns of the terminal that `sink` writes to, `if_none` if it is no terminal; ignores the environment.
 size_t TerminalColumns(std::FILE* sink, size_t if_none);
 
-// The words one after the other, each within `quote`.
+// Joins words, each within `quote`.
 std::string Joined(const std::vector<std::string>& words, std::string_view separator = ", ",
                    std::string_view quote = "");
-// The same in backquotes; "none" if there are none.
+// Joins names in backquotes; "none" if there are none.
 std::string JoinedNames(const std::vector<std::string>& names);
 
-// Columns that UTF-8 text takes, were every code point one column wide.
+// Returns the columns of UTF-8 text, if every code point is one column wide.
 size_t DisplayWidth(std::string_view text);
 
-// Bytes of the characters that fit into so many columns: never a part of one.
+// Returns the bytes of the characters that fit into so many columns; characters are never split.
 size_t PrefixOf(std::string_view text, size_t columns);
 
-// `text` in lines of at most `width` columns, broken between words, and within those that are wider. Line feeds break
-// too. At least one line. Precondition: width > 0.
+// Returns `text` in lines of at most `width` columns, broken between words, at line feeds, and within words that are
+// wider. There is at least one line. Precondition: width > 0.
 std::vector<std::string> WrapText(std::string_view text, size_t width);
 
-// The same as one text, each line after `indent` spaces and ended by a line feed. The first line has `label` in that
-// space; it stands on a line of its own if it is too long.
+// Returns wrapped text as a paragraph: each line after `indent` spaces, with a line feed at its end. The first line has
+// `label` in that space; a label that is too long has its own line.
 std::string Paragraph(std::string_view text, size_t width, size_t indent = 0, std::string_view label = "");
 
-// What a cell says beyond its value: a colour on a terminal and in pages.
+// The tone of a cell beyond its value: a colour on a terminal and in pages.
 enum class Tone { kPlain, kGood, kWarning, kBad, kMuted };
 
-// "good", "warning", "bad", "muted", or "" for a plain one.
+// Returns "good", "warning", "bad", "muted", or "" for a plain one.
 std::string_view ToneName(Tone tone);
 
-// Text, a number, or nothing.
+// A cell: text, a number, or empty.
 class Cell {
  public:
   Cell() = default;
@@ -72,7 +72,7 @@ class Cell {
     return *this;
   }
 
-  // Displays it with so many digits whatever its column has.
+  // Displays the number with so many digits, whatever its column has.
   Cell& WithDigits(int significant_digits) {
     significant_digits_ = significant_digits;
     return *this;
@@ -82,10 +82,10 @@ class Cell {
   std::optional<int> significant_digits() const { return significant_digits_; }
   bool IsText() const { return std::holds_alternative<std::string>(value_); }
 
-  // For a person: floating-point numbers with at most `significant_digits`; empty if there is nothing.
+  // Returns the cell for people: floating-point numbers with at most `significant_digits`; empty if there is nothing.
   std::string Display(int significant_digits) const;
 
-  // For a program: floating-point numbers with the fewest digits that read back as the same double.
+  // Returns the cell for programs: floating-point numbers with the fewest digits that read back as the same double.
   std::string Exact() const;
 
  private:
@@ -99,8 +99,8 @@ struct Column {
   int significant_digits = 6;  // of floating-point numbers when displayed; CSV has all digits
 };
 
-// The columns of a text such as "contact; loss:8": their headers, separated by "; ", each with the digits shown after a
-// colon, if they are others than usual.
+// Returns the columns of a text such as "contact; loss:8": their headers, separated by "; ", each with the number of
+// digits after a colon, if it is not the usual one.
 std::vector<Column> ColumnsOf(std::string_view text);
 
 class Table {
@@ -117,21 +117,21 @@ class Table {
 
   size_t keys() const { return keys_; }
 
-  // A column without text is a column of numbers, aligned to the right.
+  // Whether a column has numbers only; it is then aligned to the right.
   bool IsNumeric(size_t column) const;
-  // A cell for a person.
+  // Returns a cell for people.
   std::string Display(size_t row, size_t column) const;
-  // The keys, and the other columns that are not empty in every row.
+  // Returns the keys, and the other columns that are not empty in every row.
   std::vector<size_t> ColumnsWithContent() const;
 
-  // GitHub-flavoured Markdown, padded so that the source is readable too.
+  // Returns GitHub-flavoured Markdown, padded so that the source is readable too.
   std::string ToMarkdown() const;
 
-  // RFC 4180 with a header line; lines end in a bare line feed.
+  // Returns RFC 4180 text with a header line; lines end in a bare line feed.
   std::string ToCsv() const;
 
-  // Aligned columns without those that have no content. If they are too wide, texts are wrapped, and columns that still
-  // find no room follow below, after the keys once more.
+  // Returns aligned columns without those that have no content. If they are too wide, texts are wrapped, and the
+  // columns that still do not fit follow below, after the keys once more.
   std::string ToText(const TextLayout& layout = {}) const;
 
   // Whether the text has every row on one line.
@@ -142,7 +142,7 @@ class Table {
   Table Transposed(std::string corner, size_t keys) const;
 
  private:
-  // A column of the text: what can be said of its width before it is known who stands beside it.
+  // A column of the text, with the widths that do not depend on its neighbours.
   struct TextColumn {
     size_t index = 0;
     size_t natural = 0;  // width, if nothing is wrapped
@@ -151,7 +151,7 @@ class Table {
   };
   std::vector<TextColumn> MeasureText() const;
   static std::vector<size_t> FitWidths(const std::vector<TextColumn>& columns, size_t width);
-  // Some columns beside each other, each with its width.
+  // Appends some columns beside each other, each with its width.
   void AppendText(const std::vector<TextColumn>& columns, const std::vector<size_t>& widths, bool colour,
                   std::string* text) const;
 
@@ -160,7 +160,7 @@ class Table {
   std::vector<std::vector<Cell>> rows_;
 };
 
-// A number as printf writes it, in up to 63 characters.
+// Returns a number as printf writes it, in up to 63 characters.
 std::string Format(const char* format, double value);
 
 }  // namespace saltus

@@ -29,7 +29,7 @@ double AngleBetween(const std::vector<double>& a, const std::vector<double>& b) 
   return std::acos(std::clamp(cosine, -1.0, 1.0)) * 180 / std::numbers::pi;
 }
 
-// Of exact dynamics with the control intervals of the contact model.
+// Returns the shooting function of exact dynamics with the control intervals of the contact model.
 SingleShooting ExactShooting(const Scene& scene, int num_steps) {
   Scene exact = scene;
   exact.steps = num_steps;
@@ -38,7 +38,7 @@ SingleShooting ExactShooting(const Scene& scene, int num_steps) {
 
 }  // namespace
 
-// As many in every power of ten.
+// Returns about equally many iterations in every power of ten.
 std::vector<int> DescentAudit::LookedAt() {
   std::vector<int> at;
   for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
@@ -97,7 +97,7 @@ void DescentAudit::Follow(Descent* descent) const {
 }
 
 bool DescentAudit::Run(int threads, ProgressMode mode) {
-  // Those that are known last, and of the others the last first: slow models are the last in the registry.
+  // Known descents come last, and the others in reverse order, because slow models are the last in the registry.
   std::vector<Descent*> jobs;
   for (Descent& descent : descents_) jobs.push_back(&descent);
   std::ranges::stable_sort(jobs, [](const Descent* l, const Descent* r) {

@@ -1,5 +1,5 @@
-// Along gradient descent under each contact model: how far its gradient points away from the exact one, and what the
-// descent makes of the exact loss. How optimisation can succeed with wrong gradients, and where it fails.
+// Gradient descent under each contact model: the angle of its gradient to the exact one, and the exact loss along the
+// descent. Shows how optimisation can succeed with wrong gradients, and where it fails.
 #pragma once
 
 #include <string>
@@ -14,24 +14,24 @@ class DescentAudit {
  public:
   using Task = TitledScene;
 
-  // Iterations that are looked at: 0, 1, 2, 3, 5, 8, ... to the last.
+  // Returns the iterations that are examined: 0, 1, 2, 3, 5, 8, ... to the last.
   static std::vector<int> LookedAt();
 
-  // Contact models that cannot take a scene are left out there; so are those of `slow`.
+  // Contact models that cannot simulate a scene are left out there; so are those of `slow`.
   DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts, const std::vector<std::string>& slow);
 
-  // The iterates there, of a descent that was run elsewhere with the same rate: it is not run again.
+  // Takes the iterates at LookedAt() of a descent that was run elsewhere with the same rate: it is not run again.
   void Know(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates);
 
-  // False if interrupted.
+  // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
   PaperFigure ToFigure() const;
-  // What the numbers say, a sentence or two each.
+  // Returns the findings, in a sentence or two each.
   std::vector<std::string> Findings() const;
 
  private:
-  // One descent, looked at at some of its iterates.
+  // One descent, examined at some of its iterates.
   struct Descent {
     size_t task = 0;
     std::string contact;

@@ -28,7 +28,7 @@ void RunSolver(Experiment* experiment, size_t which) {
       SolveAndSimulate(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
 }
 
-// "1e2" for 100, as in the names of the stiffness experiment.
+// Returns "1e2" for 100, as in the names of the stiffness experiment.
 std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std::lround(std::log10(stiffness))); }
 
 }  // namespace
@@ -92,7 +92,7 @@ void Experiments::Add(const std::string& problem, double friction, const std::st
 }
 
 bool Experiments::Run(int threads, ProgressMode mode) {
-  // One job a gradient and one a solver.
+  // There is one job for each gradient and one for each solver.
   std::vector<std::function<void()>> jobs;
   std::vector<std::string> names;
   for (Experiment& experiment : experiments_) {
@@ -142,14 +142,14 @@ const std::map<std::string, Published>& PublishedNames() {
   return names;
 }
 
-// The first `count` entries of the losses: the notebooks' `loss` has one entry an update, the loss before it.
+// Returns the losses in the layout of the notebooks' `loss`: one entry for each update, the loss before it.
 NpyArray LossArray(const SolveReport& report) {
   std::vector<double> losses(report.losses.begin(), report.losses.end() - 1);
   return {{static_cast<int64_t>(losses.size())}, losses};
 }
 
-// The positions of the first disc under one iterate: before each step, and after the last but for the Brax models,
-// whose files have only those before. T x 2.
+// Returns the positions of the first disc under one iterate, T x 2: before each step, and after the last except for the
+// Brax models, whose files do not have it.
 std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z) {
   SingleShooting shooting(MakeSimulator(experiment.contact, experiment.scene, experiment.precision));
   double loss = 0;
@@ -180,7 +180,7 @@ void WriteControlRun(const SolveReport& report, const std::string& path) {
                           {"ctrls", {{static_cast<int64_t>(report.control.size() / 2), 2}, report.control}}}));
 }
 
-// As the notebooks spell it: Python's floats, 1000.0, but for the lowest, 100.
+// Returns a stiffness as the notebooks spell it: Python's floats, 1000.0, except for the lowest, 100.
 std::string StiffnessName(double stiffness) {
   return std::to_string(static_cast<long>(stiffness)) + (stiffness == 100 ? "" : ".0");
 }

@@ -1,4 +1,4 @@
-// The experiments of the paper, run once and looked up by everything that reports on them.
+// The experiments of the paper, which are run once; all reports take their results from here.
 //
 // An experiment is a scene with one contact model and precision: its gradient at the initial guess, the paper's
 // gradient descent (1000 updates), and the same with other solvers. Task 1 is not optimised.
@@ -42,14 +42,14 @@ class Experiments {
   // Loads the scenes of the paper from `problems_dir`. Throws InputError.
   explicit Experiments(const std::string& problems_dir);
 
-  // Runs everything on `threads` threads. False if interrupted.
+  // Runs everything on `threads` threads. Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
-  // The experiment of that problem ("two_balls"), friction, contact model and precision, or null. `contact` may carry a
-  // stiffness: "compliant_warp_kn1e2".
+  // Returns the experiment of that problem ("two_balls"), friction, contact model and precision, or null. `contact` may
+  // carry a stiffness: "compliant_warp_kn1e2".
   const Experiment* Find(const std::string& problem, double friction, const std::string& contact,
                          Precision precision) const;
-  // The exact counterpart: the event-driven model in double.
+  // Returns the exact counterpart: the event-driven model in double precision.
   const Experiment* Exact(const std::string& problem, double friction) const;
 
   const std::vector<Experiment>& all() const { return experiments_; }
@@ -64,14 +64,14 @@ class Experiments {
   std::map<std::string, int> index_;
 };
 
-// Solves, and simulates exactly what is found.
+// Solves, and simulates the result exactly.
 SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options);
 
 // Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
 // below `output_dir`. Throws InputError if a file cannot be written.
 void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);
 
-// CPU time of this thread, s, which what else the machine does disturbs little.
+// Returns the CPU time of this thread, s, which other load of the machine disturbs little.
 inline double ThreadTime() {
   timespec time;
   CHECK_EQ(clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time), 0);

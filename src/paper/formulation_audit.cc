@@ -21,12 +21,12 @@ constexpr std::string_view kUnit = "direct";
 // Times are medians over rounds in which the models take turns.
 constexpr int kRounds = 7;
 constexpr double kTurn = 3e-4;  // s, at least
-// Errors below are those of rounding, and shown on this line of the figure.
+// Smaller errors are rounding, and are shown on this line of the figure.
 constexpr double kLeastErrorShown = 1e-4;
-// Step counts per level of refinement: fewer than an audit takes, for the sake of the slow models.
+// Step counts in each level of refinement: fewer than in an audit, for the sake of the slow models.
 constexpr int kSamples = 5;
 
-// A rollout and its gradient by initial state and control.
+// A rollout and its gradient by initial state and control, to be timed.
 class Work {
  public:
   Work(const std::string& contact, const Scene& scene)
@@ -45,7 +45,7 @@ class Work {
     simulator_->AdjointInto(cotangent_, {by_initial_, by_control_, nullptr});
   }
 
-  // s a call.
+  // Returns the time of one call, s.
   double Time() {
     const double start = ThreadTime();
     double time = 0;
@@ -63,7 +63,8 @@ class Work {
   std::vector<double> initial_, control_, end_, cotangent_, by_initial_, by_control_;
 };
 
-// Of a step of the scene's grid with its gradient, in those of kUnit; 0 for models that cannot take the scene.
+// Returns the cost of a step of the scene's grid with its gradient, relative to kUnit; 0 where a model is not
+// applicable.
 std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const Scene& scene) {
   std::vector<std::unique_ptr<Work>> works;
   for (const std::string& contact : contacts) {
@@ -84,7 +85,7 @@ std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const
   return costs;
 }
 
-// To two significant digits; more would not be there the next time.
+// Rounds to two significant digits, as further ones are not reproducible.
 double Rounded(double cost) {
   if (!(cost > 0)) return cost;
   const double digit = std::pow(10.0, std::floor(std::log10(cost)) - 1);
@@ -122,7 +123,7 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
   for (Results& results : tasks_) results.report.reference = ExactGradientOf(results.task.scene);
   const int count = static_cast<int>(tasks_.size() * contacts_.size());
   std::vector<std::string> names, costs;
-  // From the last model on: slow ones are the last, and no core should wait for them in the end.
+  // Jobs begin with the last model: slow models are the last, and no core should wait for them in the end.
   const auto model_of = [&](int i) { return contacts_.size() - 1 - i / tasks_.size(); };
   for (int i = 0; i < count; ++i) {
     names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[model_of(i)]);
@@ -135,7 +136,7 @@ bool FormulationAudit::Run(int threads, ProgressMode mode) {
     results.report.models[model] = Audit(model, results);
   });
   if (!audited) return false;
-  // On one thread, so that nothing else of this program disturbs.
+  // The costs are measured on one thread, so that nothing else of this program disturbs them.
   return RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
     const std::vector<std::string> models(contacts_.begin(),
                                           contacts_.end() - static_cast<std::ptrdiff_t>(simulators_.size()));
@@ -173,7 +174,7 @@ std::string FormulationAudit::ClassesOf(size_t model) const {
   return Joined(words, ", ");
 }
 
-// The geometric mean over the tasks.
+// Returns the geometric mean of the cost over the tasks.
 double FormulationAudit::CostOf(size_t model) const {
   double sum = 0;
   int count = 0;

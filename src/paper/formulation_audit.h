@@ -1,5 +1,5 @@
-// Every contact model on the three tasks of the paper: how wrong its gradient is, of which class it is, and what a step
-// of it costs.
+// An audit of every contact model on the three tasks of the paper: the error of its gradient, its class, and the cost
+// of a step.
 #pragma once
 
 #include <string>
@@ -16,17 +16,17 @@ class FormulationAudit {
  public:
   using Task = TitledScene;
 
-  // Precondition: `contacts` has `direct`, whose step is the unit of cost. Simulators are audited beside them; what
-  // their steps cost is not measured.
+  // Precondition: `contacts` has `direct`, whose step is the unit of cost. Simulators are audited beside them; the
+  // costs of their steps are not measured.
   FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
                    std::vector<SimulatorCommand> simulators = {});
 
-  // False if interrupted.
+  // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
   CaptionedTable ToTable() const;
   PaperFigure ToFigure() const;
-  // Every class that was found: what it means, and which models are of it.
+  // Returns every class that was found: what it means, and which models belong to it.
   std::vector<std::string> Classes() const;
 
  private:
@@ -36,9 +36,9 @@ class FormulationAudit {
     std::vector<double> costs;  // of each model, in those of `direct`; 0 if it cannot take the scene
   };
 
-  // |g - g_exact| / |g_exact| over initial positions and velocities.
+  // Returns |g - g_exact| / |g_exact| over initial positions and velocities.
   double ErrorByInitialState(const Results& results, size_t model) const;
-  // "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
+  // Returns "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
   std::string ClassesOf(size_t model) const;
   double CostOf(size_t model) const;
   ModelAudit Audit(size_t model, const Results& results) const;

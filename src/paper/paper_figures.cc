@@ -16,7 +16,7 @@ std::vector<double> Range(size_t count, double step = 1) {
   return values;
 }
 
-// The published precision where it matters, double otherwise.
+// Returns the experiment in the published precision where it matters, in double otherwise.
 const Experiment* Shown(const Experiments& experiments, const std::string& problem, double friction,
                         const std::string& contact) {
   const bool pbd = contact.starts_with("pbd");
@@ -32,7 +32,7 @@ void ForEachModel(const Experiments& experiments, const std::string& problem, do
   }
 }
 
-// x and y of every disc under some decision variables.
+// The x and y of every disc along a motion under some decision variables.
 struct Path {
   std::vector<double> x, y;
 };
@@ -60,7 +60,7 @@ void AddPaths(const std::vector<Path>& paths, const std::string& label, const st
   }
 }
 
-// The initial trajectory and what gradient descent makes of it under two models that learn different things.
+// Draws the initial trajectory and those after gradient descent under two models, which reach different optima.
 Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem, const std::string& title) {
   const Scene& scene = experiments.scene(problem);
   Panel panel = ScenePanel(scene, title);
@@ -190,7 +190,7 @@ PaperFigure SolverLearning(const Experiments& experiments) {
       figure};
 }
 
-// Of those, which disagree most tellingly, the others are a click away.
+// The models whose motions are shown at first, as they differ most; readers can turn the others on.
 constexpr const char* kShown[] = {"event", "direct_toi", "direct"};
 
 }  // namespace
@@ -219,7 +219,7 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
     MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
     if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
     const std::string& contact = experiment.contact;
-    // Once if a sweep over stiffnesses has the scene's too.
+    // A motion is added once, as a sweep over stiffnesses may have the scene's too.
     if (std::ranges::any_of(replay.motions, [&](const auto& motion) { return motion.label == contact; })) continue;
     add(SimulateMotion(own, contact, input, options), input, contact, contact);
     const bool shown = std::ranges::find(kShown, contact) != std::end(kShown);

@@ -18,8 +18,8 @@ struct PaperFigure {
 
 std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments);
 
-// What gradient descent has made of a task under each model, as the model sees it, and the exact motion of the same
-// control or velocity under the first; of a task that is not optimised, its start.
+// Returns the result of gradient descent on a task under each model, as the model simulates it, and the exact motion of
+// the control or velocity of the first; for a task that is not optimised, its guess.
 Replay TaskReplay(const Experiments& experiments, const std::string& problem);
 
 }  // namespace saltus

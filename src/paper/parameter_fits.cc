@@ -21,7 +21,7 @@ constexpr double kHonest = 3;        // standard errors
 constexpr int kMostIterations = 40;  // of each part of a fit: what is stuck stays so
 constexpr double kLeastBiasShown = 1e-4;
 
-// A ball bounces off the floor and off a second ball, which is pushed on to the wall and back.
+// Returns a scene in which a ball bounces off the floor and off a second ball, which is pushed to the wall and back.
 Scene TrueScene() {
   Scene scene;
   scene.name = "two_bounces";
@@ -41,7 +41,7 @@ const std::vector<Unknown>& Unknowns() {
   return unknowns;
 }
 
-// The motion of a contact model, with noise that is the same for all of them; empty if there is none.
+// Returns the motion of a contact model, with noise that is the same for all models; empty if there is none.
 Recording Record(const std::string& contact, const Scene& scene) {
   Recording recording{contact, {}};
   const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
@@ -81,7 +81,7 @@ std::vector<Recording> ReadDrops(const std::string& folder, const Scene& scene) 
   return recordings;
 }
 
-// Between the slowest and the fastest impact.
+// Returns the largest error of a learned law between the slowest and the fastest impact.
 double LargestError(const LearnedLaw& learned, const KnownLaw& truth) {
   double largest = 0;
   for (const LawPoint& at : learned.curve) {

@@ -1,6 +1,6 @@
-// Wrong gradients, wrong parameters: the same fit of a recording under every contact model. Twice: to a recording of
-// exact motion, where a model's motion and its gradient both tell, and to one of the model's own motion, where only
-// its gradient does.
+// Fits of one recording under every contact model: wrong gradients lead to wrong parameters. There are two fits: one to
+// a recording of exact motion, in which both a model's motion and its gradient matter, and one to a recording of the
+// model's motion, in which only its gradient matters.
 #pragma once
 
 #include <optional>
@@ -15,15 +15,15 @@ namespace saltus {
 
 class ParameterFits {
  public:
-  // Contact models that cannot take the scene are left out, and plastic ones, which cannot explain a bounce.
+  // Contact models that cannot simulate the scene are left out, and plastic ones, which cannot explain a bounce.
   explicit ParameterFits(const std::vector<std::string>& contacts);
 
-  // False if interrupted.
+  // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
   CaptionedTable ToTable() const;
   PaperFigure ToFigure() const;
-  // What the numbers say, a sentence or two each.
+  // Returns the findings, in a sentence or two each.
   std::vector<std::string> Findings() const;
 
  private:
@@ -33,9 +33,9 @@ class ParameterFits {
     Of of = kExactMotion;
     std::optional<IdentifyReport> report;  // none: the model has no motion of the true parameters
 
-    // Of all parameters, the largest |value - true value| / true value; nothing if one is not determined.
+    // Returns the largest |value - true value| / true value of all parameters; std::nullopt if one is not determined.
     std::optional<double> LargestBias(const Scene& truth) const;
-    // Whether all are determined, and as near to the truth as the stated standard errors promise.
+    // Whether all are determined, and as close to the truth as the stated standard errors promise.
     bool IsHonest(const Scene& truth) const;
   };
   void Compute(Fit* fit) const;
@@ -46,7 +46,7 @@ class ParameterFits {
   std::vector<Fit> fits_;
 };
 
-// A ball is dropped from four heights on a floor whose restitution falls with the speed. Nothing if interrupted.
+// Learns the law of a ball dropped from four heights, whose restitution falls with speed. std::nullopt if interrupted.
 std::optional<PaperFigure> LearnALaw();
 
 }  // namespace saltus

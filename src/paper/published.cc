@@ -17,7 +17,7 @@ double ToNumber(const std::string& text, const std::string& where) {
   throw InputError(where + ": '" + text + "' is not a number");
 }
 
-// Where a quantity such as "dloss/dp2_x" sits in a gradient: body (from 0), entry of [p_x p_y v_x v_y], or force.
+// The place of a quantity such as "dloss/dp2_x" in a gradient: body (from 0), entry of [p_x p_y v_x v_y], or force.
 struct Component {
   bool control = false;
   int body = 0;
@@ -43,7 +43,7 @@ double ValueOf(const Sensitivity& gradient, const Component& component) {
   return component.control ? gradient.control[component.entry] : gradient.initial[4 * component.body + component.entry];
 }
 
-// The exact derivative; one force of a Brax model lasts two steps of the grid, so two of the exact ones add up.
+// Returns the exact derivative. A force of a Brax model acts for two steps of the grid, so two exact ones are added.
 double ExactValueOf(const ModelGradient& exact, const Component& component, int num_steps) {
   if (!component.control) return ValueOf(exact.gradient, component);
   double sum = 0;
@@ -97,7 +97,7 @@ void Fill(const Experiments& experiments, PublishedRow* row) {
   }
 }
 
-// "dloss/dp1_x" as "∂loss/∂p1_x", "v_x_1000" as "v_x after 1000 updates".
+// Returns "∂loss/∂p1_x" for "dloss/dp1_x", and "v_x after 1000 updates" for "v_x_1000".
 std::string HeaderOf(const std::string& quantity) {
   if (quantity.starts_with("dloss/d")) return "∂loss/∂" + quantity.substr(7);
   if (quantity == "initial_loss") return "initial loss";
@@ -106,7 +106,7 @@ std::string HeaderOf(const std::string& quantity) {
   return quantity.substr(0, last) + " after " + quantity.substr(last + 1) + " updates";
 }
 
-// With as many decimals as the published number has.
+// Returns a number with as many decimals as the published one has.
 std::string AsPrinted(double value, const PublishedRow& row) {
   const size_t point = row.published.find('.');
   const size_t decimals = point == std::string::npos ? 5 : row.published.size() - point - 1;

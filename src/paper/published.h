@@ -1,4 +1,4 @@
-// The paper's printed numbers beside ours and the exact ones.
+// The paper's printed numbers beside those of this library and the exact ones.
 #pragma once
 
 #include <optional>
@@ -10,7 +10,7 @@
 
 namespace saltus {
 
-// One row of data/published.csv, with what we compute for it.
+// One row of data/published.csv, with the value that this library computes for it.
 struct PublishedRow {
   std::string table, problem, contact, quantity, note;
   double friction = 0;
@@ -31,20 +31,21 @@ struct PublishedRow {
 // Reads data/published.csv. Throws InputError.
 std::vector<PublishedRow> ReadPublished(const std::string& path);
 
-// Fills in `ours` and `exact`.
+// Sets `ours` and `exact`.
 void CompareWithPublished(const Experiments& experiments, std::vector<PublishedRow>* rows);
 
-// The names of the tables, in order ("T1", "T2", ...), and their captions.
+// Returns the names of the tables, in order ("T1", "T2", ...), and their captions.
 std::vector<std::pair<std::string, std::string>> PublishedTables();
 
-// Whether ours is what a faithful implementation gives, and what is wrong with the printed number.
+// Says whether our number is that of a faithful implementation, and what is wrong with the printed one.
 std::string VerdictInWords(const PublishedRow& row);
 
-// published | ours | exact | verdict, for the rows of one table.
+// Returns a table published | ours | exact | verdict, for the rows of one table of the paper.
 Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name);
 
-// As the paper prints it: a row a model and a column a quantity, the published number above ours; a colour where they
-// differ. Adds the notes that the cells refer to by number. The last row has the values of exact dynamics.
+// Returns a table in the paper's layout: a row for each model and a column for each quantity, the published number
+// above ours, coloured where they differ. Adds the notes that the cells refer to by number. The last row has the exact
+// values.
 Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes);
 
 }  // namespace saltus

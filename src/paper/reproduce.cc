@@ -95,8 +95,8 @@ void AddLaw(const PaperFigure& law, const std::vector<PaperFigure>& figures, Pag
   AddFigure(figures, law.name, page);
 }
 
-// report.html: all tables and figures with explanations, with those of `figures` that it has a place for. Throws
-// OutputError if it cannot be written. `seconds` is what the experiments took.
+// Writes report.html: all tables and figures with explanations, and those of `figures` that it has a place for. Throws
+// OutputError if it cannot be written. `seconds` is the time of the experiments.
 void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
                       const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
                       const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
@@ -225,7 +225,7 @@ DescentAudit AuditDescents(const Experiments& experiments, const SolverCompariso
   return descents;
 }
 
-// Draws and writes each figure as SVG and as PNG. False if interrupted.
+// Draws and writes each figure as SVG and as PNG. Returns false if interrupted.
 bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& output_dir) {
   std::vector<std::string> names;
   for (const PaperFigure& figure : figures) names.push_back(figure.name);
@@ -235,7 +235,7 @@ bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& ou
   });
 }
 
-// Does what cannot ask for interrupts itself. False if interrupted.
+// Runs work that cannot ask for interrupts. Returns false if interrupted.
 bool RunStage(const std::string& name, const std::function<void()>& work) {
   Progress progress(ProgressFromFlags(), stderr, name, 1);
   return RunJobs({name}, 1, &progress, [&](int, const SayNote&) { work(); });

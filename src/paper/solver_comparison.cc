@@ -20,12 +20,12 @@ namespace {
 constexpr int kShootingIterations = 150;   // by then it has ended, or creeps
 constexpr int kLagrangianIterations = 60;  // by then it has stalled or gone astray
 constexpr int kFineSteps = 1000;
-// A model whose gradient takes longer than this is slow, s: gradient descent would take seconds.
+// The time of a gradient above which a model is slow, s: gradient descent would take seconds.
 constexpr double kSlow = 6e-4;
 constexpr int kSlowIterations = 40;
 constexpr double kNearOptimum = 0.01;
 
-// Solvers that run under every contact model; the others know exact dynamics only, or are shown by one example.
+// Returns the solvers that run under every contact model; the others require exact dynamics, or are shown once.
 const std::set<std::string>& GeneralSolvers() {
   static const std::set<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting"};
   return solvers;
@@ -38,7 +38,7 @@ SolvedRun Planned(const std::string& contact, const std::string& solver) {
   return run;
 }
 
-// CPU time of the thread for a gradient of a scene, s.
+// Returns the CPU time of the thread for a gradient of a scene, s.
 double GradientTime(const std::string& contact, const Scene& scene) {
   const double start = ThreadTime();
   ComputeGradient(contact, scene, Precision::kDouble);
@@ -154,7 +154,7 @@ bool SolverComparison::Run(int threads, ProgressMode mode) {
       if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
     }
   }
-  // The long ones first, so that no core waits for them in the end.
+  // Long jobs come first, so that no core waits for them in the end.
   std::ranges::stable_partition(jobs, [](const auto& job) {
     return job.second->report.solver == "ceres_lagrangian" || job.second->report.solver == "ceres_shooting";
   });

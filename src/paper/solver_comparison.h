@@ -1,4 +1,4 @@
-// Every contact model with every solver, side by side: which to use, and why.
+// A comparison of every solver under every contact model.
 //
 // Tasks 2 (without and with friction) and 3 under the models that the published comparisons report, and task 3 under
 // all others. Losses under a contact model may not be compared between models; exact losses may, and their gap to the
@@ -24,32 +24,32 @@ struct CaptionedTable {
 
 class SolverComparison {
  public:
-  // What runs under the models that are not in the experiments: nothing; what takes a second or two; every general
+  // The solvers that run under models without experiments: none; those that take a second or two; or every general
   // solver, however slow the model.
   enum class Others { kNone, kQuick, kEverySolver };
 
-  // `experiments`, which have been run, give what they have; the rest is left to Run.
+  // Takes the results that `experiments`, which have been run, contain; the rest is left to Run.
   explicit SolverComparison(const Experiments& experiments, Others others = Others::kQuick);
 
-  // False if interrupted.
+  // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
   // Contact models whose gradients take so long that gradient descent was left out.
   const std::set<std::string>& slow() const { return slow_; }
 
-  // Of gradient descent on task 3 under a model that `experiments` leave out, the iterates that DescentAudit looks at;
-  // nothing if it was not run.
+  // Returns the iterates that DescentAudit examines, of gradient descent on task 3 under a model without experiments;
+  // empty if it was not run.
   std::vector<std::vector<double>> IteratesOf(const std::string& contact) const;
 
   std::vector<CaptionedTable> Tables() const;
-  // Task 3 under exact dynamics: three solvers compared with the optimum.
+  // Returns the table of task 3 under exact dynamics: three solvers compared with the optimum.
   Table Headline() const;
   std::vector<PaperFigure> Figures() const;
-  // What the numbers say, one sentence or two each.
+  // Returns the findings, in one sentence or two each.
   std::vector<std::string> Findings() const;
 
  private:
-  // One scene and what is run on it.
+  // One scene and the runs on it.
   struct Task {
     std::string name;  // of its table
     std::string title;
@@ -58,7 +58,7 @@ class SolverComparison {
     std::vector<SolvedRun> runs;  // contact models outermost; planned ones have names only
 
     const SolvedRun* Find(const std::string& contact, const std::string& solver) const;
-    // Of the best exact loss by a general solver under a model, its gap to the optimum.
+    // Returns the gap to the optimum of the best exact loss by a general solver under a model.
     double SmallestGap(const std::string& contact) const;
   };
 

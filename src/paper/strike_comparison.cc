@@ -20,7 +20,7 @@ constexpr int kSteps[] = {480, 1000};
 
 Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<double>()}; }
 
-// The largest force, in parts of the bound.
+// Returns the largest force, relative to the bound.
 double Largest(const SolveReport& report, const BoundedReference& reference) {
   double largest = 0;
   for (size_t k = 0; k + 1 < report.control.size(); k += 2) {

@@ -1,5 +1,5 @@
-// The task of two balls by solvers that shoot over the impact and by those that know of it, on the paper's time grid
-// and on a finer one; and with bounds on the force, beside the optima in continuous time.
+// The task of two balls by solvers that shoot over the impact and by those that treat it as an event, on the paper's
+// time grid and on a finer one; and with bounds on the force, beside the optima in continuous time.
 #pragma once
 
 #include <optional>
@@ -20,15 +20,15 @@ struct BoundedReference {
   Vec2d Force(double time) const;  // that within the bound
 };
 
-// Those that the figure shows. Throws InputError.
+// Reads the references that the figure shows. Throws InputError.
 std::vector<BoundedReference> ReadBoundedReferences(const std::string& path);
 
 class StrikeComparison {
  public:
-  // `scene` is that of the task.
+  // `scene` is the scene of the task.
   StrikeComparison(const Scene& scene, std::vector<BoundedReference> references);
 
-  // False if interrupted.
+  // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);
 
   std::vector<CaptionedTable> Tables() const;

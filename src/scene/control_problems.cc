@@ -46,12 +46,12 @@ class Draw {
 
  private:
   double Number(double low, double high) { return Rounded(random_.Uniform(low, high)); }
-  // To one side or the other.
+  // Returns a number of either sign, whose magnitude is between `low` and `high`.
   double Sideways(double low, double high) {
     const double number = Number(low, high);
     return random_.Below(2) == 0 ? -number : number;
   }
-  // Small ones as often as large ones.
+  // Returns a weight of the effort; each order of magnitude is as likely.
   double Effort() {
     constexpr double kEfforts[] = {0.002, 0.005, 0.01, 0.02, 0.05, 0.1};
     return kEfforts[random_.Below(6)];
@@ -67,7 +67,7 @@ class Draw {
     const Vec2d direction = Direction();
     return Rounded(Number(shortest, longest) * direction);
   }
-  // Along and across the way of the pushed disc, from where it starts.
+  // Returns the position with coordinates along and across the way of the pushed disc, from its start.
   Vec2d At(const Vec2d& place) const { return Rounded(place[0] * aim_ + place[1] * side_); }
 
   void AddDisc(const std::string& name, const Vec2d& position) {
@@ -133,7 +133,7 @@ class Draw {
     }
   }
 
-  // Above the ground, to be reached once or more; aimed at a place with a velocity.
+  // Makes a disc above the ground that may bounce, with targets for position and velocity.
   void MakeBounce() {
     scene_.control.bodies = {0};
     scene_.gravity = {0, -Number(0.5, 4)};
@@ -147,7 +147,7 @@ class Draw {
                                          .weight = Number(0.05, 1)});
   }
 
-  // Constant ones, that carry each pushed disc about to where the target starts, or its own.
+  // Sets constant forces that carry each pushed disc about to the start of the target disc, or to its own target.
   void GuessForces() {
     for (const int body : scene_.control.bodies) {
       const Body& disc = scene_.bodies[body];

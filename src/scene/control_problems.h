@@ -1,4 +1,4 @@
-// Control problems through impacts, by number: for measuring solvers on hundreds of them.
+// Random control problems through impacts, numbered, for measuring solvers on hundreds of them.
 #pragma once
 
 #include <cstdint>

@@ -8,7 +8,7 @@ namespace {
 
 double Cross(const Vec2d& a, const Vec2d& b) { return a[0] * b[1] - a[1] * b[0]; }
 
-// Whether the straight lines a-b and c-d have a point in common.
+// Whether the line segments a-b and c-d have a point in common.
 bool Meet(const Vec2d& a, const Vec2d& b, const Vec2d& c, const Vec2d& d) {
   for (int j = 0; j < 2; ++j) {
     if (std::max(a[j], b[j]) < std::min(c[j], d[j]) || std::max(c[j], d[j]) < std::min(a[j], b[j])) return false;
@@ -27,7 +27,7 @@ double TwiceTheArea(const std::vector<Vec2d>& points) {
   return area;
 }
 
-// Whether all lie on one straight line, as far as rounding lets one see.
+// Whether all points lie on one straight line, up to rounding.
 bool AreCollinear(const std::vector<Vec2d>& points) {
   constexpr double kStraight = 1e-12;  // of the distance of the farthest: how far off the line rounding may be
   const auto nearer = [&](const Vec2d& a, const Vec2d& b) {

@@ -1,4 +1,4 @@
-// Closed lines of points: which are polygons, and what they enclose.
+// Closed polygonal lines: tests for simple polygons and for points inside.
 #pragma once
 
 #include <string>
@@ -8,11 +8,11 @@
 
 namespace saltus {
 
-// Why the points are not the corners of a polygon in counter-clockwise order, none of whose sides meet; empty if they
-// are. That sides do not meet takes time quadratic in their number, and is looked at if `crossings`.
+// Returns the reason why the points are not the corners of a simple polygon in counter-clockwise order; empty if they
+// are. Crossings of sides are checked only if `crossings`, which takes quadratic time.
 std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings);
 
-// Whether x is enclosed. Precondition: WhyNoPolygon(points) is empty.
+// Whether x is inside. Precondition: WhyNoPolygon(points) is empty.
 bool IsInside(const Vec2d& x, const std::vector<Vec2d>& points);
 
 }  // namespace saltus

@@ -29,11 +29,11 @@ constexpr double kLeast = std::numeric_limits<double>::min();
 constexpr Ranges kGivenRanges{
     {-kLargestMagnitude, kLargestMagnitude, "a finite number of magnitude at most 1e24"},
     {kSmallestPositive, kLargestMagnitude, "a positive number, 1e-24 to 1e24"},
-    // Parts of a horizon may be shorter than a whole one.
+    // The duration of a part of a horizon may be shorter than that of a whole one.
     {kLeast, kLargestMagnitude, "a positive number, up to 1e24"},
     {0, kLargestMagnitude, "a number >= 0 and at most 1e24"},
 };
-// In other units than those in which scenes are given. Products of four such numbers do not overflow.
+// Limits in converted units. Products of four such numbers do not overflow.
 constexpr double kLargestConverted = 1e72;
 constexpr Ranges kConvertedRanges{
     {-kLargestConverted, kLargestConverted, "a finite number of magnitude at most 1e72"},
@@ -43,7 +43,7 @@ constexpr Ranges kConvertedRanges{
 };
 constexpr Range kFraction{0, 1, "a number from 0 to 1"};
 
-// The path of a number in the scene file; text only if it is needed.
+// The path of a number in the scene file; its text is made only when it is needed.
 struct Key {
   const char* list = "";
   std::optional<std::size_t> index = std::nullopt;
@@ -67,7 +67,7 @@ bool IsConverted(const Scene& scene) {
   return scene.units != given;
 }
 
-// A name as it may stand in a message: it can be anything, as long as anything.
+// Returns a name as it may stand in a message; a name in a file can have any characters and any length.
 std::string Quoted(const std::string& name) {
   std::string text = name.substr(0, kLongestName);
   std::replace_if(
@@ -75,10 +75,10 @@ std::string Quoted(const std::string& name) {
   return '"' + text + (name.size() > kLongestName ? "...\"" : "\"");
 }
 
-// Checks rules in order and keeps the first that fails.
+// Checks rules in order and keeps the first one that is broken.
 class Rules {
  public:
-  // With `structure_only`, those of ValidateStructure.
+  // With `structure_only`, checks the rules of ValidateStructure only.
   Rules(const Scene& scene, bool structure_only)
       : scene_(scene), all_(!structure_only), in_(IsConverted(scene) ? kConvertedRanges : kGivenRanges) {}
 
@@ -102,7 +102,7 @@ class Rules {
   }
 
  private:
-  // `message` gives the text, which is costly to write for every number of a scene.
+  // Checks one rule. `message` makes the text, which is too costly to make for every number of a scene.
   template <typename Message>
   void Expect(bool holds, const Key& key, const Message& message) {
     if (!holds && !error_) error_ = SceneError{key.ToString(), message()};
@@ -131,7 +131,7 @@ class Rules {
     });
   }
 
-  // Of a body or plane.
+  // Checks the name of a body or plane, which must be unique.
   void UniqueName(const Key& key, const std::string& name) {
     if (!all_) return;
     Name(key, name, "_-.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
@@ -141,7 +141,7 @@ class Rules {
     });
   }
 
-  // A list of bodies that move, without repetition.
+  // Checks a list of bodies: each moves, and none is listed twice.
   void Movable(const char* list, const std::vector<int>& bodies) {
     if (bodies.empty()) return;
     std::vector<bool> seen(scene_.bodies.size(), false);
@@ -319,7 +319,7 @@ class Rules {
     Bounds("control.max_torque", control.max_torque, control.turned, " bodies in control.torque");
   }
 
-  // One for each of these bodies, or none.
+  // Checks bounds: none, or one for each of these bodies.
   void Bounds(const char* key, const std::vector<double>& bounds, const std::vector<int>& bodies, const char* which) {
     Expect(bounds.empty() || bounds.size() == bodies.size(), {key}, [&] {
       return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
@@ -456,7 +456,7 @@ class Rules {
            "found bodies, expected none: angular velocities are optimized with optimize: velocity");
   }
 
-  // How many things a parameter of this kind may be of, -1: of nothing in particular.
+  // Returns how many objects of the scene have a parameter of this kind; -1 if it belongs to no object.
   int NumberOf(SceneParameter::Kind kind) const {
     using Kind = SceneParameter::Kind;
     if (kind == Kind::kMass || kind == Kind::kRadius || kind == Kind::kPosition) return scene_.num_bodies();
@@ -492,7 +492,7 @@ class Rules {
       for (std::size_t j = 0; j < i; ++j) {
         const SceneParameter& other = scene_.design[j].parameter;
         Expect(!(other == parameter), key, [&] { return found() + " again, expected it once"; });
-        // The order of the two would matter at its ends.
+        // Offset and angle of one segment do not commute: the order of the two would matter for its ends.
         const bool of_segment = kind >= Kind::kSegmentOffset && other.kind >= Kind::kSegmentOffset;
         Expect(!of_segment || other.body != parameter.body, key, [&] {
           return found() + " beside " + NameOf(other, scene_) + ", expected one of them";
@@ -520,7 +520,7 @@ class Rules {
   std::optional<SceneError> error_;
 };
 
-// The first rule of ValidateStructure that `scene` breaks in its natural units, in which solvers work.
+// Returns the first rule of ValidateStructure that `scene` breaks in its natural units, in which solvers compute.
 std::optional<SceneError> BrokenInNaturalUnits(const Scene& scene) {
   if (scene.units.natural) return std::nullopt;
   const Scene natural = InNaturalUnits(scene);

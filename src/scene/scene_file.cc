@@ -15,7 +15,7 @@ SceneFileError CannotRead(const std::string& path, const std::string& why) {
   return {path, 0, "", "cannot read: " + why + "; expected a scene file"};
 }
 
-// `text` becomes that of the file, or of its beginning if it is longer than allowed.
+// Reads the file, or only its beginning if it is longer than allowed, into `text`.
 std::optional<SceneFileError> ReadText(const std::string& path, std::string* text) {
   std::error_code status;
   if (std::filesystem::is_directory(path, status)) return CannotRead(path, "it is a directory");

@@ -13,7 +13,7 @@ namespace {
 
 void ExpectInRange(bool in_range) { CHECK(in_range) << "an option of the scene is out of range"; }
 
-// The mean squared distance of all discs from `target`.
+// Adds the mean squared distance of all discs from `target` to the loss.
 void AimAt(const Vec2d& target, Scene* scene) {
   for (int i = 0; i < scene->num_bodies(); ++i) {
     scene->objective.terminal.push_back({.body = i,

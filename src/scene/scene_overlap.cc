@@ -1,4 +1,4 @@
-// Whether the bodies of a scene overlap at the start, with each other or with what is solid.
+// Overlaps of the bodies of a scene at its initial time, with each other and with solid walls.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -14,9 +14,9 @@
 namespace saltus {
 namespace {
 
-// Of the scene's length: the contacts of smaller discs would be lost in the thresholds of what touches.
+// The smallest radius, relative to the scene's length: contacts of smaller discs would be lost in the thresholds.
 constexpr double kLeastRadius = 1e-9;
-// Of a radius: a position that is rounded by more does not say where the disc is.
+// The largest rounding error of a position, relative to the radius, with which the place of a disc is still defined.
 constexpr double kLargestRounding = 0.1;
 
 class OverlapSearch {
@@ -109,7 +109,7 @@ class OverlapSearch {
     }
   }
 
-  // A disc in the middle of an arc of its own radius touches all of it, in no one point.
+  // Checks that no disc is in the centre of an arc of its radius: it would touch all of the arc, at no single point.
   void CheckNotAlong(std::size_t i, const EdgeArc& arc) {
     const Body& body = scene_.bodies[i];
     const Vec2d apart = body.position - arc.center;
@@ -120,7 +120,7 @@ class OverlapSearch {
                ", which has the radius of the disc, expected a point where the disc does not touch all of the arc");
   }
 
-  // m, of overlaps: positions are rounded when they are written; a difference of two, and its length, by as much again.
+  // Returns the tolerance of overlaps, m: positions in files are rounded, and so are their difference and its length.
   double Tolerance(std::size_t body) const {
     const double rounding =
         8 * std::numeric_limits<double>::epsilon() * scene_.bodies[body].position.cwiseAbs().maxCoeff();

@@ -21,7 +21,7 @@ constexpr NamedKind kContactKinds[] = {{"restitution", Kind::kRestitution},
                                        {"stiffness", Kind::kStiffness},
                                        {"damping", Kind::kDamping}};
 
-// Both components, or the one that is named: "x" or "y".
+// Returns both components of a vector parameter, or the one that is named ("x" or "y").
 std::vector<SceneParameter> Components(SceneParameter parameter, std::optional<std::string_view> component) {
   std::vector<SceneParameter> all;
   if (component && *component != "x" && *component != "y") return all;
@@ -39,13 +39,13 @@ int IndexOf(std::string_view name, const std::vector<Named>& all) {
   return found == all.end() ? -1 : static_cast<int>(found - all.begin());
 }
 
-// A disc that is fixed or moves, as asked for; -1 without one of that name.
+// Returns the index of a disc with that name that is fixed or moves, as asked for; -1 if there is none.
 int FindBody(std::string_view name, const Scene& scene, bool fixed) {
   const int body = IndexOf(name, scene.bodies);
   return body >= 0 && scene.bodies[body].fixed == fixed ? body : -1;
 }
 
-// Of "BODY" or "BODY.x". A disc's name may have dots, so the whole is looked for first.
+// Reads "BODY" or "BODY.x". A disc's name may have dots, so the whole text is looked for first.
 std::vector<SceneParameter> ComponentsOfBody(Kind kind, std::string_view rest, const Scene& scene, bool fixed) {
   if (const int body = FindBody(rest, scene, fixed); body >= 0) return Components({kind, body}, std::nullopt);
   const std::size_t dot = rest.rfind('.');
@@ -54,7 +54,7 @@ std::vector<SceneParameter> ComponentsOfBody(Kind kind, std::string_view rest, c
   return body < 0 ? std::vector<SceneParameter>{} : Components({kind, body}, rest.substr(dot + 1));
 }
 
-// Of the thing of that index; none if it is negative.
+// Returns the parameter of the object with that index; none if the index is negative.
 std::vector<SceneParameter> OfThing(Kind kind, int index) {
   if (index < 0) return {};
   return {{kind, index}};
@@ -65,13 +65,13 @@ std::vector<SceneParameter> OfWall(Kind of_plane, Kind of_segment, std::string_v
   return OfThing(of_segment, IndexOf(name, scene.segments));
 }
 
-// The index of a disc among the controlled ones; their number if it is not controlled.
+// Returns the index of a disc among the controlled ones; their number if it is not controlled.
 int PlaceInControl(const Scene& scene, int body) {
   const auto& bodies = scene.control.bodies;
   return static_cast<int>(std::find(bodies.begin(), bodies.end(), body) - bodies.begin());
 }
 
-// Where a parameter stands in a scene, which may be const; null for what is no number of it.
+// Returns a pointer to a parameter in a scene, which may be const; null if it is not stored as a number.
 template <typename SomeScene>
 auto MemberOf(const SceneParameter& parameter, SomeScene* scene) -> decltype(&scene->contact.friction) {
   switch (parameter.kind) {

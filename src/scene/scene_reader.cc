@@ -187,7 +187,7 @@ ContactParameters SceneReader::ReadContact(const Value& value) {
   return contact;
 }
 
-// One number for all, or a list with one for each.
+// Reads one number for all, or a list with one for each.
 std::vector<double> SceneReader::ReadBounds(const Value& value, size_t count) {
   if (!value.node.IsSequence()) return std::vector<double>(count, ReadNumber(value));
   std::vector<double> bounds;
@@ -230,7 +230,7 @@ TerminalTerm::Quantity SceneReader::ReadQuantity(const Fields& fields) {
   return static_cast<TerminalTerm::Quantity>(ReadChoice(quantity, {kQuantities.begin(), kQuantities.end()}));
 }
 
-// That of a term which may be a constraint instead.
+// Reads the weight of a term that may be a constraint instead.
 template <typename Term>
 void SceneReader::ReadWeight(const Fields& fields, Term* term) {
   if (const Value* hard = fields.Find("hard")) term->hard = ReadBool(*hard);
@@ -296,7 +296,7 @@ FreeDuration SceneReader::ReadFreeDuration(const Value& value) {
   return duration;
 }
 
-// Two names, of discs or of a disc and a plane.
+// Reads two names, of discs or of a disc and a plane.
 NoContact SceneReader::ReadNoContact(const Value& value) {
   const std::vector<Value> names = ReadTuple(value, 2, "a pair [body, body or plane]");
   NoContact pair;
@@ -330,7 +330,7 @@ void SceneReader::ReadBodies(const Value& value) {
   }
 }
 
-// A free duration between equal bounds is none: it is the scene's, with its price if it has one.
+// Replaces a free duration between equal bounds by the scene's duration, with its price if it has one.
 void SceneReader::FixDuration() {
   std::optional<FreeDuration>& duration = scene_.objective.duration;
   if (!duration || duration->min != duration->max) return;
@@ -363,7 +363,7 @@ void SceneReader::ReadOptimize(const Value& value) {
   }
 }
 
-// The name of a parameter, or a map with bounds.
+// Reads the name of a parameter, or a map with bounds.
 void SceneReader::ReadUnknown(const Value& value) {
   constexpr char kExpected[] =
       "control, velocity, position, or a parameter: restitution, friction, stiffness, damping, gravity.x, gravity.y, "
@@ -437,7 +437,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
   }
   if (const Value* spin = fields.Find("free_spin")) scene_.free_spin = ReadBodyNames(*spin);
   FixDuration();
-  // Where a control is to be optimized, that there is none is the error.
+  // If a control is to be optimized and there is none, that is the error, not its price.
   if (scene_.objective.effort != 0 && scene_.num_controlled() == 0 && scene_.optimize != Optimize::kControl) {
     throw SceneFileFailure{
         LineOf("objective.effort"), "objective.effort", "expected 0 or no such key: no body is controlled"};

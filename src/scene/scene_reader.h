@@ -1,4 +1,4 @@
-// Scenes out of the trees of scene files.
+// The reader of scenes from the YAML trees of scene files.
 #pragma once
 
 #include <string>
@@ -16,11 +16,11 @@ class SceneReader {
  public:
   Scene Read(const YAML::Node& root);
 
-  // Line of a path, or of the innermost part of it that stands in the text.
+  // Returns the line of a path, or of the innermost part of it that stands in the text.
   int LineOf(std::string path) const;
 
  protected:
-  // A map all of whose keys are known.
+  // A map with known keys only.
   struct Fields {
     Value map;
     std::unordered_map<std::string, Value> values;
@@ -31,7 +31,7 @@ class SceneReader {
 
   Fields ReadFields(const Value& map, const std::vector<std::string>& known);
   std::vector<Value> ReadList(const Value& list, const std::string& expected);
-  // A list of so many items.
+  // Reads a list of `size` items.
   std::vector<Value> ReadTuple(const Value& list, std::size_t size, const std::string& expected);
   // Appends what is read of each entry of a list, if there is one under the key.
   template <typename Item>

@@ -26,7 +26,7 @@ void WriteField(YAML::Emitter* out, const char* key, const T& value) {
 
 void WriteField(YAML::Emitter* out, const char* key, double value) { WriteField(out, key, ToText(value)); }
 
-// Names may look like numbers or truth values, for which other readers would take them.
+// Writes a name, in quotes if another reader could take it for a number or a truth value.
 YAML::Emitter& WriteName(YAML::Emitter* out, const std::string& name) {
   const char first = name.empty() ? ' ' : name[0];
   const bool plain = (std::isalpha(static_cast<unsigned char>(first)) || first == '_') && name != "true" &&
@@ -40,7 +40,7 @@ void WriteName(YAML::Emitter* out, const char* key, const std::string& name) {
   WriteName(out, name);
 }
 
-// The names of the bodies with these indices.
+// Writes the names of the bodies with these indices.
 void WriteNames(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<int>& bodies) {
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
   for (const int body : bodies) WriteName(out, scene.bodies[body].name);
@@ -166,7 +166,7 @@ void WriteQuantity(YAML::Emitter* out, TerminalTerm::Quantity quantity) {
   WriteField(out, "quantity", kQuantities[static_cast<size_t>(quantity)]);
 }
 
-// The weight of a term that may be a constraint instead.
+// Writes the weight of a term that may be a constraint instead.
 void WriteWeight(YAML::Emitter* out, double weight, bool hard) {
   if (hard) {
     WriteField(out, "hard", true);
@@ -237,7 +237,7 @@ void WriteOptimize(YAML::Emitter* out, const Scene& scene) {
   *out << YAML::EndSeq;
 }
 
-// A list of terms, or of edges, under a key, if there are any.
+// Writes a list of terms or edges under a key, unless it is empty.
 template <typename Term>
 void WriteTerms(YAML::Emitter* out, const char* key, const Scene& scene, const std::vector<Term>& terms,
                 void (*write)(YAML::Emitter*, const Scene&, const Term&)) {

@@ -12,13 +12,13 @@ namespace {
 
 constexpr double kFar = 64;  // lengths from the origin; the origin moves by multiples of it
 
-// Numbers from which a scale can be found; without any it is 1.
+// Whether a number can serve as a scale, which is 1 if there is none.
 bool IsSize(double x) { return x > 0 && x < std::numeric_limits<double>::infinity(); }
 
-// 2^n nearest to x on a logarithmic scale, n = floor(log2(x sqrt(2))) exactly.
+// Returns the power of two nearest to x on a logarithmic scale, with the exponent floor(log2(x sqrt(2))) exactly.
 double NearestPower(double x) { return IsSize(x) ? std::ldexp(1.0, std::ilogb(x * std::numbers::sqrt2)) : 1.0; }
 
-// The same for sqrt(square).
+// Returns the power of two nearest to sqrt(square).
 double NearestPowerOfRoot(double square) {
   if (!IsSize(square)) return 1;
   const int twice = std::ilogb(2 * square);
@@ -39,7 +39,7 @@ bool IsPositionTarget(const TerminalTerm& term) {
   return term.quantity == TerminalTerm::Quantity::kPosition && !term.component;
 }
 
-// Calls visit(point) for points that the scene's segments, polygons, arcs and pockets do not leave.
+// Calls visit(point) for points whose convex hull has the scene's segments, polygons, arcs and pockets in it.
 template <typename Visit>
 void VisitEdges(const Scene& scene, const Visit& visit) {
   for (const EdgeSegment& segment : scene.segments) {
@@ -57,7 +57,7 @@ void VisitEdges(const Scene& scene, const Visit& visit) {
   }
 }
 
-// In one direction.
+// Returns the extent of discs and targets along one axis.
 Extent ExtentOf(const Scene& scene, int axis) {
   Extent extent;
   for (const Body& body : scene.bodies) {
@@ -96,7 +96,7 @@ double SpeedOf(const Scene& scene, double length) {
   double square = mean * mean, gravity = scene.gravity.norm() + table, acceleration = gravity;
   for (const Body& body : scene.bodies) {
     square = std::max(square, body.velocity.squaredNorm());
-    // Friction turns the speed of the rim into speed.
+    // Friction can turn the speed of the rim into a speed of the disc.
     if (body.Spins()) square = std::max(square, std::pow(body.radius * body.angular_velocity, 2));
   }
   for (size_t i = 0; i < scene.control.bodies.size(); ++i) {
@@ -115,7 +115,7 @@ double SpeedOf(const Scene& scene, double length) {
   return NearestPowerOfRoot(std::max(square, acceleration * length));
 }
 
-// Of scenes in any units, whose size is 1 then.
+// Returns the natural unit of the loss, given the other units.
 double LossOf(const Scene& scene, const Units& units) {
   double loss = 0;
   for (const TerminalTerm& term : scene.objective.terminal) {
@@ -123,7 +123,7 @@ double LossOf(const Scene& scene, const Units& units) {
     loss = std::max(loss, std::abs(term.weight) * (term.component ? size : size * size));
   }
   if (!scene.control.bodies.empty()) {
-    // The force that moves the mass by the length in the duration.
+    // The force that accelerates the mass over the length in the duration.
     const double force = units.mass * units.length / (scene.duration * scene.duration);
     loss = std::max(loss, scene.objective.effort * force * force * scene.duration);
   }
@@ -183,7 +183,7 @@ Units NaturalUnits(const Scene& scene) {
     units.natural = true;
     return units;
   }
-  // In the scene's own first.
+  // The units are found in the scene's present units first.
   Units units;
   units.length = LengthOf(scene);
   units.mass = MassOf(scene);

@@ -25,38 +25,38 @@
 
 namespace saltus {
 
-// A factor of two numbers of one kind: multiply what is given in `from` to have it in `to`.
+// Conversion factors: a number in the units `from`, times the factor of its kind, is the number in the units `to`.
 struct UnitFactors {
   UnitFactors(const Units& from, const Units& to);
   double length, time, mass, loss, speed, acceleration, force;
   double rate, moment_of_inertia;  // of angular velocities, 1/time; mass length^2
 
-  // That of a parameter's changes, and that of a quantity that a term has a target for, or of its changes.
+  // The factor of changes of a parameter, and of a quantity that a term has a target for, or of its changes.
   double of(const SceneParameter& parameter) const;
   double of(TerminalTerm::Quantity quantity) const;
 };
 
-// The same scene in other units. Precondition: `scene` is valid in SI units.
+// Returns the scene in other units. Precondition: `scene` is valid in SI units.
 Scene InUnits(const Scene& scene, const Units& units);
 
-// The same scene in its natural units; itself if it is in natural units already. Precondition as above.
+// Returns the scene in its natural units, unchanged if it has these already. Precondition: it is valid in SI units.
 Scene InNaturalUnits(const Scene& scene);
 
-// The same scene in the units it has, but for the origin: that of its natural ones.
+// Returns the scene in its present units, with the origin of its natural ones, which is near the discs.
 Scene NearOrigin(const Scene& scene);
 
-// Its natural units; of a scene that is not valid, those that it has.
+// Returns the natural units of a scene; if it is not valid, its present units.
 Units NaturalUnits(const Scene& scene);
 
-// A position in the units `from`, in those of `to`.
+// Converts a position.
 Vec2d ConvertPosition(const Vec2d& position, const Units& from, const Units& to);
 
-// States of the discs, p_x p_y v_x v_y of each.
+// Converts states of the discs, p_x p_y v_x v_y of each.
 std::vector<double> ConvertStates(std::vector<double> states, const Units& from, const Units& to);
-// An initial state of so many bodies: their states, and then the rotations of the discs, if any spin.
+// Converts an initial state of `bodies` discs: their states, then their rotations, if any disc spins.
 std::vector<double> ConvertInitial(std::vector<double> initial, int bodies, const Units& from, const Units& to);
 
-// The value of a parameter.
+// Converts the value of a parameter.
 double ConvertParameter(const SceneParameter& parameter, double value, const Units& from, const Units& to);
 
 double ConvertLoss(double loss, const Units& from, const Units& to);

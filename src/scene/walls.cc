@@ -10,7 +10,7 @@ namespace {
 
 using Bound = WallExtent::Bound;
 
-// Ends of arcs are rounded: those so near are one, in lengths of what meets there.
+// Ends of edges that are closer than this, relative to their lengths, are one joint; ends of arcs are rounded.
 constexpr double kJoint = 1e-9;
 
 class PartsOfScene {
@@ -30,7 +30,7 @@ class PartsOfScene {
   std::vector<WallPart> Take() { return std::move(parts_); }
 
  private:
-  // A point where edges end, and where it is nearest: beyond each of them.
+  // A point where edges end, with the regions beyond each of them, in which the point is the nearest part of the wall.
   struct End {
     Vec2d at;
     std::string name;
@@ -39,11 +39,11 @@ class PartsOfScene {
 
   static Bound Opposite(const Bound& bound) { return {-bound.normal, -bound.offset, !bound.open}; }
 
-  // An edge that counts where `within` holds ends at `at`.
+  // Adds the end `at` of an edge that counts where `within` holds.
   void EndAt(const Vec2d& at, double length, const std::string& name, const Bound& within) {
     ends_[FindEnd(at, kJoint * length, name)].beyond.push_back(Opposite(within));
   }
-  // Its index; a new one, unless there is one as near as `joint`, m.
+  // Returns the index of an end; adds one unless there is one within `joint`, m.
   std::size_t FindEnd(const Vec2d& at, double joint, const std::string& name) {
     const auto last = by_x_.upper_bound(at[0] + joint);
     for (auto it = by_x_.lower_bound(at[0] - joint); it != last; ++it) {
@@ -54,7 +54,7 @@ class PartsOfScene {
     return ends_.size() - 1;
   }
 
-  // The sides of a straight edge: that to its left, that to its right, or both.
+  // Adds the sides of a straight edge: that to its left, that to its right, or both.
   void AddEdge(const Vec2d& from, const Vec2d& to, bool left, bool right, const std::string& name,
                const std::string& first, const std::string& last) {
     const double length = (to - from).norm();

@@ -26,7 +26,7 @@ std::size_t CharacterLength(std::string_view text, std::size_t i) {
   for (std::size_t k = 1; k < length; ++k) {
     if ((byte(i + k) & 0xC0) != 0x80) return 0;
   }
-  // Overlong forms, surrogates, and beyond the last code point.
+  // These are overlong forms, surrogates, and numbers beyond the last code point.
   const unsigned second = byte(i + 1);
   if ((lead == 0xE0 && second < 0xA0) || (lead == 0xED && second > 0x9F)) return 0;
   if ((lead == 0xF0 && second < 0x90) || (lead == 0xF4 && second > 0x8F)) return 0;

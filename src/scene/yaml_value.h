@@ -1,5 +1,5 @@
-// The YAML of scene files: what may stand in the text before anything is read out of it, and values in the tree. What
-// is not as expected throws SceneFileFailure with its line and path.
+// The YAML of scene files: checks of the text before it is read, and values of the tree. Errors are thrown as
+// SceneFileFailure with line and path.
 #pragma once
 
 #include <yaml-cpp/yaml.h>
@@ -14,20 +14,20 @@
 
 namespace saltus::internal {
 
-// Thrown by what reads a scene file, as yaml-cpp's own exceptions are.
+// The exception of the readers of scene files, thrown beside those of yaml-cpp.
 struct SceneFileFailure {
   int line;
   std::string key;
   std::string message;
 };
 
-// `text` on one line, without control characters, cut at a character of UTF-8.
+// Returns `text` on one line, without control characters, cut at a character of UTF-8.
 std::string Printable(std::string_view text);
 
-// Words with commas in between.
+// Joins words with commas.
 std::string Join(const std::vector<std::string>& words);
 
-// The tree of one document, without anchors, aliases and tags, and not deeper than kMaxSceneDepth.
+// Parses one document without anchors, aliases and tags, not deeper than kMaxSceneDepth.
 YAML::Node LoadYaml(std::string_view text);
 
 // Calls `use` with the tree of a file. Returns why there is none, or what `use` throws: a SceneFileFailure.
@@ -41,7 +41,7 @@ struct Value {
   int line;
 };
 
-// What stands there, in words.
+// Describes a node in words, for messages.
 std::string Describe(const YAML::Node& node);
 
 [[noreturn]] void Fail(const Value& value, const std::string& message);
@@ -51,7 +51,7 @@ double ReadNumber(const Value& value, const char* expected = "a finite number");
 int ReadSteps(const Value& value);
 bool ReadBool(const Value& value);
 const std::string& ReadName(const Value& value);
-// Position in `choices` of the one that is given.
+// Returns the index in `choices` of the given one.
 int ReadChoice(const Value& value, const std::vector<std::string>& choices);
 
 }  // namespace saltus::internal

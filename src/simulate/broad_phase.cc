@@ -9,13 +9,13 @@
 namespace saltus {
 namespace {
 
-// Rounding must never hide a pair.
+// The relative margin of all bounds, so that rounding never hides a pair.
 constexpr double kMargin = 1e-6;
 
 constexpr double kMostSteps = 1e9;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-// The first t with closing * t + acceleration * t^2 >= gap; never negative. `closing` may be negative.
+// Returns the first t >= 0 with closing * t + acceleration * t^2 >= gap. `closing` may be negative.
 double TimeToCover(double gap, double closing, double acceleration) {
   if (gap <= 0) return 0;
   const double root = std::sqrt(closing * closing + 4 * acceleration * gap);
@@ -44,7 +44,7 @@ PartGrid::PartGrid(std::span<const WallPart> parts) : boxes_(parts.size()), seen
     ++num_parts_;
   }
   if (num_parts_ == 0) return;
-  // About as many cells as parts.
+  // The grid has about as many cells as there are parts.
   width_ = static_cast<int>(std::ceil(std::sqrt(num_parts_)));
   low_ = all.low;
   for (int j = 0; j < 2; ++j) cell_[j] = all.high[j] > all.low[j] ? (all.high[j] - all.low[j]) / width_ : 1.0;
@@ -158,8 +158,8 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
     Collect(candidates);
     if (before == 0 && !candidates->empty() && NoneMeets(*candidates)) {
       candidates->clear();
-      // Of many discs, some are as close again in the next step: to look for how long none meets would cost more than
-      // it saves.
+      // With many discs some are as close again in the next step: a search for the number of steps without a meeting
+      // would cost more than it saves.
       if (num_discs() > options_.all_pairs) return 1;
     }
     if (candidates->empty()) return QuietSteps();
@@ -203,14 +203,14 @@ void BroadPhase::ListAllPairs() {
 }
 
 void BroadPhase::ListNearPairs() {
-  // With a wide skin the list stands for long, but is long where discs are small and close to each other.
+  // With a wide skin the list is valid for long, but is long itself where discs are small and close to each other.
   const double reach = *std::max_element(reach_.begin(), reach_.end());
   skin_ = std::max(4 * reach, std::min(18 * reach, 3 * smallest_radius_));
   listed_ = true;
   list_.clear();
   there_.resize(num_discs());
   for (int i = 0; i < num_discs(); ++i) there_[i] = now_[i].p;
-  // What is not finite meets nothing, and has no cell.
+  // A disc whose numbers are not finite meets nothing and has no cell.
   if (!std::isfinite(std::accumulate(reach_.begin(), reach_.end(), 0.0))) return;
 
   const double near_gap = skin_ + options_.push_gap;
@@ -256,7 +256,7 @@ void BroadPhase::ListNearWalls(double near_gap) {
 void BroadPhase::ListNearParts(int i) {
   Around& around = around_[i];
   const double touching = discs_[i].radius + options_.push_gap + reach_[i];
-  // Well before the list ends: otherwise, of many discs, one list always ends soon, and all are looked at again.
+  // Lists are renewed well before they end: otherwise, of many discs, one list always ends soon, and all are checked.
   const double skin = std::max(4 * reach_[i], discs_[i].radius);
   if (LeastUnlistedDistance(i) > touching + 0.5 * skin) return;
   around.near = parts_.num_parts() <= options_.all_pairs ? kInfinity : touching + skin;
@@ -306,7 +306,7 @@ void BroadPhase::SortIntoGrid(double cell) {
     ++bucket_start_[bucket_of(i) + 1];
   }
   for (int b = 0; b < width * width; ++b) bucket_start_[b + 1] += bucket_start_[b];
-  // Filled from behind: the end of each bucket becomes its beginning.
+  // The buckets are filled from behind: the end of each becomes its beginning.
   for (int i = n - 1; i >= 0; --i) bucket_[--bucket_start_[bucket_of(i) + 1]] = i;
   std::rotate(bucket_start_.begin(), bucket_start_.begin() + 1, bucket_start_.end());
   bucket_start_.back() = n;
@@ -314,7 +314,7 @@ void BroadPhase::SortIntoGrid(double cell) {
 
 void BroadPhase::Collect(std::vector<Candidate>* candidates) {
   candidates->clear();
-  // Copies, as for all that the compiler knows a candidate that is added could change where these are.
+  // These are copies, as the compiler must assume that adding a candidate changes the members.
   const Motion* const now = now_.data();
   const Disc* const discs = discs_.data();
   const double* const reach = reach_.data();

@@ -1,4 +1,4 @@
-// Which discs can touch within one step, whatever contact model resolves it.
+// The pairs of discs that can touch within one step, whatever contact model resolves it.
 //
 // A disc cannot leave the ball of radius
 //   reach = (|v| + |a| dt) dt
@@ -27,10 +27,10 @@
 
 namespace saltus {
 
-// Which parts of edges are near a place: a uniform grid of cells over all of them, made once.
+// A uniform grid of cells over all parts of edges, made once, which finds the parts near a place.
 class PartGrid {
  public:
-  // The parts that are not endless, by their indices.
+  // Holds the parts that are not endless, by their indices.
   explicit PartGrid(std::span<const WallPart> parts);
 
   int num_parts() const { return num_parts_; }
@@ -47,7 +47,7 @@ class PartGrid {
     std::array<int, 2> first, last;
   };
   static Box BoxOf(const WallPart& part);
-  // The cells that a box reaches into; those at the rim if it is outside.
+  // Returns the cells that a box reaches into; the cells at the rim if it is outside.
   Cells CellsOf(const Box& box) const;
 
   int num_parts_ = 0;
@@ -98,7 +98,7 @@ class BroadPhase {
   int num_planes() const { return static_cast<int>(walls_.size()) - parts_.num_parts(); }
   int num_discs() const { return static_cast<int>(discs_.size()); }
   int FindInMotion(std::vector<Candidate>* candidates);
-  // reach_[i] from its speed, with a margin for rounding.
+  // Sets reach_[i] from the speed of disc i, with a margin for rounding.
   void SetReach(int i);
   bool ListStands() const;
   bool ListStandsFor(int i) const;  // as far as disc i is concerned
@@ -118,14 +118,14 @@ class BroadPhase {
   int Root(int i);
   // Whether none of these pairs can meet in this step: a disc may have the reach but move away.
   bool NoneMeets(std::span<const Candidate> pairs) const;
-  // For how many steps nothing meets, if nothing can in this one.
+  // Returns for how many steps nothing meets. Precondition: nothing can meet in this step.
   int QuietSteps() const;
   double TimeToMeet(const Candidate& pair) const;
-  // Of disc i and the parts of edges near it, or `enough` if it is no less.
+  // Returns a lower bound on the time until disc i meets a part of an edge near it, s; `enough` if it is no less.
   double TimeToMeetParts(int i, double enough) const;
-  // A bound on the acceleration of disc i, what rounding adds included, m/s^2.
+  // Returns a bound on the acceleration of disc i, with the contribution of rounding, m/s^2.
   double Drift(int i) const;
-  // A bound on the distance of disc i to any part of an edge, and to those that are not listed for it, m.
+  // Bounds on the distance of disc i to any part of an edge, and to the parts that are not listed for it, m.
   double LeastPartDistance(int i) const { return around_[i].least - (now_[i].p - around_[i].at).norm(); }
   double LeastUnlistedDistance(int i) const { return around_[i].near - (now_[i].p - around_[i].listed_at).norm(); }
 
@@ -154,7 +154,7 @@ class BroadPhase {
   double largest_radius_ = 0;   // m
   double smallest_radius_ = 0;  // m
 
-  // Of the discs that the latest candidates have.
+  // Data of the discs that the latest candidates contain.
   std::vector<int> in_pairs_;             // ascending, without those that are fixed
   std::vector<int> parent_, group_size_;  // of each of these discs: in its group, and of a root the group's size
   std::vector<double> energy_;            // of a root: twice the kinetic energy that its group can have in the step

@@ -110,7 +110,7 @@ class ConvertedSimulator final : public LaneSimulator {
   }
 
  private:
-  // Of entry i of states with so many numbers for a disc. A model's own rotation has SI units.
+  // Returns the factor of entry i of states with `body_size` numbers a disc. A model's own rotation stays in SI units.
   static double FactorOf(const UnitFactors& factors, std::size_t i, int body_size) {
     const std::size_t entry = i % body_size;
     if (body_size == 4 + kSpin && entry == 5) return factors.rate;
@@ -125,7 +125,7 @@ class ConvertedSimulator final : public LaneSimulator {
     inner_->set_stop(stop_);
     inner_->set_tie_order(tie_order_);
   }
-  // Takes over what a rollout has found. Returns `ok`.
+  // Takes over the failure, touches and ties of a rollout. Returns `ok`.
   bool End(bool ok) {
     failure_ = FailureOf(*inner_);
     touches_ = inner_->touches();
@@ -142,7 +142,7 @@ class ConvertedSimulator final : public LaneSimulator {
     flight->va *= to_inner_.acceleration * to_outer_.speed;
   }
 
-  // Of angle, angular velocity and angular acceleration.
+  // Converts the derivatives of angle, angular velocity and angular acceleration.
   void ConvertTurning(StepLinearization::FreeFlight* turn) const {
     turn->pv *= to_inner_.rate;
     turn->pa *= to_inner_.rate * to_inner_.rate;
@@ -150,7 +150,7 @@ class ConvertedSimulator final : public LaneSimulator {
     turn->va *= to_inner_.rate;
   }
 
-  // States with so many numbers for a disc; `out` may be `in`.
+  // Converts states with `body_size` numbers a disc; `out` may be `in`.
   static void Convert(const Units& from, const Units& to, int body_size, std::span<const double> in,
                       std::span<double> out) {
     const UnitFactors factors(from, to);
@@ -162,7 +162,7 @@ class ConvertedSimulator final : public LaneSimulator {
     }
   }
 
-  // An initial state: those of the discs, and then their rotations, if there are any.
+  // Converts an initial state: the states of the discs, then their rotations, if there are any.
   void ConvertInitial(std::span<const double> initial, std::span<double> inner) const {
     const std::size_t moves = 4 * static_cast<std::size_t>(num_bodies());
     Convert(scene_.units, inner_->scene().units, 4, initial.first(moves), inner.first(moves));
@@ -206,7 +206,7 @@ class ConvertedSimulator final : public LaneSimulator {
     }
   }
 
-  // Of a flying disc, rotation' by rotation.
+  // Converts the derivative of a flying disc's rotation after a step by that before.
   void ConvertTurn(Eigen::MatrixXd* turn) const {
     for (Eigen::Index row = 0; row < turn->rows(); ++row) {
       for (Eigen::Index column = 0; column < turn->cols(); ++column) {

@@ -1,4 +1,4 @@
-// A simulator that speaks other units than the one that does the work.
+// A simulator in other units than those in which the contact model computes.
 #pragma once
 
 #include <memory>
@@ -7,8 +7,8 @@
 
 namespace saltus {
 
-// Of `scene`, in whose units all is taken and given, by `inner`, a simulator of the same scene in other units. What a
-// model keeps of rotation stays as the model has it.
+// Returns a simulator of `scene`, whose arguments and results are in the scene's units; `inner` simulates the same
+// scene in other units. A rotation that only the model knows is not converted.
 std::unique_ptr<Simulator> ConvertUnits(const Scene& scene, std::unique_ptr<Simulator> inner);
 
 }  // namespace saltus

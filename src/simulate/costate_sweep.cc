@@ -14,12 +14,12 @@ Vec2d& Part(Costate<double>* costate, Quantity quantity) {
   return quantity == Quantity::kPosition ? costate->position : costate->velocity;
 }
 
-// By how much a disc misses the target of a running term, `s` seconds after the start of a piece.
+// Returns q - target of a running term, `s` seconds after the start of a piece.
 Vec2d MissOf(const RunningTerm& term, const Flight::Piece& piece, double s) {
   return piece.After(term.body, s).Of(term.quantity) - TargetAt(term, piece.start + s);
 }
 
-// The rate of the target of a running term, which does not turn in the piece.
+// Returns the rate of the target of a running term. Precondition: the target does not turn within the piece.
 Vec2d TargetRate(const RunningTerm& term, const Flight::Piece& piece) {
   const double from = piece.start + kGaussNodes.front() * piece.duration;
   const double to = piece.start + kGaussNodes.back() * piece.duration;

@@ -32,17 +32,17 @@ struct Costate {
   Vec2<T> position = Vec2<T>(T(0.0), T(0.0)), velocity = position;
   T angle = T(0.0), angular_velocity = T(0.0);
 
-  // In flight without path costs.
+  // Returns the costate at time t of the same flight, which has no path costs.
   Costate At(const T& t) const {
     return {t, position, velocity + Scale(T(time - t), position), angle, T(angular_velocity + (time - t) * angle)};
   }
-  // The derivative by what a term is of, if that is an angle or an angular velocity.
+  // Returns the costate of the angle or angular velocity. Precondition: `quantity` is one of these.
   T& OfSpin(TerminalTerm::Quantity quantity) {
     return quantity == TerminalTerm::Quantity::kAngle ? angle : angular_velocity;
   }
 };
 
-// The derivatives of the terminal terms that are not hard by the final state of a disc.
+// Returns the derivatives of the terminal terms that are not hard by the final state of a disc.
 template <typename T>
 Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, const Vec2<T>& p, const Vec2<T>& v,
                            const T& angle = T(0.0), const T& spin = T(0.0)) {
@@ -66,7 +66,7 @@ Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, 
   return costate;
 }
 
-// The costates of both bodies just after and just before an impact, before without the part of the multiplier.
+// The costates of both bodies just after and just before an impact, before without the contribution of the multiplier.
 struct ImpactJump {
   std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
   std::array<Costate<double>, 2> after, before;
@@ -78,7 +78,7 @@ struct ImpactJump {
   double MultiplierAt(const Flight::Piece& piece, double speed, double gain = 0) const;
 };
 
-// TerminalCostate() where a trajectory ends.
+// Returns the TerminalCostate() at the final state of a trajectory.
 Costate<double> FinalCostate(const Scene& scene, const DiscStates& end, int body);
 
 ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std::array<Costate<double>, 2>& after);
@@ -90,21 +90,21 @@ class CostateSweep {
   // The scene and the flight must outlive the object; scene.duration is that of the flight.
   CostateSweep(const Scene& scene, const Flight& flight);
 
-  // A part of a piece.
+  // A segment: a part of a piece between instants at which a target turns or a via term acts.
   struct Segment {
     Flight::Piece piece;
     int original = 0;  // the piece that it is a part of
   };
   const std::vector<Segment>& segments() const { return segments_; }
-  // Of each impact: the segment that starts there; segments().size() at the final time.
+  // Returns the segment that starts at an impact; segments().size() if that is at the final time.
   int SegmentAfter(int hit) const { return segment_after_[hit]; }
-  // Of each via term: the segment that starts at its time.
+  // The number of via terms, and the segment that starts at the time of one of them.
   int num_via() const { return static_cast<int>(via_after_.size()); }
   int SegmentAfterVia(int term) const { return via_after_[term]; }
   // The number of terminal and via terms that are hard.
   int num_hard() const { return num_hard_; }
 
-  // The multiplier of impact k; `gain` as in ImpactJump.
+  // Returns the multiplier of impact k; `gain` as in ImpactJump.
   using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
   // The multiplier with which the Hamiltonian does not jump if the force after (before) the impact acts on both sides
   // of it: that of the derivative by a motion whose impact on a node is late (early).
@@ -114,7 +114,7 @@ class CostateSweep {
   // The function that the costates are derivatives of.
   struct Source {
     bool objective = true;  // terms that are not hard
-    // Multipliers of hard terms: terminal ones, then those on the way; empty: none. Of spin the first entry counts.
+    // Multipliers of hard terms: terminal ones, then via terms; empty: none. For spin only the first entry counts.
     std::vector<Vec2d> hard = {};
   };
   struct Result {
@@ -122,8 +122,8 @@ class CostateSweep {
     std::vector<std::vector<Vec2d>> push;  // of each segment and pushed disc: the integral of lambda_v
     std::vector<std::vector<double>>
         turn;  // of each segment and turned disc: that of the costate of its angular velocity
-    // Of each segment: the integral of the Hamiltonian, without the effort, and those of its partial derivative by time
-    // and of that times the time since the segment began.
+    // For each segment: the integral of the Hamiltonian without the effort, of its partial derivative by time, and of
+    // this derivative times the time since the segment began.
     std::vector<double> hamiltonian, drift, drift_moment;
     std::vector<double> multipliers;  // of impacts
     double clock = 0;                 // sum of (derivative of a via term by its time) * time
@@ -146,7 +146,7 @@ class CostateSweep {
   // shape.
   Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
                       std::span<double> gradient) const;
-  // The same of `scale` times the integral of a running term over segments first..end-1.
+  // Returns the derivatives of `scale` times the integral of a running term over segments first..end-1.
   Derivatives OfIntegral(const RunningTerm& term, int first, int end, double scale, std::span<double> gradient) const;
 
  private:
@@ -166,7 +166,7 @@ class CostateSweep {
   double CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
                      std::vector<Costate<double>>* now) const;
   void CrossVia(size_t term, const Vec2d& derivative, std::vector<Costate<double>>* now, Result* result) const;
-  // From costates at `offset` after the start of a segment; `terms` count from segment `first` on.
+  // Pulls costates back from `offset` after the start of a segment to time 0; `terms` count from segment `first` on.
   Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
                        std::span<double> gradient) const;
   std::vector<Costate<double>> AtEnd(const Source& source) const;

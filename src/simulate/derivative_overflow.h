@@ -1,4 +1,4 @@
-// Why derivatives of a simulated motion are not finite.
+// The reason why derivatives of a simulated motion are not finite.
 #pragma once
 
 #include <span>

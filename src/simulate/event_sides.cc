@@ -17,10 +17,10 @@ using Group = internal::EventGroup<double, kRotation>;
 template <int kRotation>
 using ContactOf = typename Group<kRotation>::Contact;
 
-// A component of a direction, of length 1, that is rounding.
+// The magnitude up to which a component of a unit vector counts as rounding.
 constexpr double kNoComponent = 1e-9;
 
-// The discs of a scene at its start, as a step sees them.
+// The discs of a scene at its initial time, as a step of the model represents them.
 template <int kRotation>
 struct Start {
   explicit Start(const Scene& scene)
@@ -56,7 +56,7 @@ struct Start {
   std::vector<Candidate> touching;
 
  private:
-  // Discs in order of their left ends, so that only those whose widths meet are looked at.
+  // Finds touching pairs by a sweep over the left ends of the discs, which compares only discs whose widths overlap.
   void FindTouching() {
     const std::span<const BodyConstants<double>> bodies = in.bodies;
     const int n = static_cast<int>(bodies.size());
@@ -84,19 +84,19 @@ struct Start {
   }
 };
 
-// Collects the sides on which derivatives do not exist.
+// Collects the directions in which derivatives do not exist.
 template <int kRotation>
 class Sides {
  public:
   explicit Sides(const Start<kRotation>& start) : start_(start), missing_(start.in.bodies.size()) {}
 
-  // There is no derivative for changes of `quantity` that move a against b along -direction.
+  // Notes that the loss has no derivative for changes of `quantity` that move a against b along -direction.
   void AddOneSided(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
     const Vec2d unit = direction.normalized();
     Add(c.a, quantity, unit);
     if (!c.plane) Add(c.b, quantity, -unit);
   }
-  // Nor along direction.
+  // Notes that the loss has no derivative along -direction, nor along direction.
   void AddNone(const Candidate& c, OneSided::Quantity quantity, const Vec2d& direction) {
     AddOneSided(c, quantity, direction);
     AddOneSided(c, quantity, -direction);
@@ -140,7 +140,7 @@ bool LossHasVelocities(const Scene& scene) {
       terms, [](const TerminalTerm& term) { return term.quantity == TerminalTerm::Quantity::kVelocity; });
 }
 
-// Several contacts, of which some that stick are pressed along themselves.
+// Whether the group has several contacts, of which a sticking one has a tangential force.
 template <int kRotation>
 bool IsHeldByFriction(const Group<kRotation>& group) {
   return group.contacts().size() > 1 && std::ranges::any_of(group.contacts(), [](const auto& contact) {
@@ -149,7 +149,7 @@ bool IsHeldByFriction(const Group<kRotation>& group) {
          });
 }
 
-// How much the force of a contact accelerates what another measures along its normal, at the discs that they share.
+// Returns by how much the force of a contact accelerates another along its normal, through the discs they share.
 template <int kRotation>
 bool Couples(const Start<kRotation>& start, const Group<kRotation>& group, const ContactOf<kRotation>& measured,
              const ContactOf<kRotation>& pushing) {
@@ -167,7 +167,7 @@ bool Couples(const Start<kRotation>& start, const Group<kRotation>& group, const
   return along(pushed + group.TangentialShare(pushing) * tangent);
 }
 
-// The pressed contacts whose forces reach, from one to the next, one that touches only: what bounces there strikes it.
+// Returns the active contacts whose forces reach, from one to the next, a contact without force: bounces strike it.
 template <int kRotation>
 std::vector<const ContactOf<kRotation>*> FindRattling(const Start<kRotation>& start, const Group<kRotation>& group) {
   std::vector<const ContactOf<kRotation>*> reached;
@@ -202,7 +202,7 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
     const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
     if (!contact.closed) {
       sides->AddOneSided(c, Quantity::kVelocity, normal);
-      // Before the point where they slide past each other they would meet there.
+      // Before the point where the two slide past each other they would meet there.
       const double sliding = group.SlidingSpeed(contact);
       if (start.Bends(c) && std::abs(sliding) > internal::kStickSpeed) {
         sides->AddOneSided(c, Quantity::kPosition, std::copysign(1.0, sliding) * tangent);
@@ -220,7 +220,7 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
     const bool starts =
         contact.mode == ContactMode::kSlip && std::abs(group.SlidingSpeed(contact)) <= internal::kStickSpeed;
     if (!starts) continue;
-    // While it slides to that side, friction takes its share of every impact; otherwise an impact stops it.
+    // While it slides to that side, every impact of a bounce has friction; otherwise one impact stops the sliding.
     const Vec2d slides = -std::copysign(1.0, contact.force.tangential_force) * tangent;
     sides->AddOneSided(c, Quantity::kVelocity, slides);
     const RestingContact& force = contact.force;
@@ -232,7 +232,7 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
     const bool slips = restitution == 0 || Dot(slides, a) >= -stopped * Dot(normal, a);
     if (alone && slips) continue;
     sides->AddNone(c, Quantity::kPosition, normal);
-    // Moved along another disc by h, it is h^2 / (2 R) off it, and falls back at a speed that is proportional to h.
+    // A disc that is moved along another one by h is h^2 / (2 R) off it, and falls back at a speed proportional to h.
     if (start.Bends(c)) sides->AddNone(c, Quantity::kPosition, tangent);
   }
 }
@@ -246,7 +246,7 @@ std::vector<OneSided> FindOneSided(const Scene& scene) {
   std::vector<internal::EventDisc<double, kRotation>> discs = start.discs;
   group.SetDiscs(discs);
   const int n = static_cast<int>(start.touching.size());
-  // Only what neither parts nor meets at speed can be pressed.
+  // Only a pair that neither separates nor closes at speed can have a contact force.
   const auto rests = [&](int q) { return start.Measure(start.touching[q]).Touching(); };
   for (int q = 0; q < n; ++q) {
     sides.AddOneSided(start.touching[q], OneSided::Quantity::kPosition, start.Normal(start.touching[q]));

@@ -78,7 +78,7 @@ std::vector<Tie> TiesOf(const Simulator& simulator) {
       group.contacts.insert({c.plane, c.a, c.b});
       group.bodies.insert({{false, c.a}, {c.plane, c.b}});
     }
-    // A tie on a node of the time grid is met on both of its sides.
+    // A tie on a node of the time grid is found in the steps on both of its sides.
     const auto meets = [&](const Group& other) {
       if (group.time - other.time > internal::kTieTime * simulator.step()) return false;
       return std::any_of(group.bodies.begin(), group.bodies.end(), [&](const std::pair<bool, int>& body) {

@@ -27,8 +27,8 @@ struct How {
   bool stopped() const { return stop && stop(); }
 };
 
-// Runs `scene` for control intervals of one length, from number `first` on, from `x` on, in the shape of an
-// initial state, which becomes the state at the end.
+// Runs `scene` for control intervals of one length, from number `first` on. `x` is the state at the start, in the
+// layout of an initial state, and becomes the state at the end.
 bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<double>& control, int first, double start,
                        std::vector<double>* x, ExactRun* run) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(how.model, scene, Precision::kDouble);
@@ -72,7 +72,7 @@ bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<dou
   return true;
 }
 
-// What is wrong with the sizes and numbers of the arguments of SimulateExactly; empty if nothing is.
+// Returns what is wrong with the sizes and numbers of the arguments of SimulateExactly(); empty if nothing is.
 std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations) {
   const auto sizes = [](const char* what, size_t found, const std::string& expected) {
@@ -102,7 +102,7 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   return "";
 }
 
-// Running and via terms, and the price of time.
+// Adds the costs of running and via terms, and of the duration.
 void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                      const std::vector<double>& durations, ExactRun* run) {
   const Objective& objective = scene.objective;
@@ -126,13 +126,13 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
   run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));
 }
 
-// `scene` in the order of ties that is asked for. Precondition: the model can take the scene.
+// Simulates `scene` with the order of ties in `how`. Precondition: the model can simulate the scene.
 ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<double>& initial,
                          const std::vector<double>& control, const std::vector<double>& durations) {
   ExactRun run;
   std::vector<double> x = initial;
   Scene scene = whole;
-  // Of parts of the horizon, which know no other times.
+  // The scenes of parts of the horizon have no terms at other times.
   scene.objective.running.clear();
   scene.objective.via.clear();
   scene.objective.duration.reset();
@@ -163,7 +163,7 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
   return run;
 }
 
-// Whether final states are the same, on the scale of how far and how fast discs move.
+// Compares final states on the scale of the distances and speeds of the discs.
 class SameEnd {
  public:
   SameEnd(const Scene& scene, const std::vector<double>& initial, const ExactRun& run)
@@ -183,7 +183,7 @@ class SameEnd {
   }
 
  private:
-  // Of entry i; rotations at the end, where a disc turns by about as much as it moves.
+  // Returns the scale of entry i. Rotations stand at the end; a disc turns by about as much as it moves.
   double SizeOf(size_t i) const {
     if (i < moves_) return i % 4 < 2 ? length_ : speed_;
     return i % kSpin == 0 ? 1 : speed_ / length_;

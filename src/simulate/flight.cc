@@ -20,7 +20,7 @@ OfDiscs<Vec2d> Accelerations(const Scene& scene, const double* forces) {
   return acceleration;
 }
 
-// Under the rows of a control.
+// Returns the angular accelerations of all discs under one row of a control, rad/s^2.
 OfDiscs<double> Turnings(const Scene& scene, const double* row) {
   OfDiscs<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
   for (int t = 0; t < scene.num_turned(); ++t) {
@@ -30,7 +30,7 @@ OfDiscs<double> Turnings(const Scene& scene, const double* row) {
   return turning;
 }
 
-// To the states `s` seconds later.
+// Replaces the states by those `s` seconds later.
 void Advance(double s, const OfDiscs<Vec2d>& acceleration, const OfDiscs<double>& turning, DiscStates* x) {
   for (size_t i = 0; i < x->p.size(); ++i) {
     Vec2d &p = x->p[i], &v = x->v[i];
@@ -45,7 +45,7 @@ void Advance(double s, const OfDiscs<Vec2d>& acceleration, const OfDiscs<double>
   }
 }
 
-// The integral of |q - target|^2 over a piece.
+// Returns the integral of |q - target|^2 over a piece.
 double Integral(const Flight::Piece& piece, const RunningTerm& term) {
   double sum = 0;
   for (double begin = 0; begin < piece.duration;) {

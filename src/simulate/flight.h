@@ -14,11 +14,11 @@
 
 namespace saltus {
 
-// One disc.
+// Position and velocity of one disc.
 struct DiscState {
   Vec2d p, v;  // m, m/s
 
-  // What a term with one of these two quantities is of.
+  // Returns the position or the velocity, as a term's quantity asks for.
   const Vec2d& Of(TerminalTerm::Quantity quantity) const {
     return quantity == TerminalTerm::Quantity::kPosition ? p : v;
   }
@@ -31,7 +31,7 @@ using OfDiscs = ShortVector<T, 4>;
 struct DiscStates {
   OfDiscs<Vec2d> p, v;                    // m and m/s, of every disc
   OfDiscs<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
-  // Angular velocities of a and b; 0 of a plane, and where nothing spins.
+  // Returns the angular velocities of a and b, rad/s; 0 for planes, and where nothing spins.
   std::array<double, 2> SpinsOf(const Candidate& c) const {
     if (spin.empty()) return {0, 0};
     return {spin[c.a], c.plane ? 0.0 : spin[c.b]};
@@ -40,7 +40,7 @@ struct DiscStates {
 
 class Flight {
  public:
-  // All discs over a part of one control interval.
+  // The motion of all discs over a part of one control interval.
   struct Piece {
     int interval = 0;
     double start = 0, duration = 0;  // s
@@ -49,7 +49,7 @@ class Flight {
     OfDiscs<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
 
     double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
-    // `s` seconds after the start: one disc, and all of them.
+    // Return the state `s` seconds after the start: of one disc, and of all.
     DiscState After(int body, double s) const {
       const Vec2d &p = at_start.p[body], &v = at_start.v[body], &a = acceleration[body];
       return {p + s * (v + 0.5 * s * a), v + s * a};
@@ -74,7 +74,7 @@ class Flight {
   const std::vector<Hit>& hits() const { return hits_; }
   const DiscStates& end() const { return end_; }
 
-  // Just before `time`, which lies in [0, T].
+  // Returns the states just before `time`, which lies in [0, T].
   DiscStates Before(double time) const;
 
  private:
@@ -83,7 +83,7 @@ class Flight {
   DiscStates end_;
 };
 
-// The target of a running term at time t.
+// Returns the target of a running term at time t.
 template <typename T>
 Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
   size_t next = 0;
@@ -99,15 +99,15 @@ Vec2<T> TargetAt(const RunningTerm& term, const T& t) {
 inline constexpr std::array<double, 3> kGaussNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
 inline constexpr std::array<double, 3> kGaussWeights = {5.0 / 18, 4.0 / 9, 5.0 / 18};
 
-// The acceleration of a disc under gravity and the first of its forces, m/s^2; zero if it is fixed.
+// Returns the acceleration of a disc under gravity and the first of its forces, m/s^2; zero if it is fixed.
 Vec2d InitialAcceleration(const Scene& scene, int body);
 
-// The running terms and the soft via terms of the objective on a trajectory: integrals are exact, cut at impacts and
+// Returns the cost of the running terms and soft via terms on a trajectory. Integrals are exact, cut at impacts and
 // where targets turn.
 double RunningLoss(const Scene& scene, const Flight& flight);
 
-// As SimulateExactly(), but a motion with more than so many impacts ends in the step in which it exceeds the number,
-// and that is the reason. For trial motions, whose impacts might accumulate without limit.
+// Simulates as SimulateExactly() does, but ends in the step in which the motion has had more than `most_impacts`
+// impacts, and reports that as the reason. For trial motions, whose impacts might accumulate without limit.
 ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const std::vector<double>& initial,
                       const std::vector<double>& control, const std::vector<double>& durations = {},
                       const StopRequest& stop = nullptr);

@@ -19,10 +19,10 @@ struct FreeFlightJacobian {
 
   bool operator==(const FreeFlightJacobian&) const = default;
 
-  // True if the velocity stays as it is and the position follows it, as in all models without drag.
+  // Whether the velocity stays constant and the position follows it, as in all models without drag.
   bool IsShear() const { return pp == S(1) && vp == S(0) && vv == S(1); }
 
-  // That of n steps, without forces: its pa and va are those of one step.
+  // Returns the Jacobian of n steps without forces; its pa and va are those of one step.
   FreeFlightJacobian Power(int n) const {
     FreeFlightJacobian power{S(1), S(0), pa, S(0), S(1), va};
     if (IsShear()) {
@@ -36,7 +36,7 @@ struct FreeFlightJacobian {
     return power;
   }
 
-  // Takes the cotangent (p, v) of the state after a step to that before it.
+  // Replaces the cotangent (p, v) of the state after a step by that of the state before it.
   void PullBack(S* p, S* v) const {
     const S after_p = *p, after_v = *v;
     *p = pp * after_p + vp * after_v;
@@ -81,13 +81,13 @@ void PullBackFlight(const FreeFlightJacobian<S>& free, int n, S* lambda, const P
   lambda[3] = vy;
 }
 
-// Cotangents of a disc's acceleration in n steps: last + (n - 1 - j) change in step j.
+// Cotangents of a disc's acceleration in n steps, linear in the step: last + (n - 1 - j) change in step j.
 template <typename S>
 struct LinearCotangents {
   Eigen::Array<S, 2, 1> last, change;
 };
 
-// The same in one go, so that no step waits for another. A flight that is cut in two differs in the last bits.
+// PullBackFlight() in closed form, without a recursion over the steps. Cutting a flight in two changes the last bits.
 // Precondition: free.IsShear().
 template <typename S>
 LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* lambda) {
@@ -96,8 +96,8 @@ LinearCotangents<S> PullBackShear(const FreeFlightJacobian<S>& free, int n, S* l
   return {free.pa * p + free.va * v, free.va * change};
 }
 
-// The Jacobian of the model's free flight over h, at a state whose numbers are all `offset`. Not a number where it is
-// not isotropic, or turns discs with the motion.
+// Returns the Jacobian of the model's free flight over h, at a state whose numbers are all `offset`. It is NaN if it is
+// not isotropic, or if the motion turns discs.
 template <typename S, int kRotation>
 FreeFlightJacobian<S> DifferentiateFreeFlight(const ContactStep<S, kRotation>& model, S h, S offset) {
   using Jet = StepJet<S>;
@@ -128,7 +128,7 @@ FreeFlightJacobian<S> DifferentiateFreeFlight(const ContactStep<S, kRotation>& m
   return free;
 }
 
-// Its rotation after a free flight from x by that before.
+// Returns the derivative of a disc's rotation after a free flight from x by the rotation before.
 template <typename S, int kRotation>
 Eigen::Matrix<S, kRotation, kRotation> DifferentiateRotation(const ContactStep<S, kRotation>& model, S h,
                                                              const BodyConstants<S>& body,
@@ -149,7 +149,7 @@ Eigen::Matrix<S, kRotation, kRotation> DifferentiateRotation(const ContactStep<S
   return jacobian;
 }
 
-// The same of a disc that spins as the scene says and is turned, by angle, angular velocity and torque.
+// Returns the derivative of angle and angular velocity, of a disc with a torque, by these and by the torque.
 template <typename S>
 Eigen::Matrix<S, 2, 3> DifferentiateTurn(const ContactStep<S, kSpin>& model, S h, const BodyConstants<S>& body,
                                          const BodyState<S, kSpin>& x, S torque) {
@@ -170,7 +170,7 @@ Eigen::Matrix<S, 2, 3> DifferentiateTurn(const ContactStep<S, kSpin>& model, S h
   return jacobian;
 }
 
-// The free flight over h with its derivative by h, if the model has it for lengths that are Jets.
+// Returns the free flight over h with its derivative by h, if the model accepts lengths of time that are Jets.
 template <typename S, int kRotation>
 std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>& model, double h) {
   using Jet = StepJet<S>;
@@ -190,7 +190,7 @@ std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>&
     known = known && model.Free(LoneDisc(length, body, force), x, &next);
     return std::array{next.p[0], next.v[0]};
   };
-  // Linear: each of the six is where a state of one number leads.
+  // Free flight is linear, so each of the six numbers is the result for a state with a single nonzero entry.
   using Ends = std::array<std::array<Jet, 2>, 3>;
   const Ends flown = {fly(S(1), S(0), S(0)), fly(S(0), S(1), S(0)), fly(S(0), S(0), S(1))};
   if (!known) return std::nullopt;

@@ -28,7 +28,7 @@ class GeometryDerivative {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
-  // Both must outlive this object.
+  // Keeps references to `model` and `scene`, which must outlive this object.
   GeometryDerivative(const Model& model, const Scene& given, const TypedScene<S>& scene)
       : model_(model), scene_(scene), gradient_(given.design.size()) {
     for (std::size_t i = 0; i < given.design.size(); ++i) {
@@ -58,11 +58,11 @@ class GeometryDerivative {
     }
   }
 
-  // The derivative by Scene::design[i]. Not a number if in some step no difference can be taken.
+  // Returns the derivative by Scene::design[i]; NaN if no difference can be taken in some step.
   double By(std::size_t i) const { return gradient_[i]; }
 
  private:
-  // Nodes of differences on either side, and the distance of two as a part of the smallest radius.
+  // The number of nodes on either side, and their distance as a fraction of the smallest radius.
   static constexpr int kNodes = 4;
   static constexpr double kWidth = 1e-4;
   static constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
@@ -79,7 +79,7 @@ class GeometryDerivative {
     return kind == Kind::kRadius || kind >= Kind::kPlaneOffset;
   }
 
-  // Of an angle: by which the points of the wall that are near to discs move as far.
+  // Returns the step of the difference; for an angle the one that moves points of the wall near discs by that length.
   static double WidthOf(const SceneParameter& parameter, const Scene& scene) {
     using Kind = SceneParameter::Kind;
     double radius = std::numeric_limits<double>::infinity(), lever = 0;
@@ -143,7 +143,7 @@ class GeometryDerivative {
 
   double Difference(const Varied& varied, double here, std::span<const int> island, std::span<const S> after,
                     Stepper<S, kRotation>* stepper) {
-    // Less than `here`, so that what does not change is not rounded; nothing where contacts are not the same.
+    // Values are relative to `here`, so that what does not change is not rounded; nullopt where contacts differ.
     std::array<std::optional<std::optional<double>>, 2 * kNodes + 1> found;
     const auto change = [&](int node) -> std::optional<double> {
       auto& value = found[node + kNodes];

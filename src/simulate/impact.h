@@ -36,12 +36,12 @@ struct ImpactConstants {
 
   bool Spins() const { return inverse_inertia[0] > 0 || inverse_inertia[1] > 0; }
   double EffectiveMass() const { return 1 / (inverse_mass_a + inverse_mass_b); }
-  // That of a stick.
+  // Returns the effective mass of a sticking impact along the tangent, kg.
   double StickMass() const {
     const double turning = radius[0] * radius[0] * inverse_inertia[0] + radius[1] * radius[1] * inverse_inertia[1];
     return 1 / (inverse_mass_a + inverse_mass_b + turning);
   }
-  // The sliding velocity that friction can stop at most, as a part of the speed.
+  // Returns the largest |v_t| that friction can stop, as a multiple of |v_n|.
   double MostDrag() const {
     const double drag = friction * (1 + restitution);
     return Spins() ? drag * EffectiveMass() / StickMass() : drag;
@@ -67,33 +67,33 @@ inline ImpactConstants MakeImpactConstants(const Scene& scene, const Candidate& 
   return law;
 }
 
-// The plane's boundary with a normal of unit length.
+// Returns the half-plane with a normal of unit length.
 inline HalfPlane<double> MakeHalfPlane(const Plane& plane) {
   const Vec2d normal = plane.normal / plane.normal.norm();
   return {normal, Dot(normal, plane.point)};
 }
 
-// Of a pair when disc i of the scene is at positions[i].
+// Returns distance and normal of a pair when disc i of the scene is at positions[i].
 template <typename Positions>
 Separation<double> SeparationOf(const Scene& scene, const Candidate& c, const Positions& positions) {
   if (c.plane) return Separate<double>(positions[c.a], MakeHalfPlane(scene.planes[c.b]));
   return Separate<double>(positions[c.a], positions[c.b]);
 }
 
-// Precondition: |normal| = 1. With friction it slips or sticks by Coulomb's law, or as `mode` says.
+// Returns the impact with the mode by Coulomb's law, or in `mode` if it is given. Precondition: |normal| = 1.
 template <typename T>
 Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w,
                      std::optional<ContactMode> mode = std::nullopt) {
   return MakeImpact<T>(normal, w, law.EffectiveMass(), 1 + law.restitution, law.friction, /*head_on=*/0, mode);
 }
 
-// Of discs that spin, by numbers of a and b: r_a x_a + r_b x_b.
+// Returns r_a x_a + r_b x_b for numbers x of both discs, such as angular velocities.
 template <typename T>
 T AtRims(const ImpactConstants& law, const std::array<T, 2>& of) {
   return T(law.radius[0] * of[0] + law.radius[1] * of[1]);
 }
 
-// The same with angular velocities, rad/s.
+// Returns the impact of discs with the angular velocities `spin`, rad/s.
 template <typename T>
 Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w, const std::array<T, 2>& spin,
                      std::optional<ContactMode> mode = std::nullopt) {
@@ -110,14 +110,14 @@ Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Ve
                        mode);
 }
 
-// By how much an impact changes the angular velocity of a (side 0) or b, rad/s.
+// Returns the change of the angular velocity of a (side 0) or b by an impact, rad/s.
 template <typename T>
 T SpinGain(const ImpactConstants& law, int side, const Impact<T>& impact) {
   return T(-law.radius[side] * law.inverse_inertia[side] * impact.tangential);
 }
 
-// What multiplies the costates of both bodies at an impact: lambda_v gains +-velocity, lambda_q gains +-position, with
-// the sign + for a and - for b; lambda_w gains the radius times `spin`.
+// The changes of the costates of both bodies at an impact, backwards: lambda_v gains +-velocity, lambda_q +-position,
+// with + for a and - for b; lambda_w gains the radius times `spin`.
 template <typename T>
 struct CostateGain {
   Vec2<T> position;
@@ -125,7 +125,7 @@ struct CostateGain {
   T spin = T(0.0);
 };
 
-// `y` as above; `spin` has the angular velocities before the impact, `costate` the lambda_w after it.
+// Returns the adjoint of an impact. `y` as above; `spin`: angular velocities before, `costate`: the lambda_w after it.
 template <typename T>
 CostateGain<T> ImpactAdjoint(const ImpactConstants& law, const Impact<T>& impact, const Vec2<T>& y,
                              const std::array<T, 2>& spin = {T(0.0), T(0.0)},

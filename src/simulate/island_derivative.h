@@ -37,7 +37,7 @@ class IslandDerivative {
     return n * (kSize + 2 + with_torques) + (with_parameters ? 4 + (kRotation == kSpin ? 2 : 1) * n : 0);
   }
 
-  // before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
+  // Computes before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
   void ApplyTranspose(const Model& model, const StepInput<S>& in, std::span<const State> x,
                       const FreeFlightJacobian<S>& free, bool with_parameters, std::span<const S> after,
                       std::span<S> before) {
@@ -65,7 +65,7 @@ class IslandDerivative {
     if (shares_motion) CompleteByCommonMotion(in, free, after, before);
   }
 
-  // The Jacobian itself.
+  // Computes the Jacobian J.
   void Evaluate(const Model& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
                 Matrix* jacobian) {
     const int n = static_cast<int>(x.size());
@@ -88,7 +88,7 @@ class IslandDerivative {
   using JetState = BodyState<Jet, kRotation>;
   using Vector = Eigen::Matrix<S, Eigen::Dynamic, 1>;
 
-  // The columns that a pass computes.
+  // The columns of the Jacobian that one pass computes.
   struct Columns {
     int count = 0;
     int index[kJetWidth];
@@ -100,12 +100,12 @@ class IslandDerivative {
   };
 
   static bool HasTorques(const StepInput<S>& in) { return !in.torque.empty(); }
-  // Models with a Jacobian of their source's begin with a change of velocities: a torque is as good as so much of
-  // angular velocity.
+  // Returns the angular velocity that is equivalent to a unit torque. Models with the Jacobian of their source add the
+  // impulses of forces and torques to the velocities first.
   static S TorqueAsSpin(const StepInput<S>& in, int i) { return in.h * in.bodies[i].inverse_inertia; }
 
-  // In single precision the derivatives are those of the published programs to the last digits, so nothing is
-  // rearranged.
+  // Whether a common motion of all discs of the island has no influence on contacts. Not used in single precision,
+  // whose derivatives are those of the published programs to the last digits.
   static bool OnlyRelativeMotionMatters(const Model& model, const StepInput<S>& in) {
     if (!model.traits().relative || std::is_same_v<S, float> || in.bodies.size() < 2) return false;
     for (const BodyConstants<S>& body : in.bodies) {
@@ -117,7 +117,7 @@ class IslandDerivative {
     return true;
   }
 
-  // Fills in the columns of the last disc from those of the others.
+  // Sets the columns of the last disc from those of the others.
   static void CompleteByCommonMotion(const StepInput<S>& in, const FreeFlightJacobian<S>& free,
                                      std::span<const S> after, std::span<S> before) {
     const int n = static_cast<int>(in.bodies.size());
@@ -182,7 +182,7 @@ class IslandDerivative {
     use(columns);
   }
 
-  // Between passes all derivatives are zero, so values are all there is to set.
+  // Sets the values of the Jets; their derivatives are zero between passes.
   void SetValues(const StepInput<S>& in, std::span<const State> x) {
     const size_t n = x.size();
     x_.resize(n);
@@ -222,7 +222,7 @@ class IslandDerivative {
     }
   }
 
-  // What a column of the Jacobian differentiates by: the first ones by states.
+  // Return the variable of a column of the Jacobian: the first columns are those of the states.
   Jet* StateVariable(int column) { return reinterpret_cast<Jet*>(x_.data()) + column; }
   Jet* Variable(int column) {
     const int n = static_cast<int>(x_.size());
@@ -240,7 +240,7 @@ class IslandDerivative {
     return column < n ? &bodies_[column].mass : &bodies_[column - n].inverse_inertia;
   }
 
-  // All columns at once: the step on a tape, and one sweep back.
+  // Computes all columns at once: the step on a tape, and one reverse sweep.
   void PullBackOnTape(const Model& model, const StepInput<S>& in, std::span<const State> x, std::span<const S> after,
                       std::span<S> before) {
     const std::size_t n = x.size(), states = n * kSize;
@@ -305,7 +305,7 @@ class IslandDerivative {
     tape.Clear();
   }
 
-  // before = J^T after, by the tape of the step: the places of its results, and of what it varies.
+  // Computes before = J^T after by the tape of the step, with the tape indices of its results and of its variables.
   static void Sweep(Tape* tape, std::span<const int> to, std::span<const int> places, std::span<const S> after,
                     std::span<S> before) {
     std::vector<std::pair<int, double>> cotangents;
@@ -314,7 +314,7 @@ class IslandDerivative {
     for (std::size_t i = 0; i < before.size(); ++i) before[i] = swept[places[i]];
   }
 
-  // The tape of a step that left an island as it was: that of the steps before and after, as long as it rests.
+  // The tape of a step that left an island unchanged: it serves for all steps in which the island rests.
   struct Resting {
     std::vector<State> x;
     std::vector<Vec2<S>> force;
@@ -346,7 +346,7 @@ class IslandDerivative {
     }
   };
 
-  // The cotangents of states and forces as the model's source has them, which computes in double precision.
+  // Computes the cotangents of states and forces with the Jacobian of the model's source, in double precision.
   void PullBackAsPublished(const Model& model, const StepInput<S>& in, std::span<const State> x,
                            std::span<const S> after, std::span<S> before) {
     if constexpr (std::is_same_v<S, double>) {
@@ -357,7 +357,7 @@ class IslandDerivative {
       Eigen::Map<Vector>(&before[A.cols()], B.cols()).noalias() = B.transpose() * cotangent;
     }
   }
-  // The columns of states, forces and torques likewise.
+  // Sets the columns of states, forces and torques to those of the model's source.
   void EvaluateAsPublished(const Model& model, const StepInput<S>& in, std::span<const State> x, Matrix* jacobian) {
     if constexpr (std::is_same_v<S, double>) {
       const int n = static_cast<int>(x.size());
@@ -372,7 +372,7 @@ class IslandDerivative {
     }
   }
 
-  // The columns of states and forces as the model's source has them; until the next call.
+  // The columns of states and forces of the model's source; valid until the next call.
   struct Published {
     Eigen::Map<Eigen::MatrixXd> A, B;
   };

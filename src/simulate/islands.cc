@@ -72,7 +72,7 @@ void Islands::Find(std::span<const Candidate> pairs, std::span<const char> fixed
     first_body_[island + 1] += first_body_[island];
     first_pair_[island + 1] += first_pair_[island];
   }
-  // Filled from behind, the ends becoming the beginnings of the next islands.
+  // The lists are filled from behind, so that the ends become the beginnings of the next islands.
   bodies_.resize(members_.size());
   for (size_t m = members_.size(); m-- > 0;) bodies_[--first_body_[members_[m].island + 1]] = members_[m].body;
   pairs_.resize(pairs.size());

@@ -15,7 +15,7 @@ class Islands {
   // Overwrites the islands with those that `pairs` connect. `fixed[i]` says whether disc i is fixed.
   void Find(std::span<const Candidate> pairs, std::span<const char> fixed);
 
-  // In order of their first moving disc.
+  // The number of islands, which are in the order of their first moving disc.
   int size() const { return size_; }
   // The discs of an island, ascending, and its pairs, in the order given.
   std::span<const int> bodies(int island) const { return Slice<int>(bodies_, first_body_, island); }
@@ -45,7 +45,7 @@ class Islands {
   std::vector<int> island_of_pair_;
 };
 
-// An island's pairs with discs numbered as in `bodies`, each once, discs by index pairs, then discs against planes.
+// Sets `local` to an island's pairs with discs numbered as in `bodies`, each once: discs by index pairs, then planes.
 void LocalPairs(std::span<const Candidate> pairs, std::span<const int> bodies, std::vector<Candidate>* local);
 
 }  // namespace saltus

@@ -18,7 +18,7 @@ class LaneSimulator : public Simulator {
     bool ok = false;                           // set to what Rollout would have returned
   };
 
-  // Whether this is of use. Precondition of RolloutTogether.
+  // Whether this simulator has lanes. Precondition of RolloutTogether().
   virtual bool HasLanes() const = 0;
   // Simulates up to kLanes motions (internal/lanes.h) under controls in units of `force_unit`, N, with the bits of
   // Rollout. Derivatives by the control are in the same units. Meanwhile the cache fetches the numbers `ahead` of those

@@ -32,12 +32,12 @@ class ModelAdjoint {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
-  // All must outlive this object. `scene` is `given` in the scalar of the simulator.
+  // Keeps references to all arguments, which must outlive this object. `scene` is `given` in the simulator's scalar.
   ModelAdjoint(const Model& model, const Scene& given, const TypedScene<S>& scene, const HeldControl<S>& control)
       : model_(model), given_(given), scene_(scene), control_(control), geometry_(model, given, scene) {}
   void set_free_flight(const FreeFlightJacobian<S>& free) { free_ = free; }
 
-  // `cotangent` is that of the state in which step k begins.
+  // Begins a sweep. `cotangent` is that of the state in which step k begins.
   void Begin(int k, std::span<const double> cotangent, const SensitivityView& out) {
     out_ = out;
     if (out.parameters != nullptr) ClearParameters(out.parameters);
@@ -62,8 +62,8 @@ class ModelAdjoint {
     }
   }
 
-  // Pulls a disc back through its flight, to the state in which step k begins. With rotation, that needs the states on
-  // the way.
+  // Pulls a disc back through its flight, to the state in which step k begins. With rotation that needs the states in
+  // between.
   void PullBackTo(int k, int i, Trajectory<State>* trajectory) {
     const int steps = pulled_to_[i] - k;
     if (steps <= 0 || scene_.fixed[i]) return;
@@ -75,7 +75,7 @@ class ModelAdjoint {
     } else if (IsControlWanted(i)) {
       PullBackControlled(k, steps, i, lambda);
     } else if constexpr (kRotation > 0) {
-      // Step by step: windows may cut a flight, which must not change a bit.
+      // Steps are taken one by one: memory windows may cut a flight, and the cut must not change a bit.
       PullBackFlight(free_, steps, lambda, [](int, S, S) {});
     } else {
       const FreeFlightJacobian<S> flight = free_.Power(steps);
@@ -83,7 +83,7 @@ class ModelAdjoint {
     }
   }
 
-  // Whether flights are pulled back through the states on the way: those with a rotation whose Jacobian depends on it.
+  // Whether flights need the states in between: those of discs with a rotation whose Jacobian depends on it.
   bool NeedsStates() const { return kRotation > 0 && !IsLinear(); }
   bool AnyRotation() const {
     for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -94,9 +94,9 @@ class ModelAdjoint {
     return false;
   }
 
-  // After all discs have been pulled back to the first state.
+  // Ends a sweep. Precondition: all discs have been pulled back to the first state.
   void End() const {
-    // Gravity is a constant force on every disc.
+    // Gravity acts as a constant force on every disc.
     for (int i = 0; out_.parameters != nullptr && i < scene_.num_bodies(); ++i) {
       out_.parameters->gravity += double(scene_.bodies[i].mass) * out_.parameters->force[i];
     }
@@ -112,8 +112,8 @@ class ModelAdjoint {
   }
 
  private:
-  // Not with rotation: windows cut flights, which must not change a bit. Nor in single precision, whose derivatives are
-  // those of the published programs to the last digits.
+  // Flights are pulled back in closed form unless discs rotate (memory windows cut flights, which must not change a
+  // bit) or precision is single (derivatives are those of the published programs to the last digits).
   bool IsLinear() const { return model_.properties().linear_rotation; }
   static constexpr bool kFlightsInOneGo = kRotation == 0 && !std::is_same_v<S, float>;
   using RotationMatrix = Eigen::Matrix<S, kRotation, kRotation>;
@@ -141,7 +141,7 @@ class ModelAdjoint {
     }
   }
 
-  // The total derivatives by Scene::design, from those by the numbers that a step has.
+  // Sets the total derivatives by Scene::design from those by the constants of a step.
   void FindDesign(ParameterGradient* parameters) const {
     using Kind = SceneParameter::Kind;
     parameters->design.clear();
@@ -190,7 +190,7 @@ class ModelAdjoint {
     for (int i = 0; i < n; ++i) {
       const int body = island[i];
       if (scene_.fixed[body]) {
-        // The cotangent of its position, which stays: that of the disc as a design parameter.
+        // A fixed disc keeps its position; its cotangent is the derivative by the position as a design parameter.
         if (with_parameters && !given_.design.empty()) std::copy_n(&before_[i * kSize], 2, &lambda_[body * kSize]);
         continue;
       }
@@ -208,7 +208,7 @@ class ModelAdjoint {
   bool IsControlWanted(int body) const { return control_.Pushes(body) && !out_.control.empty(); }
   bool IsTorqueWanted(int body) const { return control_.Turns(body) && !out_.control.empty(); }
 
-  // The sensitivity to the torque on a disc in step k, as one to torque / radius.
+  // Stores the sensitivity to the torque on a disc in step k, given the one to torque / radius.
   void PutTorque(int body, int k, S sensitivity) const {
     const std::ptrdiff_t at = control_.TurnOffset(body, k);
     const double by_force = scene_.bodies[body].radius * sensitivity;
@@ -216,7 +216,7 @@ class ModelAdjoint {
         control_.derivative_unit() * (out_.factor == 0 ? by_force : by_force + out_.factor * out_.addend[at]);
   }
 
-  // Where the sensitivity to the forces on one disc goes, from some step on.
+  // The destination of the sensitivities to the forces on one disc, from some step on.
   struct ForceSink {
     double* gradient;
     const double* addend;  // null without
@@ -230,7 +230,7 @@ class ModelAdjoint {
       gradient[at + 1] = unit * (addend == nullptr ? y : y + factor * addend[at + 1]);
     }
 
-    // Step j of n gets scale * (its cotangent).
+    // Stores scale times the cotangent of step j, for all j < n.
     void PutAll(int n, S scale, const LinearCotangents<S>& cotangents) const {
       const Eigen::Array2d last = (scale * cotangents.last).template cast<double>();
       const Eigen::Array2d change = (scale * cotangents.change).template cast<double>();
@@ -313,7 +313,7 @@ class ModelAdjoint {
     });
   }
 
-  // That of a disc that is turned.
+  // Pulls back the rotation of a disc with a torque.
   void PullBackTurn(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
     const BodyConstants<S>& body = scene_.bodies[i];
     Eigen::Map<Eigen::Matrix<S, 2, 1>> cotangent(lambda);
@@ -332,7 +332,7 @@ class ModelAdjoint {
     }
   }
 
-  // The same for the rotation, which a flight changes by itself.
+  // Pulls back the rotation of a disc without a torque through its flight.
   void PullBackRotation(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
     Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
     if constexpr (kRotation == kSpin) {

@@ -41,7 +41,7 @@ std::string Names(const auto& all) {
   return names;
 }
 
-// "option=value" of a model; or what is wrong with it.
+// Reads "option=value" of a model, or returns the reason why it is not valid.
 std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std::string_view text) {
   const std::string_view name = text.substr(0, text.find('='));
   const auto option = std::find_if(
@@ -63,7 +63,7 @@ std::variant<OptionValue, std::string> ReadOption(const ContactEntry& entry, std
   return OptionValue{option->name, value};
 }
 
-// The options behind the name of a model; or what is wrong with them.
+// Reads the options behind the name of a model, or returns the reason why they are not valid.
 std::variant<std::vector<OptionValue>, std::string> ReadOptions(const ContactEntry& entry, std::string_view name) {
   std::vector<OptionValue> options;
   for (size_t end = name.find(':'); end != std::string_view::npos;) {
@@ -82,8 +82,8 @@ std::vector<OptionValue> OptionsIn(const Contact& contact) {
   return std::get<std::vector<OptionValue>>(std::move(options));
 }
 
-// The scene in the units in which the model works: SI, for the constants of its source, with the origin near; or, of an
-// event-driven model, whose thresholds are all the constants it has, natural ones.
+// Returns the scene in the units in which the model computes: natural ones for event-driven models, whose only
+// constants are thresholds; for others SI, which the constants of their sources have, with the origin near the discs.
 Scene AsSeenBy(const ContactEntry& entry, const Scene& scene) {
   const Units natural = NaturalUnits(scene);
   if (entry.traits.event_driven) return InUnits(scene, natural);

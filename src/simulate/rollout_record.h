@@ -1,5 +1,5 @@
-// What a rollout keeps of its contacts, so that derivatives need not simulate again: which there were, the states in
-// which they began, and what iterations have found.
+// The record of the contacts of a rollout, so that derivatives need not simulate again: the touches, the states in
+// which they began, and the solutions that iterations have found.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,7 @@ class SolvedSteps {
     numbers_.clear();
   }
 
-  // Of an island of so many pairs, all of which touched. Steps come in order.
+  // Adds the record of an island all of whose `num_pairs` pairs touched. Precondition: steps come in ascending order.
   void Add(int step, const Candidate& first_pair, std::size_t num_pairs, std::span<const double> numbers) {
     islands_.push_back({step, first_pair, num_pairs, numbers_.size(), numbers.size()});
     numbers_.insert(numbers_.end(), numbers.begin(), numbers.end());
@@ -32,7 +32,7 @@ class SolvedSteps {
     }
   }
 
-  // Empty if there is no record.
+  // Returns the record of an island, empty if there is none.
   std::span<const double> Find(int step, const Candidate& first_pair, std::size_t num_pairs) const {
     const auto before = [](const Island& island, int k) { return island.step < k; };
     auto at = std::lower_bound(islands_.begin(), islands_.end(), step, before);
@@ -70,7 +70,7 @@ class RolloutRecord {
     touches_.clear();
     ForgetStates(0);
   }
-  // From here on, states are kept from touch `first` on.
+  // Discards the states; from here on, states are kept from touch `first` on.
   void ForgetStates(int first) {
     states_.clear();
     solved_.Clear();
@@ -79,7 +79,7 @@ class RolloutRecord {
   void AddTouches(int k, std::span<const Touch> touches) {
     for (const Touch& touch : touches) touches_.push_back({k, touch});
   }
-  // Of the next touches whose states are not known, in the step from x.
+  // Adds the states of the next touches, those in the step from x.
   void AddStates(std::span<const Touch> touches, std::span<const State> x, const SolvedSteps& solved) {
     for (const Touch& touch : touches) {
       const Candidate& c = touch.candidate;
@@ -90,13 +90,13 @@ class RolloutRecord {
 
   int size() const { return static_cast<int>(touches_.size()); }
   const std::vector<StepTouch>& touches() const { return touches_; }
-  // The first of the touches before `end` in step k or later.
+  // Returns the first of the touches before `end` that is in step k or later.
   int First(int k, int end) const {
     while (end > 0 && touches_[end - 1].step >= k) --end;
     return end;
   }
   int first_with_states() const { return first_with_states_; }
-  // Of disc a and, if it has one, disc b.
+  // Returns the states of disc a and, if there is one, disc b of a touch.
   const std::array<State, 2>& StatesOf(int touch) const { return states_[touch - first_with_states_]; }
   const SolvedSteps& solved() const { return solved_; }
   std::size_t bytes_of_states() const { return states_.size() * sizeof(states_[0]) + solved_.bytes(); }

@@ -132,7 +132,7 @@ void Simulator::Adjoint(std::span<const double> cotangent, bool with_parameters,
 
 void Simulator::ExpandForce(std::span<const double> control, int k, std::span<double> force) const {
   CHECK(k >= 0 && k < num_steps_) << "found step " << k << ", expected 0 to " << num_steps_ - 1;
-  // A control of fewer steps will do, as of one step in a cost.
+  // A control of fewer steps is enough, such as that of one step in a cost.
   CHECK_GE(control.size(), (k + std::size_t{1}) * control_width());
   CHECK_EQ(static_cast<int>(force.size()), force_size());
   std::fill(force.begin(), force.end(), 0.0);

@@ -1,6 +1,6 @@
-// What a step promises of the contacts that it reports and of the discs that it does not (contact_model.h): checked in
-// every step, as derivatives are taken of reported contacts only. A model that forgets one would have a wrong gradient
-// and nothing to show it.
+// The contract of a step about the contacts that it reports and the discs that it does not (contact_model.h). It is
+// checked in every step, because only reported contacts are differentiated: a model that omits one would have a wrong
+// gradient without any other sign of it.
 #pragma once
 
 #include <span>
@@ -11,13 +11,13 @@
 
 namespace saltus {
 
-// What a step does that it must not, and with which disc; nothing if there are no words.
+// How a step breaks the contract, and the disc with which it does; `what` is empty if it does not.
 struct BrokenContract {
   std::string_view what;
   int disc = -1;
 };
 
-// Whether two states are the same numbers. What does not fly to a number is left to those who look for that.
+// Whether two states have the same numbers. A flight that leads to NaN passes here; others look for that.
 template <typename State>
 bool FliesTo(const State& flying, const State& next) {
   const auto same = [](const auto& expected, const auto& found) { return found == expected || expected != expected; };
@@ -32,8 +32,8 @@ bool FliesTo(const State& flying, const State& next) {
   return true;
 }
 
-// Of a step from which disc i went to next[i], flying(i) says where free flight would have taken it and fixed(i)
-// whether it cannot move. All indices are those of the step; `reported` is memory.
+// Checks a step in which disc i went to next[i]; flying(i) is its state after free flight, fixed(i) is true if it
+// cannot move. All indices are those of the step; `reported` is memory.
 template <typename State, typename FixedOf, typename FlyingOf>
 BrokenContract CheckContract(std::span<const Touch> touches, std::span<const State> next, int num_planes,
                              const FixedOf& fixed, const FlyingOf& flying, std::vector<char>* reported) {

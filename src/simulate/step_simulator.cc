@@ -212,7 +212,7 @@ class StepSimulator final : public LaneSimulator {
   }
 
  private:
-  // Of a rollout with more tied contacts than this, later ties are not looked for.
+  // The number of tied contacts in a rollout after which no more ties are looked for.
   static constexpr std::size_t kMostTies = 256;
 
   static const S* Flat(const State* x) { return reinterpret_cast<const S*>(x); }
@@ -235,7 +235,7 @@ class StepSimulator final : public LaneSimulator {
     }
   }
 
-  // Makes ready for a rollout; false if there cannot be one.
+  // Prepares a rollout; returns false if there cannot be one.
   bool Begin(std::span<const double> initial, std::span<const double> control) {
     CHECK_EQ(static_cast<int>(initial.size()), initial_size());
     CHECK_EQ(static_cast<int>(control.size()), control_size());
@@ -260,7 +260,7 @@ class StepSimulator final : public LaneSimulator {
     for (const TiedContact& contact : stepper_.ties()) ties_.push_back({k, contact});
     RecordStates(k);
   }
-  // After a window.
+  // Whether the rollout continues after a window: no step has failed, and nobody has stopped it.
   bool IsGoingOn() {
     if (stepper_.failure()) failure_ = stepper_.failure();
     return !failure_ && !stopped();
@@ -307,7 +307,7 @@ class StepSimulator final : public LaneSimulator {
     return 0;
   }
 
-  // A motion that is simulated together with others, and its next flight.
+  // One of several motions that are simulated together, and its next flight.
   struct Flights {
     StepSimulator* simulator = nullptr;
     int k = 0, steps = 0;
@@ -320,7 +320,7 @@ class StepSimulator final : public LaneSimulator {
   void StepTogether(int w, Flights* flights) {
     flights->steps = StepUntilFlight(&flights->k, trajectory_.end(w), [this](int k) { Record(k); });
   }
-  // Takes all motions to the end of window w.
+  // Simulates all motions to the end of window w.
   void FlyTogether(int w, double force_unit, const std::array<std::ptrdiff_t, 2>& ahead,
                    std::array<Flights, kLanes>& flights) const {
     FlightsInput in;
@@ -353,7 +353,7 @@ class StepSimulator final : public LaneSimulator {
 
   void RecordStates(int k) const { record_.AddStates(stepper_.touches(), trajectory_.At(k), stepper_.solved()); }
 
-  // Makes sure that what the adjoint through window w needs is in memory. Its touches are begin..end-1.
+  // Loads the data that the adjoint through window w needs. Its touches are begin..end-1.
   void Reload(int w, int begin, int end) {
     const bool forgotten = !all_recorded_ && begin < end && record_.first_with_states() != begin;
     const bool turns = adjoint_.NeedsStates() && !trajectory_.Holds(w) && (begin < end || adjoint_.AnyRotation());
@@ -364,7 +364,7 @@ class StepSimulator final : public LaneSimulator {
     });
   }
 
-  // Free flight of all discs for some steps from step k on.
+  // Moves all discs in free flight for some steps from step k on.
   void Fly(int k, int steps) const {
     for (int i = 0; i < num_bodies(); ++i) flight_control_[i] = {control_.On(i, k), control_.Turn(i, k)};
     FlightInput<S> flight;
@@ -377,7 +377,7 @@ class StepSimulator final : public LaneSimulator {
     model_->Fly(flight, trajectory_.At(k).data());
   }
 
-  // One step of the whole scene from a state in doubles.
+  // Takes one step of the whole scene from a state in doubles.
   Stepper<S, kRotation> StepOnce(std::span<const double> x, std::span<const double> force, std::vector<State>* from,
                                  std::vector<State>* to) const {
     CHECK_EQ(static_cast<int>(x.size()), state_size());
@@ -407,7 +407,7 @@ class StepSimulator final : public LaneSimulator {
   FreeFlightJacobian<S> free_{};
   bool free_is_affine_ = true;
 
-  // The last rollout. Asking for a state may run its window again.
+  // The last rollout. A query for a state may simulate its window again.
   mutable HeldControl<S> control_;
   mutable Trajectory<State> trajectory_;
   mutable Stepper<S, kRotation> stepper_;

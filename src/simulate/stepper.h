@@ -22,7 +22,7 @@
 
 namespace saltus {
 
-// Everything that a step needs is reused, so that it does not allocate. One for each thread.
+// Memory that a step needs is reused, so that a step does not allocate. Each thread needs its own Stepper.
 template <typename S, int kRotation>
 class Stepper {
  public:
@@ -30,7 +30,7 @@ class Stepper {
   static constexpr int kSize = 4 + kRotation;
   using State = BodyState<S, kRotation>;
 
-  // Both must outlive this object.
+  // Keeps references to `model` and `scene`, which must outlive this object.
   Stepper(const Model& model, const TypedScene<S>& scene, double step)
       : model_(model),
         scene_(scene),
@@ -52,13 +52,13 @@ class Stepper {
   }
   // The force on every disc in the next step, N.
   std::span<Vec2<S>> force() { return force_; }
-  // Likewise the torque, N m; empty if there are none.
+  // The torque on every disc in the next step, N m; empty if there are no torques.
   std::span<S> torque() { return torque_; }
-  // What can touch in the step from x. If nothing can, returns for how many steps that is so.
+  // Finds the pairs that can touch in the step from x. If there are none, returns for how many steps that holds.
   int FindCandidates(std::span<const State> x) { return broad_phase_.Find(Flat(x), kSize, &candidates_); }
   bool AllFly() const { return candidates_.empty(); }
 
-  // Step k, from x to `next`, with the candidates found there.
+  // Takes step k, from x to `next`, with the candidates found there.
   void Step(int k, std::span<const State> x, std::span<State> next) {
     model_.FreeFlight(Input(), x, next);
     touches_.clear();
@@ -69,7 +69,7 @@ class Stepper {
     if (islands_.size() > 1) SortTouches();
   }
 
-  // Step 0 in one call of the model, whatever the islands.
+  // Takes step 0 by one call of the model, without division into islands.
   void StepAtOnce(std::span<const State> x, std::span<State> next) {
     StepInput<S> in = Input();
     touches_.clear();
@@ -83,17 +83,17 @@ class Stepper {
     std::vector<int> all(x.size());
     std::iota(all.begin(), all.end(), 0);
     Check(0, all, touches_, next, [&](int i) -> const State& { return flying[i]; });
-    // Without a result there is nothing to linearize.
+    // A step without a result has no linearization.
     if (failure_) touches_.clear();
   }
 
-  // Of the step just taken.
+  // The touches, ties and solutions of the last step.
   const std::vector<Touch>& touches() const { return touches_; }
   const std::vector<TiedContact>& ties() const { return ties_; }
   const SolvedSteps& solved() const { return solved_; }
   const std::optional<RolloutFailure>& failure() const { return failure_; }
 
-  // Derivatives are taken island by island, of those that touches connect. Each in turn is made the local scene.
+  // Groups touches into islands, as derivatives are taken island by island. Each in turn is made the local scene.
   template <typename Touches, typename TouchOf>
   void FindTouchedIslands(const Touches& touches, const TouchOf& touch_of) {
     candidates_.clear();
@@ -101,7 +101,7 @@ class Stepper {
     FindIslands();
   }
   const Islands& islands() const { return islands_; }
-  // The states of the local scene, to be filled in by whoever differentiates it.
+  // The states of the local scene, to be set by the caller that differentiates it.
   std::vector<State>& local_states() { return local_.x; }
   SolveRecord& local_solved() { return local_.solved; }
   void GatherAllButStates(int q) {
@@ -133,7 +133,7 @@ class Stepper {
     in.failure = &local_.failure;
     return in;
   }
-  // What was found of island q in step k; empty if nothing was.
+  // Returns the recorded solution of island q in step k; empty if there is none.
   std::span<const double> FindSolved(const SolvedSteps& solved, int k, int q) const {
     return solved.Find(k, FirstPair(islands_.bodies(q)), local_.candidates.size());
   }
@@ -154,8 +154,8 @@ class Stepper {
     std::string_view failure;
   };
 
-  // An island that a step has left as it was, bit by bit, and what the step gave. As long as nothing else is asked, the
-  // next step is that one.
+  // An island that a step has left unchanged, bit by bit, with the results of that step. As long as the forces are the
+  // same, the next step has the same results.
   struct Rest {
     std::vector<int> island;  // empty if there is none
     std::vector<State> x;
@@ -165,7 +165,7 @@ class Stepper {
     std::vector<Touch> touches;
     SolveRecord solved;
   };
-  // What comes to rest to the last bit are bodies under exact events; others need not be looked at.
+  // Whether islands may come to rest to the last bit, which only exact events can do.
   bool MayRest() const { return model_.traits().event_driven; }
 
   static const S* Flat(std::span<const State> x) { return reinterpret_cast<const S*>(x.data()); }
@@ -185,7 +185,7 @@ class Stepper {
              .all_parts = traits.event_driven}};
   }
 
-  // The candidates are often those of the step before; then so are the islands.
+  // Often the candidates are those of the step before, and then the islands are too.
   void FindIslands() {
     if (candidates_ == grouped_) return;
     grouped_ = candidates_;
@@ -203,7 +203,7 @@ class Stepper {
     return in;
   }
 
-  // `next` has free flight and gets the step.
+  // Steps one island. `next` has the states after free flight, and gets those after the step.
   void StepIsland(int k, int q, std::span<const State> x, std::span<State> next) {
     const std::span<const int> island = islands_.bodies(q);
     Gather(q, x);
@@ -218,7 +218,7 @@ class Stepper {
       if (failure_) return;
       if (MayRest() && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
     }
-    // The derivative is of the pairs that touch only: it recalls this step if these are all there are.
+    // The derivative treats the touching pairs only: it can use this solution if all pairs of the island touch.
     if (!local_.solved.numbers().empty() && local_.touches.size() == local_.candidates.size()) {
       solved_.Add(k, FirstPair(island), local_.candidates.size(), local_.solved.numbers());
     }
@@ -235,7 +235,7 @@ class Stepper {
     }
   }
 
-  // The step of the local scene. `next` has free flight.
+  // Takes the step of the local scene. `next` has the states after free flight.
   void TakeStep(int k, std::span<const int> island, std::span<const State> next) {
     local_.touches.clear();
     local_.solved.Clear();
@@ -266,7 +266,7 @@ class Stepper {
     rest.solved.Assign(local_.solved.numbers());
   }
 
-  // Notes what is wrong with a step of the discs `island`, whose indices the touches are.
+  // Records a failure of a step of the discs `island`; the touches have the indices of the island.
   template <typename FlyingOf>
   void Check(int k, std::span<const int> island, std::span<const Touch> touches, std::span<const State> next,
              const FlyingOf& flying) {
@@ -284,20 +284,20 @@ class Stepper {
     if (!broken.what.empty()) failure_ = {k, broken.disc < 0 ? -1 : island[broken.disc], broken.what};
   }
 
-  // In order of time if the model resolves it, else as candidates are.
+  // Sorts by time if the model resolves it, else in the order of the candidates.
   void SortTouches() {
     const auto before = [by_time = model_.traits().event_driven](const Touch& l, const Touch& r) {
       if (by_time) return l.time < r.time;
       const Candidate &a = l.candidate, &b = r.candidate;
       return std::tie(a.plane, a.a, a.b) < std::tie(b.plane, b.a, b.b);
     };
-    // By insertion: stable, and without memory.
+    // Insertion is stable and needs no memory.
     for (auto at = touches_.begin(); at != touches_.end(); ++at) {
       std::rotate(std::upper_bound(touches_.begin(), at, *at, before), at, at + 1);
     }
   }
 
-  // The first of the local scene's pairs, in the numbers of the whole scene.
+  // Returns the first pair of the local scene, with the indices of the whole scene.
   Candidate FirstPair(std::span<const int> island) const { return InScene(local_.candidates[0], island); }
   static Candidate InScene(const Candidate& c, std::span<const int> island) {
     return {island[c.a], c.plane ? c.b : island[c.b], c.plane};

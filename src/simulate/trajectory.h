@@ -47,7 +47,7 @@ class Trajectory {
   int num_windows() const { return (num_steps_ + length_ - 1) / length_; }
   int begin(int window) const { return window * length_; }
   int end(int window) const { return std::min(num_steps_, (window + 1) * length_); }
-  // The window in which step k begins; of the last state, the last.
+  // Returns the window in which step k begins; the last window for the final state.
   int WindowOf(int k) const { return std::min(k / length_, num_windows() - 1); }
 
   std::span<State> Checkpoint(int window) {
@@ -61,14 +61,14 @@ class Trajectory {
     whole_ = whole;
     std::ranges::copy(Checkpoint(window), window_.begin());
   }
-  // The window is complete: its last state is the checkpoint of the next.
+  // Ends a window: its last state becomes the checkpoint of the next one.
   void Close() {
     if (loaded_ + 1 < num_windows()) std::ranges::copy(At(end(loaded_)), Checkpoint(loaded_ + 1).begin());
   }
   bool Holds(int window) const { return loaded_ == window && whole_; }
   bool HoldsEnd() const { return loaded_ == num_windows() - 1; }
 
-  // State k of the window that is held, its last state included.
+  // Returns state k of the window that is held, its last state included.
   std::span<State> At(int k) {
     return {window_.data() + static_cast<std::size_t>(k - begin(loaded_)) * num_bodies_, size()};
   }

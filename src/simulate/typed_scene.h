@@ -43,7 +43,7 @@ struct TypedScene {
 
   int num_bodies() const { return static_cast<int>(bodies.size()); }
 
-  // The part of a step's input that is the same in every step. It refers to this object.
+  // Returns the part of a step's input that is the same in every step. It refers to this object.
   StepInput<S> Input() const {
     StepInput<S> in{};
     in.h = h;
@@ -91,7 +91,7 @@ class HeldControl {
     for (const Body& body : scene.bodies) radius_.push_back(S(body.radius));
   }
 
-  // Before a rollout: its forces are copied window by window.
+  // Prepares a rollout, whose forces are copied window by window.
   void Resize(std::size_t size) {
     copy_.resize(size);
     forces_ = copy_.data();
@@ -102,13 +102,13 @@ class HeldControl {
     const std::ptrdiff_t first = begin * stride(), last = end * stride();
     std::copy(control.begin() + first, control.begin() + last, copy_.begin() + first);
   }
-  // Instead of both: refers to a control in units of `unit`, N, which must stay as long as it is used.
+  // Replaces Resize() and Copy(): refers to a control in units of `unit`, N, which must stay as long as it is used.
   void Refer(std::span<const S> control, double unit) {
     forces_ = control.data();
     num_referred_ = control.size();
     unit_ = derivative_unit_ = unit;
   }
-  // Makes unit() 1.
+  // Copies a control that was referred to, after which unit() is 1.
   void CopyReferred() {
     if (unit_ == 1) return;
     copy_.resize(num_referred_);
@@ -116,20 +116,20 @@ class HeldControl {
     forces_ = copy_.data();
     unit_ = 1;
   }
-  // N, of the forces that On() finds and of those by which derivatives are taken.
+  // The units of the forces of On(), and of those by which derivatives are taken, N.
   double unit() const { return unit_; }
   double derivative_unit() const { return derivative_unit_; }
 
   bool Pushes(int body) const { return place_[body] >= 0; }
-  // Where the forces on a disc that is pushed from step k on begin. From one step to the next it is stride() numbers.
+  // The index of the force on a pushed disc in step k; that of the next step is stride() numbers further.
   std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
   std::ptrdiff_t stride() const { return stride_; }
-  // The forces there, in units of unit(); null if the disc is not pushed.
+  // Returns a pointer to this force, in units of unit(); null if the disc is not pushed.
   const S* On(int body, int k) const { return Pushes(body) ? forces_ + Offset(body, k) : nullptr; }
 
   bool Turns(int body) const { return turn_place_[body] >= 0; }
-  // Likewise where torque / radius of a disc that is turned stands, the numbers there, and the torque, N m; null and 0
-  // if it is not turned.
+  // The index of torque / radius of a turned disc in step k, a pointer to it, and the torque, N m; null and 0 for other
+  // discs.
   std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
   const S* Turn(int body, int k) const { return Turns(body) ? forces_ + TurnOffset(body, k) : nullptr; }
   S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
@@ -185,8 +185,8 @@ class HeldControl {
     }
   }
 
-  // By how much a torque may speed a disc up, m/s^2: what its radius of gyration gains, which friction turns into
-  // speed.
+  // Returns a bound on the acceleration that a torque can cause, m/s^2: the angular acceleration times the radius of
+  // gyration, which friction may turn into speed.
   static double AccelerationByTorque(const BodyConstants<S>& body, double torque) {
     return torque * std::sqrt(double(body.inverse_inertia) * double(body.inverse_mass));
   }

@@ -18,7 +18,7 @@ SALTUS_FLATTEN [[gnu::target("avx2")]] void RunWithAvx2(const F& f) {
 }
 #endif
 
-// Calls f.
+// Calls f, compiled for the widest instructions of the processor.
 template <typename F>
 void RunWide(const F& f) {
 #ifdef __x86_64__
@@ -27,13 +27,13 @@ void RunWide(const F& f) {
   f();
 }
 
-// Two numbers in each of two steps that are `stride` numbers apart.
+// Packs two numbers in each of two steps that are `stride` numbers apart.
 template <typename S>
 struct StepPairs {
   using Pair [[gnu::vector_size(2 * sizeof(S))]] = S;
   using Pack [[gnu::vector_size(4 * sizeof(S))]] = S;
 
-  // Nothing is returned, as registers of that width are not the caller's to know.
+  // Returns by pointer, as the caller may be compiled without registers of that width.
   static void Load(const S* at, std::ptrdiff_t stride, Pack* pack) {
     if (stride == 2) {
       std::memcpy(pack, at, sizeof(Pack));
@@ -57,8 +57,8 @@ struct StepPairs {
 
 }  // namespace internal
 
-// The sums of the squares of several rows of n numbers. Each is that of four sums, of every fourth number, whatever the
-// number of rows: these need not wait for each other.
+// Returns the sums of the squares of several rows of n numbers. Each is the total of four sums of every fourth number,
+// which the processor computes in parallel; the order of additions does not depend on the number of rows.
 template <std::size_t kRows>
 std::array<double, kRows> SumsOfSquares(const std::array<const double*, kRows>& rows, std::size_t n) {
   std::array<double, kRows> all;

@@ -70,7 +70,7 @@ TEST(ContactClass, OptionsThatChangeTheLawChangeTheClass) {
   };
   EXPECT_STREQ(class_of("lcp_pgs:erp=0"), "impulse at a step boundary");
   EXPECT_STREQ(class_of("lcp_pgs:erp=0.02"), "depth feedback");
-  // What is left of an overlap that is hardly corrected is the velocity pass.
+  // The velocity pass leaves the rest of an overlap that is hardly corrected.
   EXPECT_STREQ(class_of("xpbd:compliance=1e-4"), "impulse at a step boundary");
   EXPECT_STREQ(class_of("soft_convex:damping=200"), "no restitution");
   EXPECT_STREQ(class_of("soft_convex:dmin=1e-4:width=0.01"), "continuous force");
@@ -79,7 +79,7 @@ TEST(ContactClass, OptionsThatChangeTheLawChangeTheClass) {
   EXPECT_STREQ(class_of("position_qp:restitution=1"), "projection");
 }
 
-// The same model under scenes that let its law jump or not: the class is a property of what happens.
+// One model under scenes that let its law jump or not: the class is a property of the contact in simulation.
 TEST(ContactClass, ADamperMakesASpringJump) {
   Scene scene = ProblemScene("bounce_once");
   const ContactRecognition spring = RecogniseContact("compliant_warp", scene);

@@ -69,8 +69,8 @@ TEST(ExtraModel, DetachedDerivativesAreSaidSo) {
   }
 }
 
-// Of models that are wrong for other reasons nobody says so. On a node of the time grid some losses jump to either
-// side.
+// Models with wrong gradients of other kinds are not reported as contradicting themselves. Some losses jump on a node
+// of the time grid, so scenes off the grid are taken.
 TEST(ExtraModel, OtherGradientsAgreeWithTheirDifferences) {
   const Scene off_grid[] = {
       BounceOffTheGrid(), LaunchOffTheGrid(), ProblemScene("two_balls"), ProblemScene("multiple_collisions")};

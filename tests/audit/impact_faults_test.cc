@@ -136,7 +136,7 @@ TEST(ImpactFaults, AnExactMapHasNoFault) {
   EXPECT_EQ(RecogniseFault(c.impact, almost, 1), std::nullopt);
 }
 
-// Those of spin too, where discs stick.
+// Dropped terms of spin are named too, for impacts that stick.
 TEST(ImpactFaults, NamesWhatWasDroppedOfSpin) {
   const Case c = Build({.restitution = 0.7, .friction = 5, .spins = true});
   const auto recognise = [&](const auto& drop) {

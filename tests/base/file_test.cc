@@ -238,7 +238,7 @@ TEST_F(WriteFileTest, AnythingElseIsRefused) {
   EXPECT_EQ(Entries(), 3u);
 }
 
-// What standard output leads to may have no name any more.
+// The file behind standard output may have been unlinked, and then has no name.
 TEST_F(WriteFileTest, AFileWithoutANameIsRefused) {
   const int file = open(At("file").c_str(), O_RDWR | O_CREAT, 0600);
   ASSERT_GE(file, 0);

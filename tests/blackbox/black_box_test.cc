@@ -381,7 +381,7 @@ TEST(BlackBox, NothingIsLeftOfACommand) {
   for (const pid_t process : processes) EXPECT_TRUE(HasGone(process));
 }
 
-// Of a command that greets and is silent then, and of one that is silent.
+// Tries a command that greets and is then silent, and one that is silent from the start.
 TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
   const std::pair<std::string, std::string> cases[] = {{"INT", "echo '{}'"}, {"INT", "true"}, {"KILL", "echo '{}'"}};
   for (const auto& [signal_name, greeting] : cases) {

@@ -60,7 +60,7 @@ double LargestOverlap(const Scene& scene, const std::vector<WallPart>& walls, st
   return overlap;
 }
 
-// Of the box around all discs at the start, m.
+// Returns the size of the box around all discs at the initial time, m.
 double Size(const Scene& scene) {
   Vec2d low = scene.bodies[0].position, high = low;
   for (const Body& body : scene.bodies) {
@@ -139,7 +139,7 @@ class SceneCheck {
   void CheckStates() {
     std::vector<double> state(static_cast<size_t>(simulator_->state_size()));
     double overlap = 0, growth = 0, largest = 0, fastest = 0, before = 0, momentum_error = 0, momentum_scale = 0;
-    // What forces would do along the scene: the scale of a scene at rest.
+    // The work of the forces over the size of the scene is the scale of energy of a scene at rest.
     const double size = Size(scene_);
     for (int i = 0; i < scene_.num_bodies(); ++i) largest += scene_.bodies[i].fixed ? 0 : force_[i].norm() * size;
     double angular_at_start = 0, angular_error = 0, angular_scale = 0;
@@ -251,7 +251,7 @@ class SceneCheck {
     return {fine, ""};
   }
 
-  // Of the entries of the initial state, where its derivative does not exist from both sides.
+  // Returns the entries of the initial state by which the loss has one-sided derivatives only, with their sides.
   std::map<size_t, OneSided::Side> SidesOfInitial() const {
     std::map<size_t, OneSided::Side> sides;
     for (const OneSided& at : OneSidedDerivatives(InNaturalUnits(scene_))) {
@@ -313,8 +313,8 @@ class SceneCheck {
       const auto slope_at = [&](double width) { return Slope(initial, control, sign, loss, size, differences, width); };
       const double widest = std::min(differences.width, kLargestChange / size);
       Side side = slope_at(widest);
-      // What disagrees by chance does not do so again; and the first impacts may be so slow, or the motion so
-      // sensitive, that all this was another motion.
+      // A disagreement by chance does not happen again at another width; and the first impacts may be so slow, or the
+      // motion so sensitive, that all wider displacements lead to another motion.
       for (double width = 0.3 * widest; !(side.slope && agrees(side)) && width > kFinest; width *= 0.1) {
         if (const Side finer = slope_at(width); finer.slope && agrees(finer)) return finer;
       }

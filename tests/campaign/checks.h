@@ -1,4 +1,4 @@
-// What must hold of a simulation by exact events, whatever the scene.
+// Properties that every simulation by exact events must have, whatever the scene.
 #pragma once
 
 #include <map>

@@ -87,7 +87,7 @@ class Penalty final : public ceres::CostFunction {
   const double* weight_;
 };
 
-// What a random start ends with.
+// The result of a solve from a random start.
 struct Penalised {
   std::vector<double> control;
   ExactRun run;

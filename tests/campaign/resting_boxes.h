@@ -34,7 +34,7 @@ std::string Line(const char* format, Numbers... numbers) {
   return text.data();
 }
 
-// What does not hold of a motion, and how it ends.
+// The properties that a motion violates, and its end.
 struct RestingReport {
   std::string refused, wrong;
   bool rests = false;  // all velocities are zero at the end

@@ -178,7 +178,7 @@ void Pressed(RandomScenes* random, Scene* scene) {
   }
 }
 
-// Of a hundred scenes so many are of each kind. Discs that press each other and turn take the model many short arcs.
+// The number of each kind in a hundred scenes. The motion of discs in contact that turn takes many short arcs.
 constexpr struct {
   const char* name;
   int share;

@@ -19,14 +19,14 @@ struct NamedScene {
 // state of all discs that move.
 NamedScene RandomScene(std::uint32_t seed);
 
-// Likewise among segments, polygons and arcs, one in three on a table: 1 to 4 discs, none pushed.
+// Returns a scene with segments, polygons and arcs, one in three on a table: 1 to 4 discs, none pushed.
 NamedScene RandomEdgeScene(std::uint32_t seed);
 
-// Likewise with events at the same time: discs in corners, on lattices, beside their mirror images, that strike walls
-// on nodes, or that meet two things at once. 1 to 9 discs, none pushed, no rest at the start.
+// Returns a scene with events at the same time: discs in corners, on lattices, beside their mirror images, that strike
+// walls on nodes, or that meet two things at once. 1 to 9 discs, none pushed, no rest at the start.
 NamedScene RandomSceneAtOnce(std::uint32_t seed);
 
-// The same scene with discs that spin, friction and a loss that depends on their spin; without a table, on which
+// Returns the scene with discs that spin, friction and a loss that depends on their spin; without a table, on which
 // nothing spins.
 NamedScene WithSpin(NamedScene scene, std::uint32_t seed);
 

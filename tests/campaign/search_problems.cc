@@ -38,7 +38,7 @@ double CpuSeconds() {
   return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
-// What a control gives, whatever the solver says of it.
+// Returns the exact loss of a control, whatever the solver reports.
 double ExactLoss(const Scene& scene, const SolveReport& report) {
   if (report.control.empty()) return INFINITY;
   const ExactRun run = SimulateExactly(scene, InitialState(scene), report.control, report.durations);

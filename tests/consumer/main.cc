@@ -1,5 +1,5 @@
-// What a user's first program looks like: read a scene, optimise it, look at the loss. Exit code 0 if the loss is the
-// published one (Zhong, Han, Brikis 2022, task 3).
+// A user's first program: it reads a scene, optimises it and prints the loss. Exit code 0 if the loss is the published
+// one (Zhong, Han, Brikis 2022, task 3).
 #include <cmath>
 #include <iostream>
 

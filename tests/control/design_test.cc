@@ -44,7 +44,7 @@ double Difference(SingleShooting* shooting, std::vector<double> z, std::size_t i
   return sum / step;
 }
 
-// Of all variables; of a control only the first and the last.
+// Compares the derivatives by all variables; of a control only the first and the last.
 void ExpectGradient(const Scene& scene, const std::string& contact, double step, double tolerance) {
   SCOPED_TRACE(contact + " on " + scene.name);
   ASSERT_EQ(WhyNotApplicable(contact, scene), "");

@@ -41,7 +41,7 @@ inline Scene TwoPushed() {
   return scene;
 }
 
-// The same with discs that spin, so that their impacts slip, or stick, and terms of that.
+// Returns the scene with discs that spin, whose impacts slip or stick, and with terms of their spin.
 inline Scene TwoSpin(double friction) {
   Scene scene = TwoPushed();
   scene.name = "two_spin";

@@ -63,7 +63,7 @@ TEST_P(SharedSimulator, StepsAndLinearizesOnSeveralThreads) {
   const int contact = simulator->touches().front().step;
   std::vector<double> force(2 * simulator->num_bodies());
   simulator->ExpandForce(control, 0, force);
-  // Of each thread another step: in flight, and about the contact.
+  // Each thread has another step: in flight, and about the contact.
   std::vector<std::vector<double>> x(kThreads, std::vector<double>(simulator->state_size()));
   for (int i = 0; i < kThreads; ++i) simulator->GetState(i == 0 ? 0 : contact + i - 1, x[i]);
   std::vector<std::vector<double>> alone, together(kThreads);

@@ -68,7 +68,7 @@ void ExpectGradient(const Scene& scene, const std::string& contact, double toler
       EXPECT_TRUE(shooting.Evaluate(moved, &there, nullptr));
       return there;
     };
-    // Of fourth order.
+    // This difference is of fourth order.
     const double slope = (8 * (at(kStep) - at(-kStep)) - (at(2 * kStep) - at(-2 * kStep))) / (12 * kStep);
     EXPECT_NEAR(gradient[i], slope, tolerance * largest) << i;
   }

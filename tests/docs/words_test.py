@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Words, links and spelling of the pages, the help texts and lists of the programs, their messages, and the Python module;
-and comments of public headers that need the line before them to be understood.
+and comments of the C++ sources that need the line before them to be understood.
 
 usage: words_test.py [--build=DIR]        Spelling by codespell, where it is installed.
 
@@ -61,6 +61,8 @@ def python_texts(text):
     return "\n".join(lines)
 
 
+# Rooms whose comments are still to be rewritten.
+UNREAD = ["src/feedback", "src/global", "src/hybrid", "src/identify", "src/programs", "src/solve", "src/sweep"]
 UNFINISHED = re.compile(r"^[ \t]*// (Of|The same|Those|As|Likewise|So far|Such|What|Whether and)\b")
 
 
@@ -108,7 +110,9 @@ def main():
             for pattern, instead in words:
                 for match in pattern.finditer(line):
                     found.append(f"{name}:{k + 1}: \"{match[0]}\" is ruled out; write: {instead}")
-    for file in sorted((SOURCE / "include").rglob("*.h")):
+    commented = [file for folder in ("include", "src", "tests", "bench", "python") for file in (SOURCE / folder).rglob("*")
+                 if file.suffix in (".h", ".cc") and not any(file.is_relative_to(SOURCE / room) for room in UNREAD)]
+    for file in sorted(commented):
         found += [f"{file.relative_to(SOURCE)}:{line}: the comment cannot be read alone; begin with a verb or with the thing"
                   for line in unfinished_comments(file.read_text(encoding="utf-8"))]
     anchors = {page: {slug(m[1]) for m in re.finditer(r"^#+ (.*)$", prose(texts[str(page.relative_to(SOURCE))]), re.M)}

@@ -93,7 +93,7 @@ void ExpectCostateIsGradient(const Scene& scene, TwoDiscSequence sequence) {
   }
 }
 
-// What the minimum principle asks of the control, the costates and the Hamiltonian.
+// Checks the conditions of the minimum principle on the control, the costates and the Hamiltonian.
 void ExpectMinimumPrinciple(const Scene& scene, const TwoDiscOptimum& o) {
   const double effort = scene.objective.effort;
   const double m1 = scene.bodies[0].mass;

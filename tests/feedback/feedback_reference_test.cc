@@ -105,7 +105,7 @@ TEST(FeedbackReference, ContinuousRegulatorAboutTheOptimum) {
       Matrix(2, {2.10945196467307731e-8, -5.31347327211035747e-8, -5.31347327211035747e-8, 2.43872693735597685e-7}));
 }
 
-// The same in several intervals and more modes of the recursion gives the same cost to go.
+// A motion cut into several intervals, and so with more modes of the recursion, has the same cost to go.
 TEST(FeedbackReference, ContinuousRegulatorDoesNotDependOnIntervals) {
   HybridSimulator motion(HybridSystem(OptimalBall()), {.tolerance = 1e-14});
   const HybridInput input{.initial = {4, 0}, .duration = 1, .num_intervals = 7};

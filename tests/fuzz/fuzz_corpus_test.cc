@@ -1,4 +1,4 @@
-// What fuzzing has found, and what it starts from, once more: nothing that was mended breaks again.
+// Runs the corpus of fuzzing, its seeds and its findings: no fault that was mended comes back.
 #include <gtest/gtest.h>
 
 #include <filesystem>

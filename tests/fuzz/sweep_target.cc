@@ -10,7 +10,7 @@
 namespace saltus::fuzz {
 namespace {
 
-// What must hold of a row: as many values as options, each of which a request takes or refuses with a reason.
+// Checks a row: it has as many values as options, each of which a request takes or refuses with a reason.
 void CheckRow(const SweepBlock& block, const SweepRow& row) {
   CHECK_EQ(row.size(), block.options.size());
   Request request;

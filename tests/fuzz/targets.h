@@ -1,4 +1,4 @@
-// What is fuzzed: every reader of text or files that a user hands to a program, and rollouts of scenes.
+// The targets of fuzzing: every reader of text or files that a user hands to a program, and rollouts of scenes.
 //
 // A target takes any bytes. It must come back, in time and without a leak, and checks on the way what must hold of what
 // was read. scripts/fuzz.sh feeds the targets by libFuzzer, corpus_test.cc feeds them what is kept in corpus/<name>/.
@@ -25,10 +25,10 @@ struct Target {
   const char* name;
   void (*run)(std::string_view bytes);
 };
-// Those of the program: the readers, or what runs scenes.
+// Returns the targets of the program: the readers, or rollouts of scenes.
 std::span<const Target> Targets();
 
-// What the text refers to: four discs, one of them fixed and two pushed, and a plane; some names have hyphens and dots.
+// The scene that texts refer to: four discs, one fixed and two pushed, and a plane; some names have hyphens and dots.
 const Scene& ExampleScene();
 
 // The path of a file in memory with these contents, until the next call.

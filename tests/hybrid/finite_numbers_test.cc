@@ -71,7 +71,7 @@ HybridProblem ProblemOf(Kinked::Kind kind) {
   return problem;
 }
 
-// Those that begin at the guess; mode_search has other starts, which have derivatives.
+// The solvers that begin at the guess; mode_search has other starts, which have derivatives.
 constexpr const char* kSolvers[] = {"gd", "ceres_lbfgs", "ceres_lm", "ceres_phases"};
 
 struct Case {

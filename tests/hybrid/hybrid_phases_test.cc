@@ -251,8 +251,8 @@ Eigen::Matrix2d RootOf(const Eigen::Matrix2d& symmetric) {
 
 AtImpact BestAtImpact(const HybridProblem& problem, int n1, int n2, double s) {
   const double g = 9.8, e = 0.7, rest = 1 - s;
-  // What the controls of a phase add to position and velocity at its end is M u, and the least |u|^2 for a given M u =
-  // d is d^T (M M^T)^{-1} d. Unknown are the speed V before the impact and the d after it; minimized is |A z - b|^2.
+  // The controls of a phase add M u to position and velocity at its end, and the least |u|^2 for a given M u = d is
+  // d^T (M M^T)^{-1} d. Unknown are the speed V before the impact and the d after it; minimized is |A z - b|^2.
   const auto added_by = [](int n, double length) {
     Eigen::Matrix2Xd M(2, n);
     for (int k = 0; k < n; ++k) M.col(k) << (length / n) * (length - (k + 0.5) * length / n), length / n;

@@ -28,7 +28,7 @@ SolverOptions Iterations(int iterations) {
   return options;
 }
 
-// Of state (2), parameters (2) and time.
+// A cost of state (2), parameters (2) and time.
 struct OfEvents {
   template <typename T>
   bool operator()(const T* x, const T* p, const T* t, T* residuals) const {
@@ -38,7 +38,7 @@ struct OfEvents {
   }
 };
 
-// Of state (2), control (1), parameters (2), time and length.
+// A cost of state (2), control (1), parameters (2), time and length.
 struct OfIntervals {
   template <typename T>
   bool operator()(const T* x, const T* u, const T* p, const T* t, const T* h, T* residual) const {

@@ -352,7 +352,7 @@ struct WalkerCycle {
     ExpectEigenvalues(jacobian, {first, second});
     ExpectEigenvalues(monodromy, {first, second, 1, 0});
   }
-  // What is zero at heel strike, and the height of the swing foot, at a time of the cycle.
+  // Returns the function that is zero at heel strike, and the height of the swing foot, at a time of the cycle.
   std::pair<double, double> FootAt(double time) const {
     const double c = std::cos(2 * fixed[0]);
     Motion part(

@@ -1,4 +1,4 @@
-// What counts as an event, and what is reported where a motion or its derivative does not exist.
+// Which zeros of guards are events, and what is reported where a motion or its derivative does not exist.
 #include "saltus/hybrid/hybrid_simulator.h"
 
 #include <gmock/gmock.h>
@@ -481,7 +481,7 @@ TEST(HybridSimulator, SeveralEventsInOneStep) {
   EXPECT_NEAR(simulator.events()[2].time, 1.129384878631564, 1e-14);
 }
 
-// What a user may get wrong; p = [].
+// A system with one of several errors of a user; p = [].
 struct Wrong {
   enum What { kNothing, kUnset, kNotFinite, kGuard, kMode, kReset, kBlowUp, kNoTime } what = kNothing;
 

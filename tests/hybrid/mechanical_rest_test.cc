@@ -634,7 +634,7 @@ TEST(Interrupts, EndARolloutWithinAStep) {
     EXPECT_THAT(simulator.WhyFailed(), HasSubstr("interrupted"));
     after = evaluations - then;
     EXPECT_GE(asked, 20);
-    // What a rollout evaluates before its first step, at the most.
+    // The bounds are the most evaluations of a rollout before its first step.
     EXPECT_LE(after, 200);
     EXPECT_LE(asked, 40);
   }

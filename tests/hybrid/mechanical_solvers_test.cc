@@ -222,7 +222,7 @@ TEST(ClosedContacts, ALegHopsWithLeastEffortWithACertificate) {
   EXPECT_NEAR(missed, 0, 0.02);
 }
 
-// The same pendulum under a torque that is a polynomial of t / T, whose coefficients are the parameters.
+// The pendulum under a torque that is a polynomial of t / T, whose coefficients are the parameters.
 struct PolynomialTorque : PendulumAtWall {
   static constexpr double kDuration = 1.6;
   static constexpr int kNumControls = 0, kNumParameters = 7;  // c_0 .. c_5, e

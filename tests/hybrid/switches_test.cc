@@ -98,7 +98,7 @@ struct Dragged {
   }
 };
 
-// The same with the kink in the flow itself, which nothing declares.
+// A system with the kink in the flow itself, which no switch declares.
 struct UndeclaredKink {
   static constexpr int kNumControls = 0;
   static constexpr int kNumParameters = 3;

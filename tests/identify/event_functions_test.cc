@@ -39,7 +39,7 @@ TEST(EventFunctions, TrueOnesAreExact) {
   ExpectExactLaunches([](const Scene& scene) { return LearnedContact(ProfileEvents(scene, 2)); });
 }
 
-// The same as `event` to rounding: states and gradients, of the control too, with impacts between discs.
+// True event functions give the results of `event` to rounding: states and gradients, with impacts between discs.
 TEST(EventFunctions, TrueOnesAreEvent) {
   for (const Scene& scene : {ThrowIntoACorner(), ProblemScene("two_balls")}) {
     const LossAndGradient exact = Evaluate("event", scene);
@@ -56,7 +56,7 @@ TEST(EventFunctions, TrueOnesAreEvent) {
   }
 }
 
-// What every contact model must do where contacts do not last.
+// The model has the properties of every contact model, for contacts that do not last.
 TEST(EventFunctions, ConformAsAContactModel) {
   using namespace conformance;  // NOLINT
   const auto contact = [](const Scene& scene) { return LearnedContact(ProfileEvents(scene, 2)); };
@@ -110,8 +110,8 @@ std::vector<Recording> Throws(const Contact& contact, Scene scene, double noise)
   return recordings;
 }
 
-// Of exact data: normals and distances, and that of the ground keeps 1 - mu (1 + e) of ... along it: mu (1 + e) =
-// 0.192.
+// Exact data determine normals and distances; for the ground also the ratio by which it keeps the tangential velocity,
+// 1 - mu (1 + e) of ... along it: mu (1 + e) = 0.192.
 TEST(Identify, AffineEventsAreRecovered) {
   const Scene truth = ThrowScene();
   const std::vector<Recording> recordings = Throws("event", truth, 0);

@@ -205,7 +205,7 @@ TEST(Identify, WhatDeterminesNothingIsNoFit) {
   }
 }
 
-// What is measured without any error leaves nothing to estimate an error from, and is a fit all the same.
+// Measurements without any error leave nothing to estimate an error from, and are a fit all the same.
 TEST(Identify, SamplesWithoutErrorFit) {
   GeneratedProblem problem = Bounce(0);
   for (Sample& sample : problem.recording.samples) sample.sigma = 0;
@@ -490,7 +490,7 @@ TEST(Identify, LongRecordingsInSegments) {
   EXPECT_THAT(said, testing::Contains(testing::StartsWith("confidence, iteration ")));
 }
 
-// What was found until then is reported.
+// An interrupted fit reports its best values.
 TEST(Identify, StopsWhenAsked) {
   const GeneratedProblem problem = LongProblem(10);
   int asked = 0;

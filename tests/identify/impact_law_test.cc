@@ -76,7 +76,7 @@ TEST(NeuralEvent, BeginsAsEvent) {
   }
 }
 
-// What every contact model must do, but for the restitution of the scene.
+// The model has the properties of every contact model, except for the restitution of the scene.
 TEST(NeuralEvent, ConformsAsAContactModel) {
   using namespace conformance;  // NOLINT
   for (const ImpactLaw& law : {Bent(RestitutionNetwork(3, 4, 0.7)), Bent(ImpulseNetwork(3, 4, 0.7, 0.2))}) {

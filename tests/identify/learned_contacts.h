@@ -1,4 +1,4 @@
-// What the tests of learned contacts, laws of impact and event functions, have in common.
+// Common parts of the tests of learned contacts, laws of impact and event functions.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -14,7 +14,7 @@
 
 namespace saltus {
 
-// What a contact model makes of a scene's loss at the end, with its gradient by the adjoint.
+// The loss of a scene under a contact model, with its gradient by the adjoint.
 struct LossAndGradient {
   double loss = 0;
   Sensitivity gradient;
@@ -113,7 +113,7 @@ MotionAtSamples MoveFromStart(const Scene& scene, const Recording& recording, co
   return MoveThrough("event", scene, segment, request, true);
 }
 
-// Those derivatives, which are of `motion`, against differences.
+// Compares the derivatives by parameters, which are those of `motion`, with differences.
 template <typename Learned>
 void ExpectDerivativesByParameters(const MotionAtSamples& motion, const Scene& scene, const Recording& recording,
                                    const Learned& learned, double tolerance) {

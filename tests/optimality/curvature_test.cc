@@ -276,7 +276,7 @@ TEST(Curvature, IsThatOfTheLagrangianAlongWhatIsFree) {
   }
   const Eigen::MatrixXd basis = NullSpace(held);
   ASSERT_EQ(basis.cols(), 44);  // of 80 forces: 16 and 8 and 8 held, and the end
-  // Of the pencil of both: B^T hessian B for a basis B in which the measure is the identity.
+  // Solves the pencil of both: B^T hessian B for a basis B in which the measure is the identity.
   const SymmetricEigen of_measure = EigenOf(Multiply(MultiplyTransposed(basis, measure), basis));
   const Eigen::MatrixXd unit_basis =
       Multiply(basis, of_measure.vectors * of_measure.values.cwiseSqrt().cwiseInverse().asDiagonal());

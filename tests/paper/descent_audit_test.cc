@@ -81,7 +81,7 @@ class Along : public testing::Test {
     ASSERT_TRUE(audit_->Run(2, ProgressMode::kNone));
   }
 
-  // Of the panel 0 (angles), 1 (exact losses) or 2 (losses).
+  // Returns a series of the panel 0 (angles), 1 (exact losses) or 2 (losses).
   static Series Find(size_t panel, const std::string& contact) {
     const PaperFigure drawn = audit_->ToFigure();
     for (const Series& series : drawn.figure.panels.at(panel).series) {
@@ -151,7 +151,7 @@ TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
   std::vector<std::vector<double>> iterates;
   for (const int k : DescentAudit::LookedAt()) iterates.push_back(direct.iterates.at(k));
   audit.Know(0, "direct", iterates);
-  // Of another descent, to see that these are taken.
+  // The iterates are those of another descent, which shows that they are used.
   audit.Know(0, "pbd_warp", iterates);
   audit.Know(0, "event", {{1, 2}});  // one that ended early is not
   ASSERT_TRUE(audit.Run(2, ProgressMode::kNone));

@@ -1,4 +1,4 @@
-// What the audit says where events happen at the same time, where nothing can be judged, and on which number it rests.
+// Output of the audit where events happen at the same time, where nothing can be judged, and on which number it rests.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 

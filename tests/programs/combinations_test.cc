@@ -26,7 +26,7 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 using testing::HasSubstr;
 
-// What the scenes of the problems do not have.
+// Features that the scenes of the problems do not have.
 constexpr char kSpin[] = R"(
 name: spin
 duration: 0.8
@@ -312,7 +312,7 @@ void CheckFile(const std::string& path) {
   }
 }
 
-// Of a document without NaN every number is finite: JSON has no others, and null stands where one is missing.
+// Checks that every number of a document is finite: JSON has no others, and null stands where one is missing.
 void CheckJson(const std::string& text) {
   const json document = json::parse(text, nullptr, /*allow_exceptions=*/false);
   ASSERT_FALSE(document.is_discarded()) << text.substr(0, 300);
@@ -431,7 +431,7 @@ TEST_F(Combinations, Problems) {
   }
 }
 
-// Of every kind of file that has motions, and several of them.
+// Replays every kind of file that has motions, and several of them.
 TEST_F(Combinations, Replays) {
   const std::string directory = folder_ + "/solved", page = folder_ + "/page.html";
   const std::string solve = Filled("saltus_solve" + kBalls + "--contact=event,direct --solver=none --progress=none ");

@@ -236,7 +236,7 @@ TEST(CommandLine, FlagsOfOtherProgramsAreRefused) {
     EXPECT_THAT(outcome.errors, HasSubstr(message)) << command;
     EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
   }
-  // Those of glog, values apart, and what --undefok lets pass.
+  // Flags of glog, with and without values, and those that --undefok lets pass.
   for (const char* flags : {" --minloglevel=2", " --steps 20", " --undefok=unheard --unheard"}) {
     const Outcome outcome = RunProgram("saltus_audit --contact=event --progress=none" + SceneFlag("two_balls") + flags);
     EXPECT_EQ(outcome.exit_code, 0) << flags << outcome.errors;
@@ -405,7 +405,7 @@ TEST(CommandLine, EventAlignedSolutionsHaveDurationsAndACertificate) {
   }
 }
 
-// What a solver has converged on is named beside the verdict, which is of the exact loss.
+// The loss that a solver has converged on is named beside the verdict, which is about the exact loss.
 TEST(CommandLine, ConvergedSaysOnWhichLoss) {
   const std::string solve = "saltus_solve" + SceneFlag("two_balls") +
                             "--contact=convex_toi,event --solver=ceres_lm,grid_optimum --progress=none";

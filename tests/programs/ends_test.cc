@@ -104,7 +104,7 @@ TEST(Ends, ARunThatIsNoAnswerIsExitCodeOneAndNamed) {
     EXPECT_THAT(outcome.errors, HasSubstr(why)) << flags;
     EXPECT_EQ(std::count(outcome.errors.begin(), outcome.errors.end(), '\n'), 1) << outcome.errors;
   }
-  // What cannot be applied fails nothing beside a run that converges.
+  // A solver that is not applicable is no failure beside a run that converges.
   EXPECT_EQ(RunProgram("saltus_solve --progress=none --contact=event --solver=ceres_event,grid_optimum" +
                        SceneFlag("multiple_collisions") + "--friction=0.1")
                 .exit_code,
@@ -146,8 +146,8 @@ TEST(Ends, MemoryThatRunsOutIsSaidAndCostsOneRun) {
   EXPECT_THAT(table.output, AllOf(HasSubstr("ceres_shooting"), HasSubstr("memory ran out")));
 }
 
-// Of ever larger documents, memory runs out in making the states, in printing them, or in taking down what was built.
-// OpenBLAS, where it is installed, reserves memory for each thread.
+// With ever larger documents, memory runs out in making the states, in printing them, or in freeing them. OpenBLAS,
+// where it is installed, reserves memory for each thread.
 TEST(Ends, MemoryThatRunsOutInTheOutputCostsTheStatesOnly) {
   if (std::getenv("ASAN_OPTIONS") != nullptr) GTEST_SKIP() << "a sanitizer reserves more than the limit";
   const std::string directory = TempFile("memory");

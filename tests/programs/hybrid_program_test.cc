@@ -64,7 +64,7 @@ TEST(HybridProgram, StatesHaveBothSidesOfAnEvent) {
   }
 }
 
-// Of each problem the loss at its optimum, by the reference.
+// The loss of each problem at its optimum, by the reference.
 TEST(HybridProgram, EveryProblemIsSolved) {
   const struct {
     const char *program, *flags;

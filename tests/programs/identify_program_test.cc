@@ -76,7 +76,7 @@ TEST(IdentifyProgram, TablesAndFilesSayTheSame) {
   EXPECT_EQ(std::count(residuals.begin(), residuals.end(), '\n'), 41);
 }
 
-// The same data under models whose gradient is right, wrong and of no restitution.
+// Fits the data under models whose gradient is right, wrong, and without restitution.
 TEST(IdentifyProgram, ComparesContactModelsWithTheExactOne) {
   const Outcome outcome = RunProgram("saltus_identify --json --contact=event,toi_velocity,position_qp" + DropScene() +
                                      "--recording=" + DropRecording());

@@ -1,4 +1,4 @@
-// What saltus_solve says of a run from a guess that does not meet the constraints.
+// Output of saltus_solve for a run from a guess that does not meet the constraints.
 #include <gmock/gmock.h>
 
 #include <filesystem>

@@ -1,5 +1,5 @@
-// What stands where a program writes a file: regular files are replaced, links followed, devices and FIFOs written
-// through, and all else refused. Of every file of every program.
+// Output files of every program: regular files are replaced, links followed, devices and FIFOs written through, and all
+// else refused.
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

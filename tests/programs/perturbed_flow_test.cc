@@ -1,4 +1,4 @@
-// What a displacement before a contact becomes, against what two equal discs do: they exchange it.
+// The effect of a displacement before a contact, beside that of the exact impact: two equal discs exchange it.
 #include <gtest/gtest.h>
 
 #include "programs/audit_output.h"
@@ -34,7 +34,7 @@ TEST(PerturbedFlow, AWallHasNoSecondDisc) {
   const PerturbedFlows flows = PerturbAtContact(scene, "direct", FirstWrong(scene, "direct"));
   ASSERT_FALSE(flows.exact.times.empty());
   EXPECT_TRUE(flows.exact.second.empty());
-  // What bounces goes back by what it was ahead, times the restitution.
+  // The displacement that was ahead comes back behind, times the restitution.
   EXPECT_LT(flows.exact.first.back(), 0);
   EXPECT_GT(flows.model.first.back(), 0);
 }

@@ -29,7 +29,7 @@ class ProcessAtWork {
       : output_(folder / "output"), errors_(folder / "errors") {
     process_ = fork();
     if (process_ != 0) return;
-    // What runs the tests may have made its children ignore interrupts.
+    // The process that runs the tests may have made its children ignore interrupts.
     std::signal(SIGINT, SIG_DFL);
     const std::string line =
         "exec " + BuildFolder() + "/bin/" + command + " >" + output_.string() + " 2>" + errors_.string();

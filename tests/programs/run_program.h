@@ -55,7 +55,7 @@ inline Outcome RunCommand(const std::string& command) {
 // Runs one of the programs, with arguments for a shell.
 inline Outcome RunProgram(const std::string& command) { return RunCommand(BuildFolder() + "/bin/" + command); }
 
-// The same on a terminal of so many columns.
+// Runs a program on a terminal of so many columns.
 inline Outcome RunProgramIn(int columns, const std::string& command) {
   return RunCommand("COLUMNS=" + std::to_string(columns) + " " + BuildFolder() + "/bin/" + command);
 }

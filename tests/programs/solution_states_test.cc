@@ -104,7 +104,7 @@ TEST(SolutionStates, WithoutASolverTheStartIsSimulated) {
   EXPECT_FALSE(launch.contains("certificate"));
 }
 
-// What one program has found, the other confirms: loss, certificate and intervals of other lengths included.
+// One program confirms the result of the other: loss, certificate and intervals of other lengths included.
 TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
   const std::string directory = TempFile("solutions");
   const std::string scene = SceneFlag("two_balls");

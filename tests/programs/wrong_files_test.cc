@@ -26,7 +26,7 @@ using testing::Not;
 
 class WrongFiles : public testing::Test {
  protected:
-  // What `read` says of a file with this text.
+  // Returns the message of `read` for a file with this text.
   std::string ErrorOf(const std::string& text, const std::function<void(const std::string&)>& read) const {
     std::ofstream(path_) << text;
     try {

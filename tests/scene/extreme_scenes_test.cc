@@ -155,7 +155,7 @@ TEST(ExtremeScenes, WhatIsFarOnTheOtherSideStaysValidNearTheOrigin) {
   }
 }
 
-// What the library is given without the reader is refused by everything that takes it, not by a failed check.
+// A scene made without the reader is refused by everything that takes it, not by a failed check.
 TEST(ExtremeScenes, ModelsSayWhatIsWrongInNaturalUnits) {
   Scene scene;
   scene.name = "far";

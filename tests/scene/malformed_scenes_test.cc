@@ -388,7 +388,7 @@ TEST(MalformedScenes, AreRefusedNamingThePlace) {
   EXPECT_GE(texts.size(), 2000u);
 }
 
-// What random edits make may still be a scene; then it is one that passes, and otherwise the error says where.
+// A random edit may still be a valid scene, which then passes; otherwise the error says where.
 TEST(MalformedScenes, NeverCrashTheParser) {
   const std::string inserts[] = {"[",  "]",  "{", "}",   ":",   ": ", ",",  "\"", "'",  "&a ",     "*a",
                                  "!",  "!2", "|", ">",   "%",   "@",  "\t", "- ", "? ", "#",       " #",

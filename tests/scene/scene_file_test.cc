@@ -149,7 +149,7 @@ optimize: velocity
   EXPECT_EQ(scene.free, std::vector<int>{1});
 }
 
-// As stated in the papers: task 3, and the second problem of the follow-up.
+// Scenes as stated in the papers: task 3, and the second problem of the follow-up.
 TEST(ParseScene, ReadsEdgesAndATable) {
   const std::string head =
       "name: edges\nduration: 1\nsteps: 10\nobjective: {terminal: []}\noptimize: none\n"

@@ -120,7 +120,7 @@ TEST(ControlProblems, NumbersAreRounded) {
   }
 }
 
-// As above, of the first number drawn: the duration, 0.8 + 0.8 of a number in [0, 1).
+// Compares the first number drawn: the duration, 0.8 + 0.8 of a number in [0, 1).
 TEST(ControlProblems, AreTheSameEverywhere) {
   const double unit = static_cast<double>(14514284786278117030u >> 11) * 0x1p-53;
   EXPECT_EQ(ControlProblem(5489).duration, std::round((0.8 + 0.8 * unit) * 1e4) / 1e4);

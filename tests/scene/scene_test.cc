@@ -246,7 +246,7 @@ TEST(Validate, SaysThatCornersLieOnOneLine) {
   };
   const std::string on_a_line = "polygons[0].points: found corners that lie on one line";
   EXPECT_THAT(error_of({{30, 30}, {31, 31}, {32, 32}}), testing::HasSubstr(on_a_line));
-  // Of these rounding makes a little area, of either sign.
+  // Rounding makes a small area of these, of either sign.
   EXPECT_THAT(error_of({{30.1, 30.1}, {30.3, 30.3}, {30.7, 30.7}}), testing::HasSubstr(on_a_line));
   EXPECT_THAT(error_of({{30, 30.3}, {30.1, 30.6}, {30.7, 32.4}, {30.2, 30.9}}), testing::HasSubstr(on_a_line));
   EXPECT_THAT(error_of({{30, 30}, {30, 31}, {31, 30}}), testing::HasSubstr("clockwise"));

@@ -81,7 +81,7 @@ class AdjointOf : public testing::TestWithParam<Case> {
     cotangent_.resize(x_.size());
     TerminalGradient(scene_.objective, x_, simulator_->body_size(), cotangent_);
     simulator_->Adjoint(cotangent_, /*with_parameters=*/false, &gradient_);
-    // Of the terminal loss; the effort's, which is no matter of the dynamics, is known.
+    // The gradient is that of the terminal loss; the effort's is known and does not depend on the dynamics.
     effort_ = EffortWeight(scene_.objective, simulator_->step());
   }
 

@@ -16,7 +16,7 @@ std::atomic<long> allocations = 0;
 
 }  // namespace
 
-// Those of glibc under other names: all memory comes through here, that of Eigen's matrices too.
+// The functions of glibc under other names: all memory comes through here, that of Eigen's matrices too.
 extern "C" {
 void* __libc_malloc(std::size_t size);
 void* __libc_calloc(std::size_t count, std::size_t size);

@@ -1,5 +1,5 @@
-// What every contact model must do, as checks that say what is wrong, or nothing. Exceptions come from a model's
-// traits.
+// Properties of every contact model, as checks that return a message, empty if the property holds. Exceptions come from
+// a model's traits.
 //
 // Checks are functions, not assertions, so that conformance_test.cc can also show that they find seeded faults.
 #pragma once
@@ -300,7 +300,7 @@ inline Scene Reordered(const Scene& scene, const std::vector<int>& map) {
   return reordered;
 }
 
-// The same scene turned, mirrored, or with its discs in another order moves the same way.
+// Checks that the scene moves in the same way if turned, mirrored, or with its discs in another order.
 inline std::string CheckSymmetries(const Model& model, const Scene& scene) {
   Run run(model, scene);
   if (run.simulator().touches().empty()) return "nothing touches";
@@ -323,7 +323,7 @@ inline std::string CheckSymmetries(const Model& model, const Scene& scene) {
   return "";
 }
 
-// The same bits twice, from the same simulator and from another.
+// Checks that the bits are the same twice, from the same simulator and from another.
 inline std::string CheckDeterminism(const Model& model, const Scene& scene) {
   Run first(model, scene), second(model, scene);
   const std::unique_ptr<Simulator> again = model.make(scene);

@@ -18,7 +18,7 @@ class InNaturalUnitsTest : public testing::TestWithParam<const char*> {
   Scene natural_ = InNaturalUnits(si_);
   UnitFactors to_si_{natural_.units, si_.units};
 
-  // Of derivatives by the entries of a state.
+  // Returns the factor of derivatives by the entries of a state.
   double StateFactor(size_t i, int body_size) const {
     const size_t entry = i % body_size;
     return entry < 2 ? to_si_.length : entry < 4 ? to_si_.speed : 1;

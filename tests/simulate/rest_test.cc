@@ -1,4 +1,4 @@
-// What rests under exact events is not stepped, nor differentiated, again and again: against steps one by one.
+// Discs at rest under exact events are not stepped, nor differentiated, again and again: against steps one by one.
 #include <gtest/gtest.h>
 
 #include <atomic>

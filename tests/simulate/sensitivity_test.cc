@@ -284,7 +284,7 @@ struct Numeric {
 // smooth on small scales only.
 Numeric BestDifference(const std::string& model, const Point& at, const std::vector<StepTouch>& touches,
                        const Move& move) {
-  // Of a loss of order one, after hundreds of steps.
+  // The rounding error of a loss of order one, after hundreds of steps.
   const double rounding = std::max(1e-14, FindContactModel(model)->accuracy);
   Numeric best;
   double last = std::nan("");
@@ -309,7 +309,7 @@ int CompareWithDifferences(const std::string& model, const Point& at, const std:
       ++ties;
       continue;
     }
-    // What iterations leave blurs differences, and derivatives by linear systems near the edge of a cone even more.
+    // Errors of iterations disturb differences, and derivatives by linear systems near the edge of a cone even more.
     const double accuracy = FindContactModel(model)->accuracy;
     const double blur = accuracy > 0 ? numeric.error + 1e3 * accuracy * largest : 0;
     EXPECT_NEAR(group.derivatives[i], numeric.value, 1e-6 * largest + 1e-9 + blur) << group.name << " " << i;

@@ -1,5 +1,5 @@
-// What every contact model must do with discs that spin: one impulse at the points of contact moves and turns them, by
-// Coulomb's law; what rolls goes on rolling; energy never grows; and models with the exact law converge to exact
+// Properties of every contact model with discs that spin: one impulse at the points of contact moves and turns them, by
+// Coulomb's law; a disc that rolls goes on rolling; energy never grows; and models with the exact law converge to exact
 // motion.
 #include <gtest/gtest.h>
 
@@ -103,7 +103,7 @@ TEST_P(EveryModelThatSpins, OneImpulseMovesAndTurns) {
     if (!CorrectsAnglesByItsSource()) {
       EXPECT_NEAR(kInertia * (after[5] - before[5]), -kRadius * tangential, 1e-9) << spin;
     }
-    // What is published takes up to twice the impulse that stops the slip: its friction knows restitution too.
+    // The published model applies up to twice the impulse that stops the slip: its friction includes the restitution.
     const double most = kMass / (1 + kRadius * kRadius * kMass / kInertia) * std::abs(Slip(before));
     EXPECT_LE(tangential * Slip(before), 1e-12) << spin;
     EXPECT_LE(std::abs(tangential), 2 * most + 1e-9) << spin;

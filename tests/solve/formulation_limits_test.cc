@@ -1,6 +1,6 @@
-// What further formulations of contact tend to as their parameters go to limits: some to exact impacts, some to plastic
-// ones, and some to right motions with gradients that do not converge. Values of an independent implementation, to the
-// digits it prints.
+// Limits of further formulations of contact as their parameters go to limits: some tend to exact impacts, some to
+// plastic ones, and some to right motions with gradients that do not converge. Values of an independent implementation,
+// to the digits it prints.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -123,7 +123,7 @@ TEST(XpbdLimits, PublishedFrictionBoundDiverges) {
   }
 }
 
-// What a step corrects of an overlap is a velocity of erp / h times it: its derivative grows with the number of steps.
+// A step corrects an overlap by a velocity of erp / h times it: its derivative grows with the number of steps.
 TEST(LcpPgsLimits, CorrectionOfOverlapsDiverges) {
   const Scene scene = BounceOffTheGrid();
   const double coarse = At("lcp_pgs", scene, 480).gradient.initial[kPositionY];
@@ -131,7 +131,7 @@ TEST(LcpPgsLimits, CorrectionOfOverlapsDiverges) {
   EXPECT_NEAR((fine - 1) / (coarse - 1), 10, 0.1);
 }
 
-// As impacts are found more finely the loss becomes exact, and the gradient stays that of frozen impact times.
+// With finer impacts the loss becomes exact, and the gradient stays that of frozen impact times.
 TEST(LcpKktLimits, RightMotionWrongGradient) {
   const Scene scene = ProblemScene("ground_wall");
   const double loss[] = {8.3084, 8.3135, 8.3140, 8.3141};

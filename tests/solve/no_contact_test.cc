@@ -36,7 +36,7 @@ Scene Around(int steps, double height, double radius = 0.3) {
   return scene;
 }
 
-// Of two cubics from rest at `from` over `via` at `time` to rest at `to`, with one velocity there: the integrals of the
+// Two cubics from rest at `from` over `via` at `time` to rest at `to`, with one velocity there: the integrals of the
 // squares of acceleration and of its rate, the first as small as possible.
 struct Effort {
   double force = 0, rate = 0;

@@ -188,7 +188,7 @@ TEST(OwnTerms, UnitsAreThoseOfTheScene) {
   EXPECT_NEAR(other.final_loss, one.final_loss * 1024 * 1024, 1e-9 * other.final_loss);
 }
 
-// Of the states of two discs, a force and a length, no two entries alike.
+// A cost of the states of two discs, a force and a length, no two entries alike.
 struct Mixed {
   template <typename T>
   bool operator()(const T* x, const T* y, const T* u, const T* h, T* residuals) const {

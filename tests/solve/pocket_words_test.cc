@@ -1,4 +1,4 @@
-// What a run says that ends with a disc in a pocket: the loss has no slope there, whether or not it is the least one.
+// The message of a run that ends with a disc in a pocket: the loss has no slope there, whether or not it is the least.
 #include <gmock/gmock.h>
 
 #include "saltus/solve/solver.h"

@@ -29,7 +29,7 @@ Scene Launch() {
   return scene;
 }
 
-// Of decision variables.
+// Returns the unit of the decision variables.
 double UnitOf(const Scene& scene, const Rescaling& by) {
   if (scene.optimize == Optimize::kControl) return by.force();
   return scene.optimize == Optimize::kVelocity ? by.speed() : by.length;
@@ -47,7 +47,7 @@ SolveReport SolveRescaled(std::string_view solver, const std::string& contact, c
   return Solve(solver, {rescaled, contact}, options);
 }
 
-// The same bits.
+// Checks that the results have the same bits.
 void ExpectSame(const SolveReport& own, const SolveReport& rescaled, const Scene& scene, const Rescaling& by) {
   EXPECT_EQ(rescaled.termination, own.termination) << own.reason << " / " << rescaled.reason;
   EXPECT_EQ(rescaled.iterations, own.iterations);
@@ -130,7 +130,7 @@ TEST_P(EverySolver, TakesTheSameStepsFarFromTheOrigin) {
 
 INSTANTIATE_TEST_SUITE_P(Solvers, EverySolver, testing::ValuesIn(Solvers()), NameOf);
 
-// What ceres_phases alone takes.
+// Returns scenes that only ceres_phases can solve.
 std::vector<Scene> Constrained() {
   Scene bounds = TwoBalls();
   bounds.name = "bounds";
@@ -208,7 +208,7 @@ std::vector<std::string> Models() {
 }
 INSTANTIATE_TEST_SUITE_P(Models, EveryModel, testing::ValuesIn(Models()), NameOf);
 
-// Those whose step has no constant with a unit.
+// Models whose step has no constant with a unit.
 class ModelWithoutUnits : public testing::TestWithParam<std::string> {};
 
 TEST_P(ModelWithoutUnits, SolversTakeTheSameStepsInAnyUnits) {
@@ -227,7 +227,7 @@ TEST_P(ModelWithoutUnits, SolversTakeTheSameStepsInAnyUnits) {
 
 INSTANTIATE_TEST_SUITE_P(Models, ModelWithoutUnits, testing::Values("event", "direct", "convex"), NameOf);
 
-// What was found: the tolerances of Ceres met a loss that was small by its unit.
+// A loss that was small by its unit once met the tolerances of Ceres at the start.
 TEST(Rescaled, ASmallLossIsNotASolvedProblem) {
   Scene scene = ProblemScene("two_balls");
   for (TerminalTerm& term : scene.objective.terminal) term.weight *= 1e-8;

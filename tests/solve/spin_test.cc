@@ -196,7 +196,7 @@ TEST(SpinAudit, ExactGradientIsRightAndSpinCounts) {
   ModelGradient wrong = *exact;
   wrong.gradient.initial.back() += 1;
   EXPECT_GT(CompareGradients(wrong, *exact).relative, 1e-4);
-  // What a contact does along the normal is what it does without spin.
+  // Contacts along the normal are those without spin.
   const ContactRecognition recognised = RecogniseContact("xpbd", scene);
   EXPECT_EQ(recognised.contact_class, ContactClass::kProjection) << recognised.words;
   EXPECT_EQ(RecogniseContact("lcp_kkt", scene).contact_class, ContactClass::kImpulseAtStepBoundary);
@@ -253,8 +253,8 @@ std::vector<double> MeansOfOptimum(const std::vector<double>& ends) {
   return control;
 }
 
-// What of the errors on task 2 with spin is due to steps: friction that is stiffer than the substeps, and iterations
-// that have not arrived, which the other descent on the same springs tells.
+// The parts of the errors on task 2 with spin that come from steps: friction that is stiffer than the substeps, and
+// iterations that have not converged, which the other descent on the same springs shows.
 TEST(SpinAudit, SomeErrorsAreOfStepsAndIterations) {
   Scene scene = ProblemScene("ground_wall_spin");
   const auto gradient = [&](const std::string& contact) { return ComputeGradient(contact, scene, Precision::kDouble); };

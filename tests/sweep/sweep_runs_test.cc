@@ -100,7 +100,7 @@ bool Contains(const std::map<int64_t, int64_t>& all, const std::map<int64_t, int
 
 class SweepRunsTest : public testing::Test {
  protected:
-  // What a sweep that nothing disturbed prints. Computed once.
+  // The output of an undisturbed sweep, computed once.
   static void SetUpTestSuite() {
     const Outcome outcome = RunProgram("saltus_sweep" + SceneFlag("two_balls") + kCheapSweep);
     ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -168,7 +168,7 @@ class SweepRunsTest : public testing::Test {
     return after;
   }
 
-  // What a gated sweep that nothing disturbs prints.
+  // Returns the output of an undisturbed gated sweep.
   std::string UndisturbedGated() {
     const Outcome outcome = RunWithOpenGates(Gated("--output_dir=" + scratch_ + "/undisturbed"));
     EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -440,7 +440,7 @@ TEST_F(SweepOnRanksTest, KilledOnAnyNumberOfRanksItGoesOnWithAnother) {
   std::map<int64_t, int64_t> points;
   int open = 0;
   for (const int ranks : {4, 2, 1}) {
-    // Of rank 0, which has the store; mpirun then ends the others.
+    // Rank 0 is killed, which has the store; mpirun then ends the others.
     const std::string command = OnRanks(ranks, WithProcessIds(Gated("--threads=1"), ids));
     points = RunAndKill(command, open++, points, [&](Background* program) {
       kill(ReadProcessId(ids + ".0"), SIGKILL);

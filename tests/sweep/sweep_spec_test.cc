@@ -134,7 +134,7 @@ TEST(SweepOptions, EveryNumericFlagCanBeSwept) {
   int numeric = 0;
   for (const gflags::CommandLineFlagInfo& flag : flags) {
     if (flag.filename.find("/src/programs/") == std::string::npos) continue;
-    // What saltus_sweep does not have.
+    // Flags that saltus_sweep does not have.
     if (flag.filename.find("/src/programs/identify") != std::string::npos) continue;
     if (flag.filename.find("/src/programs/audit") != std::string::npos) continue;
     if (flag.type == "string" || flag.type == "bool" || IsOfTheRun(flag.name)) continue;

@@ -18,7 +18,7 @@ namespace {
 using namespace std::chrono_literals;
 using testing::HasSubstr;
 
-// What came of each task, in any order.
+// Returns the result of each task, in any order.
 std::map<int64_t, WorkerPool::Result> RunAll(int tasks, WorkerPool* pool) {
   std::map<int64_t, WorkerPool::Result> results;
   for (int next = 0; next < tasks || pool->HasBusy();) {

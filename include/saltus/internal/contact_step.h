@@ -52,7 +52,7 @@ struct FlightInput {
   std::ptrdiff_t stride = 0;         // numbers from one step's control to the next
 };
 
-// One step of a contact model with values in S (double or float).
+// The interface of one step of a contact model with values in S (double or float).
 template <typename S, int kRotation>
 class ContactStep {
  public:
@@ -83,23 +83,23 @@ class ContactStep {
   virtual void Step(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const = 0;
   virtual void Step(const StepInput<Taped>& in, std::span<const TapedState> x, std::span<TapedState> next) const = 0;
 
-  // Free flight of all discs in one step.
+  // Moves all discs in free flight by one step.
   virtual void FreeFlight(const StepInput<S>& in, std::span<const State> x, std::span<State> next) const = 0;
-  // Free flight of all discs over many steps, from the states of one step, of which this is the first, to those behind
-  // them.
+  // Moves all discs in free flight by many steps. `first` points to the states of the first step, behind which those of
+  // the others are stored.
   virtual void Fly(const FlightInput<S>& in, State* first) const = 0;
   // Free flight of one disc in several motions, each from *at[lane] to the state after its steps, with the same bits.
   // Discs without steps need not be there. Precondition: kInLanes.
   static constexpr bool kInLanes = kRotation == 0 && std::is_same_v<S, double>;
   virtual void FlyTogether(const FlightsInput& in, const std::array<State*, kLanes>& at) const = 0;
-  // Free flight of disc 0 in Jets; and over a length that is a Jet, which some models do not have: returns false then.
+  // Free flight of disc 0 in Jets; the second also over a length that is a Jet: false for models that do not have it.
   virtual JetState Free(const StepInput<Jet>& in, const JetState& x) const = 0;
   virtual bool Free(const StepInput<Jet, Jet>& in, const JetState& x, JetState* next) const = 0;
 
-  // M::Linearize. Precondition: properties().published_jacobian.
+  // Calls M::Linearize. Precondition: properties().published_jacobian.
   virtual void Linearize(const StepInput<double>& in, std::span<const StateOf<double>> x, Eigen::Ref<Eigen::MatrixXd> A,
                          Eigen::Ref<Eigen::MatrixXd> B) const = 0;
-  // M::PullBack, if the model has it and its option complementarity_aware is set; otherwise returns false.
+  // Calls M::PullBack, if the model has it and its option complementarity_aware is set; otherwise returns false.
   virtual bool PullBack(const StepInput<double>& in, std::span<const StateOf<double>> x, std::span<const double> after,
                         std::span<double> before) const = 0;
 
@@ -142,8 +142,8 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
     saltus::FreeFlight(model_, in, x, next);
   }
   void Fly(const FlightInput<S>& flight, State* first) const override {
-    // Copies, as for all that the compiler knows a state that is written could change what the spans refer to. Disc by
-    // disc, so that a state stays in registers.
+    // These are copies, as the compiler must assume that writing a state changes what the spans refer to. The loop is
+    // over discs first, so that a state stays in registers.
     const std::size_t num_bodies = flight.step.bodies.size();
     const std::ptrdiff_t stride = flight.stride;
     const int steps = flight.steps;
@@ -209,7 +209,7 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   }
 
  private:
-  // Only of doubles, as it takes long to compile and floats are there for published values, not for speed.
+  // Only doubles are flattened: it takes long to compile, and floats serve published values, not speed.
   SALTUS_FLATTEN void FlatStep(const StepInput<Jet>& in, std::span<const JetState> x, std::span<JetState> next) const {
     model_.Step(in, x, next);
   }
@@ -236,13 +236,13 @@ class ContactStepOf final : public ContactStep<S, M::kRotation> {
   const M model_;
 };
 
-// The simulator of a step. Defined for S = double and float, and kRotation = 0 to kMostRotation. `precision` is what
-// the simulator reports; models with the trait double_engine compute in double even if it is kFloat.
+// Makes the simulator of a step. Defined for S = double and float, and kRotation = 0 to kMostRotation. `precision` is
+// the one that the simulator reports; models with the trait double_engine compute in double even for kFloat.
 template <typename S, int kRotation>
 std::unique_ptr<Simulator> MakeStepSimulator(const Scene& scene, Precision precision,
                                              std::unique_ptr<const ContactStep<S, kRotation>> step);
 
-// The simulator of a contact model.
+// Makes the simulator of a contact model.
 template <ContactModel M, typename S = double>
 std::unique_ptr<Simulator> MakeModelSimulator(const Scene& scene, Precision precision = Precision::kDouble,
                                               M model = {}) {

@@ -22,7 +22,7 @@ struct FlightsInput {
 
 namespace internal {
 
-// Two numbers of each lane, from u[lane] + offset on.
+// Loads two numbers of each lane, from u[lane] + offset on.
 inline std::array<Lanes, 2> LoadPairs(const std::array<const double*, kLanes>& u, std::ptrdiff_t offset) {
   using Pair = double __attribute__((vector_size(2 * sizeof(double))));
   const auto load = [&](int lane) {
@@ -37,7 +37,7 @@ inline std::array<Lanes, 2> LoadPairs(const std::array<const double*, kLanes>& u
 
 template <typename M>
 void FlyInLanes(const M& model, const FlightsInput& flights, const std::array<BodyState<double, 0>*, kLanes>& at) {
-  // The lanes, those that end first at the front. One that has ended goes along with the last.
+  // The lanes in the order in which they end. A lane that has ended goes along with the last one.
   std::array<int, kLanes> order;
   for (int lane = 0; lane < kLanes; ++lane) {
     int place = lane;
@@ -100,8 +100,8 @@ SALTUS_FLATTEN [[gnu::target("avx2")]] void FlyWithAvx2(const M& model, const Fl
 }
 #endif
 
-// Takes the disc in each motion from *at[lane] to the state after its steps, by the model's free flight, with the bits
-// of one motion after the other. What has no steps need not be there.
+// Moves the disc of each motion from *at[lane] to the state after its steps, by the model's free flight, with the bits
+// of one motion after the other. A motion without steps may have a null pointer.
 template <typename M>
 void FlyTogether(const M& model, const FlightsInput& flights, const std::array<BodyState<double, 0>*, kLanes>& at) {
 #ifdef __x86_64__

@@ -52,11 +52,11 @@ class HybridFunctions {
   virtual std::string ModeName(int mode) const;
   virtual std::string GuardName(int mode, int guard) const;
   virtual std::string StateName(int mode, int component) const;
-  // The largest number of states of any mode.
+  // Returns the largest number of states of any mode.
   int most_states() const { return *std::max_element(layout_.state_sizes.begin(), layout_.state_sizes.end()); }
 
   virtual void Flow(const ModePoint& at, double* xdot) const = 0;
-  // And by [x t p u]: n x (n + 1 + P + m).
+  // Computes x' and its derivative by [x t p u]: n x (n + 1 + P + m).
   virtual void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const = 0;
 
   // A step of the integration in one call, with the flow in its loop (runge_kutta_step.h): x' and the slope there,
@@ -75,15 +75,15 @@ class HybridFunctions {
   virtual bool Fly(const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const { return false; }
 
   virtual double Guard(const ModePoint& at, int guard) const = 0;
-  // And its derivative by time along xdot, under a control that is held.
+  // Returns a guard, and sets its derivative by time along xdot, under a control that is held.
   virtual double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const = 0;
-  // Both of all guards of a mode.
+  // Sets value and rate of all guards of a mode.
   virtual void GuardRates(const ModePoint& at, const double* xdot, GuardValue* all) const {
     for (int guard = 0; guard < num_guards(at.mode); ++guard) {
       all[guard].value = GuardRate(at, guard, xdot, &all[guard].rate);
     }
   }
-  // And its derivative by [x t p u]: n + 1 + P + m numbers.
+  // Returns a guard, and sets its derivative by [x t p u]: n + 1 + P + m numbers.
   virtual double GuardGradient(const ModePoint& at, int guard, double* gradient) const = 0;
   // Computes the values and gradients of all guards of a mode, a row each.
   virtual void GuardGradients(const ModePoint& at, double* values, double* gradients) const {
@@ -97,22 +97,22 @@ class HybridFunctions {
   // none, and WhyNoMode says why; below -1 there may be with shorter steps. x_plus has room for the largest state of
   // any mode; what a reset into a mode with a smaller state leaves is not read.
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
-  // And by [x t p]: (size of the next mode's state) x (n + 1 + P), with room for the largest.
+  // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
-  // Why a reset returns a negative number, or with guard -1 ModeUnder.
+  // Says why a reset returns a negative number; with guard -1, why ModeUnder does.
   virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
-  // Why a reset (-1: the mode in which a motion goes on) has no derivative, or one-sided ones; empty if it has one.
+  // Says why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
   virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
-  // The mode in which a motion goes on from the state x when its control jumps to u, which the point has; a negative
-  // number if there is none.
+  // Returns the mode in which a motion goes on from the state x when its control jumps to u, which the point has; a
+  // negative number if there is none.
   virtual int ModeUnder(const ModePoint& at) const { return at.mode; }
 
   // Whether the states of a mode satisfy equations (as those of closed contacts), from which errors of the integration
   // lead away. The engine then projects the state onto them after each step.
   virtual bool Projects(int /*mode*/) const { return false; }
   virtual void Project(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/) const {}
-  // And by [x t p]: n x (n + 1 + P).
+  // Projects, and sets the derivative by [x t p]: n x (n + 1 + P).
   virtual void ProjectJacobian(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/,
                                double* /*jacobian*/) const {}
 
@@ -129,8 +129,8 @@ class HybridFunctions {
   // Whether a guard depends on the control.
   virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
 
-  // The mode in which a motion goes on where events of a guard accumulate (Zeno behaviour), with states of the same
-  // size; a negative number: there is none.
+  // Returns the mode in which a motion goes on where events of a guard accumulate (Zeno behaviour), with states of the
+  // same size; a negative number if there is none.
   virtual int OnAccumulation(int /*mode*/, int /*guard*/) const { return -1; }
   // Whether the resets themselves end an accumulation.
   virtual bool EndsAccumulations() const { return false; }
@@ -141,7 +141,7 @@ class HybridFunctions {
   bool IsSwitch(int mode, int guard) const { return guard >= num_guards(mode) - num_switches(mode); }
   virtual int BaseMode(int mode) const { return mode; }
   virtual int num_base_modes() const { return num_modes(); }
-  // The piece of the point's base mode that the values of the switches name.
+  // Returns the piece of the point's base mode that the values of the switches name.
   virtual int PieceAt(const ModePoint& at) const { return at.mode; }
   // The piece that differs from the point's in the side of one switch: above zero, below, on zero, where the function
   // of the user may have a value of its own (as the sign of zero), sliding along it (Filippov's convention: the average
@@ -150,7 +150,7 @@ class HybridFunctions {
   virtual int PieceBeside(const ModePoint& /*at*/, int /*guard*/, Side /*side*/) const { return -1; }
   // Whether a mode is the piece on zero of a switch, whose value stays zero there.
   virtual bool IsOn(int /*mode*/, int /*guard*/) const { return false; }
-  // The largest number of guards of any mode.
+  // Returns the largest number of guards of any mode.
   virtual int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 
  protected:
@@ -355,7 +355,7 @@ class HybridFunctionsOf final : public HybridFunctions {
     std::array<Jet, S::kNumControls> u;
   };
 
-  // Jets that carry the derivatives by columns first to first + kStride of [x t p u], with the first `controls` of u.
+  // Sets Jets with the derivatives by columns first to first + kStride of [x t p u], `controls` columns of them of u.
   static void Seed(const ModePoint& at, int states, int controls, int first, Variables* v) {
     int column = 0;
     const auto seed = [&](double value, Jet* jet) {
@@ -380,8 +380,8 @@ class HybridFunctionsOf final : public HybridFunctions {
     }
   }
 
-  // The slopes of all stages of a step, and their Jets. All stages have the same variables of differentiation, with
-  // other values.
+  // Computes the slopes of all stages of a step, and their Jets. All stages have the same variables of differentiation,
+  // with other values.
   template <int kMode>
   void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
     constexpr int kSize = S::kStateSizes[kMode];

@@ -58,7 +58,7 @@ struct TimeJet {
   friend bool operator==(const TimeJet& a, const TimeJet& b) { return a.value == b.value; }
   friend bool operator!=(const TimeJet& a, const TimeJet& b) { return a.value != b.value; }
 
-  // f(x), given f and its first two derivatives at the value of x.
+  // Returns f(x), given f and its first two derivatives at the value of x.
   static TimeJet Of(const TimeJet& x, const S& f, const S& first, const S& second) {
     return {f, first * x.rate, first * x.second + second * x.rate * x.rate};
   }
@@ -171,7 +171,7 @@ class MechanicalFunctions {
   virtual TimeJet<double> Gap(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
   virtual TimeJet<Jet> Gap(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p) const = 0;
 
-  // The distance that a closed contact keeps at zero: the gap, continued smoothly past the end of its edge.
+  // Returns the distance that a closed contact keeps at zero: the gap, continued smoothly past the end of its edge.
   virtual double Distance(int contact, const double* q, const double* p) const = 0;
   virtual Jet Distance(int contact, const Jet* q, const Jet* p) const = 0;
   virtual TimeJet<double> Distance(int contact, const TimeJet<double>* q, const TimeJet<double>* p) const = 0;
@@ -188,7 +188,7 @@ class MechanicalFunctions {
                         TimeJet<double>* row) const = 0;
   virtual void SlideRow(int contact, const TimeJet<Jet>* q, const TimeJet<Jet>* p, TimeJet<Jet>* row) const = 0;
 
-  // Above zero while a closed contact stays on what its gap is measured from.
+  // Returns a function that is positive while a closed contact stays on the part of the edge that its gap belongs to.
   virtual Jet Reach(int contact, const Jet* q, const Jet* p) const = 0;
 
   virtual double Restitution(int contact, const double* p) const = 0;

@@ -100,7 +100,7 @@ template <int kRow, typename Function>
 // Two numbers in one register. The sums below are computed in pairs, as users' builds are without the vectorizer that
 // would find them (src/CMakeLists.txt).
 using Pair = double __attribute__((vector_size(2 * sizeof(double))));
-// One by one: the newest slopes were stored so, and a load of both would wait until they are in the cache.
+// Loads one number after the other: the newest slopes were stored so, and a load of both would wait for the cache.
 [[gnu::always_inline]] inline Pair LoadPair(const double* from) { return Pair{from[0], from[1]}; }
 
 // out = x + h sum of the slopes of row kRow, which stand one after the other.
@@ -133,7 +133,7 @@ inline void Combine(int row, int size, double h, const double* x, const double* 
 
 }  // namespace cooper_verner
 
-// Where the functions of a hybrid system are evaluated.
+// The point at which the functions of a hybrid system are evaluated.
 struct ModePoint {
   int mode = 0;
   double t = 0;
@@ -142,7 +142,7 @@ struct ModePoint {
   const double* p = nullptr;  // parameters
 };
 
-// Where a step begins and how long it is.
+// The beginning of a step and its length, s.
 struct FlowStep : ModePoint {
   double h = 0;
   // Whether the state after a step is put onto the equations of the mode (HybridFunctions::Project).

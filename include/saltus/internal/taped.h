@@ -21,13 +21,13 @@ class Taped;
 
 class Tape {
  public:
-  // Adds to the cotangents of the inputs what those of the outputs make of them.
+  // Adds the contributions of the cotangents of the outputs to those of the inputs.
   using PullBack = std::function<void(std::span<const double> outputs, std::span<double> inputs)>;
 
-  // That of this thread, on which its operations are written.
+  // Returns the tape of this thread, on which its operations are recorded.
   static Tape& OfThread();
 
-  // Forgets everything; the memory stays.
+  // Removes all entries; the memory stays.
   void Clear() {
     entries_.resize(1);
     maps_.clear();
@@ -36,10 +36,10 @@ class Tape {
     entries_.push_back({by_a, by_b, a, b});
     return static_cast<int>(entries_.size()) - 1;
   }
-  // `outputs` have their values and get their places: a linear map of the inputs, which is kept until Clear().
+  // Adds a linear map, which is kept until Clear(). `outputs` have their values and get tape indices.
   void AddMap(std::span<const Taped> inputs, std::span<Taped> outputs, PullBack pull_back);
 
-  // The cotangents of all places, from `cotangents` of some; place 0 is that of constants. Until the next call.
+  // Returns the cotangents at all tape indices, given those of some; index 0 has constants. Valid until the next call.
   std::span<const double> Sweep(std::span<const std::pair<int, double>> cotangents);
 
  private:
@@ -65,7 +65,7 @@ class Taped {
   Taped() = default;
   explicit Taped(double value) : value_(value) {}
   Taped(double value, int place) : value_(value), place_(place) {}
-  // A new variable on the tape.
+  // Returns a new variable on the tape.
   static Taped Variable(double value) { return {value, Tape::OfThread().Add(0, 0)}; }
 
   double value() const { return value_; }

@@ -1,5 +1,5 @@
-// The contacts of a rollout as intervals of steps, their costates, what is wrong over each and why, and what of their
-// errors is due to finite steps.
+// Attribution of gradient errors to contacts: the contacts of a rollout as intervals of steps, their costates, the
+// error of the linearization over each and its cause, and the part of the error that comes from finite steps.
 #include "saltus/audit/attribution.h"
 
 #include <glog/logging.h>
@@ -36,16 +36,16 @@ namespace {
 
 constexpr double kTouching = 1e-11;  // overlap that is none
 constexpr int kMargin = 2;           // steps by which an interval may grow to find the exact impact
-// How much smaller steps are when asking whether a force is resolved, at most and at least.
+// Largest and smallest factor by which steps are refined to find out whether a force is resolved.
 constexpr int kFiner = 32, kLeastFiner = 4;
 constexpr int kMostFineSteps = 8192;
 constexpr int kLongest = 1024;  // steps of one interval; a contact that lasts longer is cut
 constexpr double kSmallError = 1e-3;
-// Of a scene with more discs costates are pulled back, instead of matrices multiplied.
+// In scenes with more discs, costates are pulled back instead of multiplying matrices.
 constexpr int kMostDiscsByMatrices = 16;
 constexpr std::size_t kKeptNumbers = std::size_t{1} << 23;  // of states
 
-// A pair, and the first and last step in which the model lets it touch.
+// A pair, with the first and last step in which the model reports a touch of it.
 struct PairContact {
   Candidate pair;
   int first = 0, last = 0;
@@ -61,7 +61,7 @@ struct Interval {
 
   int first_touch() const { return std::ranges::min(meetings, {}, &PairContact::first).first; }
   int last_touch() const { return std::ranges::max(meetings, {}, &PairContact::last).last; }
-  // Steps of the longest meeting.
+  // Returns the number of steps of the longest meeting.
   int longest() const { return std::ranges::max(meetings, {}, &PairContact::steps).steps(); }
 };
 
@@ -117,7 +117,7 @@ class Attributor {
     return simulator;
   }
 
-  // Of the rollout. The last ones are kept, as looking back may simulate again: by one thread at a time.
+  // Returns a state of the rollout. The last ones are kept; a query may simulate again, so only one thread may ask.
   std::vector<double> StateAt(int k) const {
     const std::lock_guard lock(looking_back_);
     if (const auto known = states_.find(k); known != states_.end()) return known->second;
@@ -127,7 +127,7 @@ class Attributor {
     model_->GetState(k, x);
     return x;
   }
-  // The same without rotation that is the model's own.
+  // Returns a state without rotation that only the model knows.
   std::vector<double> PlainStateAt(int k) const {
     std::vector<double> x = StateAt(k);
     if (model_->body_size() == size_) return x;
@@ -142,7 +142,7 @@ class Attributor {
       model_->ExpandForce(control_, begin + k / finer, force);
     };
   }
-  // For the model `contact` over the time of an interval, cut into `steps` of its own steps.
+  // Returns the scene for the model `contact` over the time of an interval, cut into `steps` of the model's steps.
   Scene SceneOver(const Contact& contact, const Interval& interval, int steps) const {
     Scene scene = scene_;
     scene.duration = (interval.end - interval.begin) * h();
@@ -166,7 +166,7 @@ class Attributor {
                              [](const Interval& a, const Interval& b) { return a.first_touch() < b.first_touch(); });
     for (size_t i = 0; i < intervals.size(); ++i) {
       Interval& interval = intervals[i];
-      // Neighbours in time that share a disc.
+      // The interval may grow up to its neighbours in time that share a disc.
       int from = 0, to = model_->num_steps();
       for (size_t j = 0; j < intervals.size(); ++j) {
         const bool shares = std::ranges::any_of(
@@ -261,7 +261,7 @@ class Attributor {
     return RunSteps(model(), StateAt(interval.begin), ForcesFrom(interval.begin), steps, nullptr).touches;
   }
 
-  // The model's own linearization over some discs, perhaps with finer steps.
+  // Returns the linearization of the model over some discs, with `finer` times as many steps.
   StepMap OwnMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const {
     if (IsCrowd()) return MapOver(contact_, interval, finer, bodies);
     const int steps = (interval.end - interval.begin) * finer;
@@ -271,7 +271,7 @@ class Attributor {
     return RunSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, &bodies);
   }
 
-  // The linearization over some discs, which no others meet in the interval: in a crowd they are simulated alone.
+  // Returns the linearization over discs that meet no others in the interval; in a crowd these are simulated alone.
   StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const {
     const int steps = (interval.end - interval.begin) * finer;
     Scene scene = SceneOver(contact, interval, steps);
@@ -311,7 +311,7 @@ class Attributor {
     simulator->ExpandInitial(moves, begin);
     StepMap map = RunSteps(*simulator, begin, force, steps, &local);
     if (NumbersOfDisc(scene) == size_) return map;
-    // None of these spins: they turn evenly, as in the whole scene.
+    // None of these discs spins, so their angles are linear in time, as in the whole scene.
     const int n = static_cast<int>(local.size());
     Eigen::MatrixXd A = Eigen::MatrixXd::Zero(size_ * n, size_ * n);
     for (int i = 0; i < n; ++i) {
@@ -322,7 +322,7 @@ class Attributor {
     return map;
   }
 
-  // One sweep of the model's own adjoint from the end.
+  // Finds the costates by one sweep of the model's adjoint from the final time.
   void FindCostates(const std::vector<Interval>& intervals) {
     std::vector<double> lambda(model_->state_size()), before(lambda.size()), u(model_->force_size());
     std::vector<double> unused(u.size());
@@ -365,7 +365,7 @@ class Attributor {
     return PullBackCostate(simulator.get(), PlainStateAt(interval.begin), bodies, lambda);
   }
 
-  // By what the costate sees of the linearizations, which is all that the gradient has of them.
+  // Compares linearizations by their products with the costate, which is all of them that enters the gradient.
   void CompareCrowd(const Interval& interval, const std::vector<int>& bodies, const Eigen::VectorXd& lambda,
                     const std::vector<StepTouch>& exact, ContactError* error) const {
     const PulledCostate right = PullBackOver(exact_contact_, interval, 1, bodies, lambda);
@@ -463,7 +463,7 @@ class Attributor {
     return WhyInOneStep(exact.touches);
   }
 
-  // What the touches alone say; empty if nothing.
+  // Returns the cause that follows from the touches alone; empty if none does.
   static std::string WhyWithoutMaps(const Interval& interval, const std::vector<StepTouch>& exact) {
     if (exact.empty()) return "touches where the exact motion does not";
     const bool rests = std::any_of(
@@ -541,7 +541,7 @@ class Attributor {
     return impact;
   }
 
-  // The same model over the same interval with far smaller steps.
+  // Returns whether the cause is an unresolved force, by the same model over the interval with far smaller steps.
   std::string WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
                             const std::vector<int>& bodies) const {
     const StepMap fine = OwnMap(interval, bodies, FinerSteps(interval));
@@ -551,7 +551,7 @@ class Attributor {
     return DescribeUnresolved(interval, coarse_error, fine_error);
   }
 
-  // By how much the steps of an interval are cut to see if its forces are resolved.
+  // Returns the factor by which the steps of an interval are refined to see if its forces are resolved.
   int FinerSteps(const Interval& interval) const {
     return std::clamp(kMostFineSteps / (interval.end - interval.begin), kLeastFiner, kFiner);
   }
@@ -568,7 +568,7 @@ class Attributor {
            std::to_string(FinerSteps(interval)) + " times as many leave " + percent + " % of the error)";
   }
 
-  // Drops touches that no chain of touches connects with the interval; collects the discs that move of the others.
+  // Drops touches that no chain of touches connects with the interval; collects the moving discs of the others.
   void KeepConnected(Interval interval, std::vector<StepTouch>* exact, std::vector<StepTouch>* own,
                      std::vector<int>* bodies) const {
     const auto involved = [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); };
@@ -609,8 +609,8 @@ class Attributor {
     return scene_.bodies[pair.a].name + " - " + (pair.plane ? walls_[pair.b].name : scene_.bodies[pair.b].name);
   }
 
-  // How often each pair meets; a contact counts once as long as it lasts. Their order is not compared: several may fall
-  // into one step.
+  // Compares how often each pair meets; a contact counts once as long as it lasts. The order is not compared, as
+  // several contacts may be in one step.
   std::string CompareSequences(const std::vector<Interval>& intervals) const {
     if (intervals.size() >= Attribution::kMostContacts) return "";
     std::vector<std::string> pairs;  // in the order of their first exact contact, then of the model's
@@ -635,7 +635,7 @@ class Attributor {
     return "";
   }
 
-  // The first ones, all unless it is stopped. They are begun in their order, so that few are lost then.
+  // Returns the errors of all contacts, of the first ones if it is stopped: they are begun in order, so few are lost.
   std::vector<ContactError> CompareAll(const std::vector<Interval>& intervals) const {
     std::vector<std::optional<ContactError>> found(intervals.size());
     std::atomic<std::size_t> next = 0;
@@ -671,8 +671,8 @@ class Attributor {
   mutable std::map<int, std::vector<double>> states_;  // by step
 };
 
-// An error stays if more steps leave this part of it: at least eight times as many, so that one of first order would
-// fall to an eighth, and about as many as make causes clear.
+// An error stays if a refinement leaves more than kStays of it. Steps are refined at least eightfold, by which an error
+// of first order falls to an eighth, and to about as many steps as make causes clear.
 constexpr int kRefinement = 8, kMostRefinement = 256;
 constexpr int kClearSteps = 2000;
 constexpr double kStays = 0.25;

@@ -16,20 +16,20 @@
 namespace saltus {
 namespace {
 
-// Lengths of a step: three to each halving, from the model's own to 256 times finer ones; further only for what is not
-// an impulse there.
+// Lengths of a step: three to each halving, from the model's own step to one 256 times finer. Finer ones are tried only
+// for a contact that is not an impulse at that length.
 constexpr int kPerHalving = 3;
 constexpr int kHalvings = 8, kMostHalvings = 16;
 constexpr int kReboundHalvings = 4;
 constexpr size_t kNeighbours = kPerHalving;
 
-// An impulse keeps more than the one, a force that is resolved less than the other. Runs end when it is well resolved.
+// The concentration (largest share of a step) is above kImpulse for an impulse, and below kForce for a resolved force.
 constexpr double kImpulse = 0.4, kForce = 0.1, kResolved = 0.02;
-// With less than this part of the restitution asked for, there is none. A critically damped spring keeps 0.135.
+// A smaller rebound, relative to the scene's restitution, counts as none. A critically damped spring keeps 0.135.
 constexpr double kNoRebound = 0.15;
-// Of more than this, restitution or not, something else takes part.
+// A larger rebound, whatever the restitution, shows that something else took part.
 constexpr double kMostRebound = 1.25;
-// Orders in h on either side of which a force jumps or is continuous at its onset.
+// Orders in h below which a force jumps at its onset, and above which it is continuous.
 constexpr double kJumps = 1.35, kContinuous = 1.65;
 constexpr double kOnsetSteps = 3000;  // of the whole contact, at the finest length at which its onset is seen
 constexpr double kTolerance = 0.1;    // of dx'/dx
@@ -41,7 +41,7 @@ struct Length {
   ContactRun run;
 };
 
-// Median of `value` over entries [first, first + count), from the end if `first` is negative.
+// Returns the median of `value` over `count` entries from `first` on, counted from the end if `first` is negative.
 template <typename T, typename Value>
 double MedianOf(const std::vector<T>& all, int first, size_t count, const Value& value) {
   const size_t begin = first < 0 ? all.size() - std::min<size_t>(all.size(), -first) : first;
@@ -50,7 +50,7 @@ double MedianOf(const std::vector<T>& all, int first, size_t count, const Value&
   return Median(values);
 }
 
-// p of value ~ h^p, by least squares over the last `count`.
+// Returns the exponent p of value ~ h^p, by least squares over the last `count` entries.
 template <typename T, typename Value>
 double OrderOf(const std::vector<T>& all, size_t count, const Value& value) {
   std::vector<double> lengths, values;
@@ -92,7 +92,7 @@ class Recogniser {
 
  private:
   double LengthOf(int i) const { return h_ * std::exp2(-static_cast<double>(i) / kPerHalving); }
-  // Until it is clear whether the contact is an impulse. False, with the reason in words, if that cannot be said.
+  // Runs the contact until it is clear whether it is an impulse. Returns false, with a reason, if that is not clear.
   bool RunContacts() {
     std::vector<double> from = before_;
     int steps = 0;
@@ -173,7 +173,7 @@ class Recogniser {
     } else if (near(position, -*out_.finer_rebound) && rebounds) {
       Decide(ContactClass::kImpactTimeResolved, passes);
     } else if (std::abs(position - 1) < kTolerance + std::abs(feedback) && std::abs(feedback) > kFeedback) {
-      // It may have acted within the step, so that the position has felt it.
+      // The impulse may have acted within the step, and then has changed the position too.
       if (std::abs(order) < 0.5) {
         Decide(ContactClass::kDepthFeedback,
                FormatNumbers("an impulse that takes %.2g of the depth out in a step", -feedback));

@@ -17,19 +17,19 @@
 namespace saltus {
 namespace {
 
-// Changes of velocity, relative to the closing speed.
+// Thresholds of changes of velocity, relative to the closing speed.
 constexpr double kRounding = 1e-13;
 constexpr double kFelt = 1e-6;    // a contact may have begun; less is a force from afar
 constexpr double kMet = 1e-2;     // the sum at which it has
 constexpr double kOver = 1e-3;    // less than this, while the pair parts, ends it
 constexpr double kAtRest = 1e-2;  // slower than this for long enough, it has come to rest
-// "Long enough", in steps since the contact began; a spring turns round within far fewer.
+// The number of steps since the contact began after which a slow pair is at rest; springs reverse it far sooner.
 constexpr int kRestAtLeast = 4, kRestTimes = 4;
 constexpr int kMostSteps = 4096;
-// Steps of the closing speed within which nothing else may be: with several contacts at once, none shows its law.
+// The steps at the closing speed within which nothing else may be: among several contacts no single law shows.
 constexpr double kApart = 16;
 constexpr int kLead = RunRecorder::kLead;
-// A closing speed that acceleration makes in this many steps is that of a contact at rest.
+// A closing speed that the acceleration can make in this many steps is that of a contact at rest.
 constexpr double kRestingSteps = 4;
 
 StepLinearization::FreeFlight FreeFlightOf(const Simulator& simulator) {
@@ -40,7 +40,7 @@ StepLinearization::FreeFlight FreeFlightOf(const Simulator& simulator) {
   return step.free;
 }
 
-// Steps in which a pair has touched without a break, and what each changed, m/s.
+// Consecutive steps in which a pair has touched, and the change of velocity in each, m/s.
 struct Touching {
   Candidate pair;
   int begin = 0;
@@ -49,14 +49,14 @@ struct Touching {
 
   int end() const { return begin + static_cast<int>(changes.size()); }
   double sum() const { return std::accumulate(changes.begin(), changes.end(), 0.0); }
-  // How many of the last steps have changed more than that.
+  // Returns how many of the last steps have changed the velocity by more than `change`.
   int NumFelt(double change) const {
     const auto less = [change](double other) { return std::abs(other) <= change; };
     return static_cast<int>(std::find_if(changes.rbegin(), changes.rend(), less) - changes.rbegin());
   }
 };
 
-// Whether something else is within `margin` of a disc of the pair that moves.
+// Whether another body is within `margin` of a moving disc of the pair.
 bool Crowded(const Scene& scene, const std::vector<WallPart>& walls, const Candidate& pair, std::span<const double> x,
              int body_size, double margin) {
   const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
@@ -81,7 +81,7 @@ bool Crowded(const Scene& scene, const std::vector<WallPart>& walls, const Candi
   return crowded(pair.a) || (!pair.plane && crowded(pair.b));
 }
 
-// That of a pair, begun anew if it has not touched in the step before.
+// Returns the record of a pair, a new one if the pair has not touched in the step before.
 Touching& FindTouching(const StepTouch& at, std::vector<Touching>* all) {
   const Candidate& pair = at.touch.candidate;
   const auto known = std::find_if(all->begin(), all->end(), [&](const Touching& t) { return t.pair == pair; });
@@ -153,7 +153,7 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
     if (touching.crowded || motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
     touching.crowded = Crowded(scene, walls, touching.pair, x, model->body_size(), kApart * closing * model->step());
     if (touching.crowded) continue;
-    // A force that sets in smoothly has begun before it is felt.
+    // A force that sets in smoothly begins before its effect exceeds the threshold.
     const int earlier = 2 * (touching.NumFelt(kFelt * closing) - 1);
     encounter.step = std::max(touching.begin, at.step - earlier);
     encounter.before = state(std::max(0, encounter.step - kLead));
@@ -245,7 +245,7 @@ NormalMap ModelBench::Linearize(double h, std::span<const double> before_largest
   const Eigen::MatrixXd A = RunSteps(*simulator, before_largest, force, kLead + 1 + kLead, &bodies).A;
 
   const int size = NumbersOfDisc(scene_);
-  // To relative normal motion, the discs displaced so that their centre of mass stays.
+  // Restricts to relative normal motion: the discs are displaced so that their centre of mass stays.
   const Vec2d n = motion.NormalAt(before_largest);
   Eigen::Matrix2d map = Eigen::Matrix2d::Zero(), flight;
   for (size_t i = 0; i < moving.size(); ++i) {

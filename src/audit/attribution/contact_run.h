@@ -1,4 +1,4 @@
-// One contact of a model, run at one length of step.
+// The run of one contact of a model with one length of step.
 #pragma once
 
 #include <memory>
@@ -14,15 +14,15 @@ namespace saltus {
 // The relative motion of two discs, or of a disc and a plane, along their normal.
 class PairMotion {
  public:
-  // `free` is that of the simulator, which outlives this; `force` is that on every disc, B x 2.
+  // `free` is the free flight of the simulator, which must outlive this object; `force` is on every disc, B x 2.
   PairMotion(const Simulator& simulator, const StepLinearization::FreeFlight& free, const Candidate& pair,
              std::span<const double> force);
 
   Vec2d NormalAt(std::span<const double> x) const;
   double Speed(std::span<const double> x) const;  // of separation, m/s
-  // By the step from one state to the other, less that of free flight, m/s.
+  // Returns the change of speed by a step between these states, less that of free flight, m/s.
   double Change(std::span<const double> from, std::span<const double> to) const;
-  // Whether the pair closes in no faster than its acceleration makes it within a few steps.
+  // Whether the closing speed is no more than the acceleration makes within a few steps.
   bool Rests(std::span<const double> x) const;
   const StepLinearization::FreeFlight& free() const { return free_; }
 
@@ -44,11 +44,11 @@ struct Encounter {
   std::vector<double> force;   // on every disc, B x 2
 };
 
-// The first contact of the model's rollout that takes a part of a pair's closing speed while nothing else is close;
-// nothing if there is none, or if the rollout is not finite.
+// Returns the first contact of the model's rollout that takes a part of a pair's closing speed while nothing else is
+// close; std::nullopt if there is none, or if the rollout is not finite.
 std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scene, const StopRequest& stop);
 
-// What a contact does to the velocity along the pair's normal.
+// The effect of a contact on the velocity along the pair's normal.
 struct ContactRun {
   bool begins = false;                 // the pair met within the steps allowed
   bool ends = false;                   // and parted, or came to rest
@@ -61,17 +61,17 @@ struct ContactRun {
   std::vector<double> before_largest;  // two steps before that of the largest change
 };
 
-// d(relative normal position, velocity) after / before an impulse.
+// Derivatives of the relative normal position and velocity after an impulse by the position before it.
 struct NormalMap {
   double position_from_position = 0, velocity_from_position = 0;  // 1, 1/s
 };
 
-// Puts the steps of a contact together. All speeds and changes are relative to the closing speed.
+// Collects the steps of a contact into a run. All speeds and changes are relative to the closing speed.
 class RunRecorder {
  public:
   explicit RunRecorder(bool onset_only) : onset_only_(onset_only) {}
-  // A step that changed the speed of separation to `speed`. `touched`: whether the pair may be in contact. `before` is
-  // the state kLead steps before it.
+  // Adds a step that changed the speed of separation by `change` to `speed`. `touched`: whether the pair may be in
+  // contact. `before` is the state kLead steps before it.
   void Add(double change, double speed, bool touched, std::span<const double> before);
   bool ended() const { return run_.ends; }
   bool begun() const { return run_.begins; }
@@ -86,24 +86,24 @@ class RunRecorder {
   int felt_ = 0, at_rest_ = 0;
 };
 
-// One contact, to be run at any length of step.
+// An experiment with one contact, which can be run with any length of step.
 class ContactBench {
  public:
   virtual ~ContactBench() = default;
-  // From a state before the contact until it is over; if `onset_only`, just its first two steps. What a state is, only
-  // the bench knows.
+  // Runs from a state before the contact until it is over; if `onset_only`, only its first two steps. The layout of a
+  // state is known to the bench only.
   virtual ContactRun Run(double h, std::span<const double> from, bool onset_only) const = 0;
-  // Over the step that follows `before_largest` by two, with free flight undone.
+  // Linearizes the step that follows `before_largest` by two; free flight is divided out.
   virtual NormalMap Linearize(double h, std::span<const double> before_largest) const = 0;
-  // Of all runs together, after which the class is decided from what they have shown.
+  // The budget of steps of all runs together, after which the class is decided from the runs made.
   virtual int MostSteps() const { return 20'000; }
 };
 
-// How a contact is made, from runs with steps of length `h` and finer ones, the first of them from the state `before`.
+// Recognises the class of a contact from runs with steps of length `h` and finer, the first from the state `before`.
 ContactRecognition RecogniseOnBench(const ContactBench& bench, double h, std::vector<double> before,
                                     double restitution);
 
-// The contact of a model's own rollout. All that it is made of outlives it; states are those of the simulator.
+// The bench of a contact in a model's rollout. All arguments must outlive it; states are those of the simulator.
 class ModelBench final : public ContactBench {
  public:
   ModelBench(const Contact& contact, const Scene& scene, const Encounter& encounter, const StopRequest& stop)
@@ -113,7 +113,7 @@ class ModelBench final : public ContactBench {
   NormalMap Linearize(double h, std::span<const double> before_largest) const override;
 
  private:
-  // Of one step of length `h`.
+  // Returns a simulator of one step of length `h`.
   std::unique_ptr<Simulator> SimulatorOver(double h) const;
 
   const Contact& contact_;

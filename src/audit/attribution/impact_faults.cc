@@ -9,15 +9,15 @@
 namespace saltus {
 namespace {
 
-// A variation of the pair.
+// A variation of positions and velocities of the pair.
 struct Variation {
   std::array<Vec2d, 2> q{Vec2d::Zero(), Vec2d::Zero()};
   std::array<Vec2d, 2> v{Vec2d::Zero(), Vec2d::Zero()};
   std::array<double, 2> angle{}, w{};
 };
 
-// Impulse on a along normal and tangent, N s, from the normal and sliding velocity: linear as long as neither changes
-// sign.
+// Returns the matrix from normal and sliding velocity to the impulse on a along normal and tangent, N s. The law is
+// linear as long as neither velocity changes sign.
 Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, double stick_mass, const ImpactTerms& terms) {
   using Friction = ImpactTerms::Friction;
   const double bounce = 1 + terms.restitution, mu = terms.friction;
@@ -52,8 +52,8 @@ Eigen::Matrix2d ImpulseLaw(double speed, double sliding, double mass, double sti
   return law;
 }
 
-// Velocities taken from projected positions: the part (1 - e) of the normal one, and friction with all of it, follow
-// the overlap instead of the velocity before. `moment` is m n . dd.
+// Adds the effect of velocities that are taken from projected positions: the part (1 - e) of the normal velocity, and
+// all of the friction, follow the overlap instead of the velocity before. `moment` is m n . dd.
 void AddOverlap(const PairImpact& impact, const ImpactTerms& terms, double moment, const Vec2d& relative,
                 const Vec2d& d_relative, double mass, Vec2d* d_impulse) {
   const double e = impact.restitution;
@@ -111,13 +111,13 @@ Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, cons
   return out;
 }
 
-// One deviation from the exact impact.
+// A known deviation of a model's linearization from that of the exact impact.
 struct Fault {
   const char* words;
   void (*apply)(const PairImpact&, ImpactTerms*);
 };
 
-// Faults of which a model has at most one. Without words: the exact term.
+// Alternative faults of one term, of which a model has at most one. The one without words is the exact term.
 using Family = std::vector<Fault>;
 
 void ForgetTime(ImpactTerms* terms) {
@@ -166,7 +166,7 @@ Family SpinFaults(const PairImpact& impact) {
   return faults;
 }
 
-// `friction`: whether there is any that could be forgotten.
+// Returns the faults of the impact time. `friction`: whether there is friction that could be missing.
 Family TimeFaults(bool friction) {
   const auto half = [](const PairImpact&, ImpactTerms* t) {
     t->position_shift = (1 + t->restitution / 2) / (1 + t->restitution);
@@ -211,7 +211,7 @@ Family NormalFaults() {
           {"normal frozen", [](const PairImpact&, ImpactTerms* t) { t->normal = Normal::kFrozen; }}};
 }
 
-// Dense d(end)/d(begin) of free flight for a time.
+// Replaces a variation by that after free flight for a time.
 void Fly(double time, Variation* x) {
   for (int i = 0; i < 2; ++i) {
     x->q[i] += time * x->v[i];

@@ -37,17 +37,17 @@ struct PairImpact {
   ContactMode mode = ContactMode::kFrictionless;
   double before = 0, after = 0;  // s, from the begin of the interval, and to its end
   double step = 0;               // s, the model's
-  // Of discs a and b in a scene that spins: m; 1/(kg m^2), 0 if it cannot spin; rad/s, before.
+  // Data of discs a and b in a scene that spins: m; 1/(kg m^2), 0 if it cannot spin; rad/s, before the impact.
   bool spins = false;
   std::array<double, 2> radius = {0, 0}, inverse_inertia = {0, 0}, spin = {0, 0};
 
   int num_moving() const { return (inverse_mass_a > 0) + (inverse_mass_b > 0); }
 };
 
-// What of the impact a linearization knows.
+// The terms of the exact linearization that a model has.
 struct ImpactTerms {
   enum class Normal { kTurning, kAtFixedTime, kFrozen };
-  // The last is a cone program whose solution is multiplied by 1 + restitution, sliding and all.
+  // kCone is a cone program whose solution is multiplied by 1 + restitution, its tangential part included.
   enum class Friction { kNone, kSlip, kStick, kCone };
 
   double position_shift = 1;             // factor of (v - v+) dtau
@@ -57,7 +57,7 @@ struct ImpactTerms {
   double restitution = 1;
   Friction law = Friction::kNone;
   double friction = 0;  // coefficient
-  // 1/s; with positions projected to contact and velocities taken from their differences, one over the step.
+  // 1/s; where positions are projected to contact and velocities are their differences, one over the step.
   double overlap_rate = 0;
   bool turns = true;  // friction turns discs that spin
   bool rims = true;   // and follows the sliding of their rims, not that of the centres
@@ -65,15 +65,15 @@ struct ImpactTerms {
 
 ImpactTerms ExactTerms(const PairImpact& impact);
 
-// d(state at the end of the interval) / d(state at its begin) over the discs that move, a before b: [p v] of
-// each, and [angle w] in a scene that spins.
+// Returns d(state at the end of the interval) / d(state at its begin) over the moving discs, a before b: [p v] of each,
+// and [angle w] in a scene that spins.
 Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& terms);
 
-// Frobenius norm of a difference of two such linearizations, with the factors of a state (StateScales, step_map.h).
+// Returns the Frobenius norm of a difference of two linearizations, scaled by the StateScales() (step_map.h).
 double ScaledNorm(const Eigen::MatrixXd& difference, const Eigen::VectorXd& scales);
 
-// The known fault, or faults, with which LinearizeImpact comes close to `model`, in words; nothing if none does.
-// Positions and velocities are compared on the scale of `duration`.
+// Returns the known fault, or faults, with which LinearizeImpact() comes close to `model`, in words; std::nullopt if
+// none does. Positions and velocities are compared on the scale of `duration`.
 std::optional<std::string> RecogniseFault(const PairImpact& impact, const Eigen::MatrixXd& model, double duration);
 
 }  // namespace saltus

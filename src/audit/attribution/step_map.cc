@@ -10,7 +10,7 @@
 namespace saltus {
 namespace {
 
-// dx' = A dx over `bodies`, rotation included.
+// Returns A of dx' = A dx over `bodies`, rotation included.
 Eigen::MatrixXd DenseOver(const StepLinearization& step, const std::vector<int>& bodies) {
   const int size = step.body_size;
   const int n = static_cast<int>(bodies.size());

@@ -12,7 +12,7 @@
 
 namespace saltus {
 
-// The force on every disc (B x 2) in step k.
+// Sets the force on every disc (B x 2) in step k.
 using ForceOfStep = std::function<void(int k, std::span<double> force)>;
 
 struct StepMap {
@@ -21,31 +21,31 @@ struct StepMap {
   Eigen::MatrixXd A;  // d(end) / d(begin) over the given discs: [p v] of each, and [angle w] if the scene spins
 };
 
-// Numbers of a disc in the state of a scene: those above.
+// Returns the number of entries of a disc in the state of a scene: 4, or 6 if it spins.
 int NumbersOfDisc(const Scene& scene);
 
 // Whether number j of a disc is a velocity or an angular velocity.
 inline bool IsRate(Eigen::Index j) { return j == 2 || j == 3 || j == 5; }
 
-// Puts lengths and turns on one scale: of each disc of `bodies` the factors of [p v], and of [angle w] if the scene
-// spins: 1, `time`, the radius and the radius times `time`. Of costates they are those to divide by.
+// Returns factors that put lengths and angles on one scale, for each disc of `bodies`: 1 and `time` for [p v], and if
+// the scene spins the radius and the radius times `time` for [angle w]. Costates are divided by them.
 Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time);
 
-// `steps` steps from state `begin` (state_size() numbers) under force(0), force(1), ..., with the linearization over
-// `bodies`, unless these are null. Rotation that is the model's own takes part in the composition, but not in A.
+// Runs `steps` steps from state `begin` under force(0), force(1), ..., and composes their linearization over `bodies`,
+// unless that is null. A rotation that only the model knows takes part, but is not in A.
 StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
                  const std::vector<int>* bodies);
 
-// A^T lambda over some discs, [p v] of each and [angle w] if the scene spins; what the positions and what the
-// velocities at the end contribute.
+// The product A^T lambda over some discs ([p v] of each, and [angle w] if the scene spins), as the sum of the
+// contributions of positions and of velocities at the end.
 struct PulledCostate {
   Eigen::VectorXd by_positions, by_velocities;
   Eigen::VectorXd Sum() const { return by_positions + by_velocities; }
 };
 
-// Through all steps of the simulator, from state `begin` under its scene's initial control. `lambda`: the numbers
-// of each disc of `bodies`, those of the others are zero. Not a number if the rollout fails.
-// Precondition: the simulator's discs have no rotation of their own, but that of a scene that spins.
+// Pulls a costate back through all steps of the simulator, from state `begin` under its scene's initial control.
+// `lambda` has the numbers of each disc of `bodies`; those of other discs are zero. The result is NaN if the rollout
+// fails. Precondition: discs have no rotation but that of a scene that spins.
 PulledCostate PullBackCostate(Simulator* simulator, std::span<const double> begin, const std::vector<int>& bodies,
                               const Eigen::VectorXd& lambda);
 

@@ -29,32 +29,32 @@ constexpr double kDisplaced = 1e-3;  // of a radius, in a question between two t
 // Precision. Displacements 2^-14, 2^-15, ... of a position, over a few steps of free flight.
 constexpr int kLargestPower = 14, kSmallestPower = 58, kFlight = 3;
 constexpr int kDoubleBits = 53, kFloatBits = 24, kBitsLost = 4;  // of a format, that rounding in a few steps may take
-// Of a gradient by differences from answers with more noise than this; within that, errors are rounding.
+// With more noise than kMuchNoise, the tolerance and the rounding of gradients by differences are these.
 constexpr double kMuchNoise = 1e-11, kNoisyTolerance = 1e-2, kNoisyRounding = 3e-3;
-// ... of which a part may come from what was asked before: about a third of the noise, at the widths that suit it.
+// The largest noise by the history of the box: about a third of the noise of differences at the best widths.
 constexpr double kNoisyRepeat = 1e-3;
 constexpr double kOwnTolerance = 300;  // noises of a gradient that the simulator gives
 
 // Refinement by differences: fewer levels, as each gradient costs many rollouts.
 constexpr int kLevels = 5, kMostLevels = 6;
-// The motion.
+// Levels of the study of the motion.
 constexpr int kMotionLevels = 4;
-// Samples of a level, the first of which is used if the time allows.
+// Numbers of samples of a level; the first one is used if time allows.
 constexpr int kSamples[] = {9, 5, 3};
 constexpr int kLeastLevels = 4;
-// Rollouts of the scene that the study of a head-on impact takes, over half of its steps.
+// The cost of the study of a head-on impact, in rollouts of the scene, over half of its steps.
 constexpr double kHeadOnRollouts = 13.5;
 constexpr int kFiner = 10;
 constexpr double kMotionOrder = 0.5, kMotionFar = 1e-2, kExactMotion = 1e-9, kMotionNoise = 300;
-// The width sweep: widths in what moves in a step.
+// Widths of differences, in the displacement of a disc in one step.
 constexpr double kNarrowFrom = 1e-3, kNarrowTo = 5e-2, kNoisyFrom = 3e-2, kNoisyTo = 0.2, kWideFrom = 2, kWideTo = 8;
 constexpr double kLatestNarrow = 1e-2;  // where narrow widths begin at the latest, if few runs are left
 constexpr int kSpeeds = 32;             // states at which speeds are measured, about
-// Runs of the simulator that an audit takes, unless a gradient by differences needs more for a verdict.
+// The most runs of the simulator in one audit, unless a gradient by differences needs more for a verdict.
 constexpr int kMostCalls = 2000;
 constexpr double kRebounds = 0.5, kLost = 0.5;
 
-// Passes questions on to a black box, and counts the runs that it is asked for.
+// Forwards questions to a black box, and counts the runs that they take.
 class CountedBox final : public BlackBox {
  public:
   explicit CountedBox(std::shared_ptr<BlackBox> box) : box_(std::move(box)) {}
@@ -74,13 +74,13 @@ class CountedBox final : public BlackBox {
   std::atomic<std::int64_t> calls_ = 0;
 };
 
-// The final state of the scene's own motion over the first `steps` of its grid.
+// Returns the question for the final state of the scene's motion over the first `steps` of its grid.
 Question OwnMotion(const Scene& scene, int steps) {
   return {Question::Kind::kSimulate, steps, steps * scene.dt(), InitialState(scene), InitialControl(scene, steps), {}};
 }
 
-// Relative noise of the answers: what is left of the final position of a disc when what a displacement does to it is
-// taken off. Epsilon if nothing is to be seen.
+// Returns the relative noise of the answers: the residual of the final position of a disc as a linear function of small
+// displacements of its initial position, at least the rounding of doubles.
 double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const StopRequest& stop) {
   const Question flight = OwnMotion(scene, kFlight * traits.grid_steps);
   int index = -1;
@@ -109,7 +109,7 @@ double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
   return std::max(kEpsilon, noise / scale);
 }
 
-// Of the format that has that noise, or just those that the noise leaves.
+// Returns the number of bits of the floating-point format with that noise, or else the bits above the noise.
 int BitsOf(double noise) {
   const int bits = static_cast<int>(std::lround(-std::log2(noise)));
   for (const int format : {kDoubleBits, kFloatBits}) {
@@ -118,7 +118,7 @@ int BitsOf(double noise) {
   return bits;
 }
 
-// Of vectors of the same length, relative to the second; 0 of empty ones.
+// Returns |changed - from| / |from|; the vectors have the same length, and the result is 0 if they are empty.
 double RelativeChange(const std::vector<double>& changed, const std::vector<double>& from) {
   double change = 0;
   for (std::size_t i = 0; i < from.size(); ++i) change = std::hypot(change, changed[i] - from[i]);
@@ -126,9 +126,9 @@ double RelativeChange(const std::vector<double>& changed, const std::vector<doub
   return size > 0 ? change / size : change;
 }
 
-// Asks one question again and again, with others in between: from other initial states, without forces. Each is asked
-// alone, so that one copy of a command gets them all. Answers that differ are a remark; returns whether they do by so
-// much that derivatives are not known.
+// Asks one question again and again, with others in between (other initial states, no forces). Each is asked alone, so
+// that one copy of a command gets them all. Different answers are a remark. Returns whether they differ by so much that
+// derivatives are not known.
 bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
                       const RefinementOptions& refinement, const StopRequest& stop, BlackBoxFindings* findings) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
@@ -169,7 +169,7 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
     of_gradient = std::max(of_gradient, RelativeChange(again->initial, answers[0].initial));
   }
   if ((difference == 0 && of_gradient == 0) || extent == 0) return false;
-  // Of the finest steps of a refinement, whose differences are the narrowest.
+  // The finest steps of a refinement have the narrowest differences, which noise disturbs most.
   const double moved = std::ldexp(speed * scene.dt() * traits.grid_steps, 1 - kLevels);
   const double width = moved > 0 ? WidthOfDifferences(findings->noise, extent, moved) : 0;
   const double tolerance = findings->noise > kMuchNoise ? kNoisyRepeat : refinement.tolerance;
@@ -187,7 +187,7 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
   return decides;
 }
 
-// How fast the two of a pair are accelerated towards each other by the scene's forces, in a state of all discs.
+// Returns the relative acceleration of a pair towards each other by the scene's forces, in a state of all discs.
 double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vector<double>& state) {
   const auto position = [&](int i) { return Vec2d(state[4 * i], state[4 * i + 1]); };
   const Vec2d of_a = InitialAcceleration(scene, pair.a);
@@ -196,7 +196,7 @@ double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vect
              Vec2d(of_a - InitialAcceleration(scene, pair.b)));
 }
 
-// The first in the exact motion; or else the first two discs, or a disc and a plane.
+// Returns the first contact of the exact motion; without one, the first two discs, or a disc and a plane.
 std::optional<Meeting> FirstMeeting(const Scene& scene, const std::optional<ModelGradient>& reference) {
   const auto index_of = [](const auto& all, const std::string& name) {
     const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
@@ -220,7 +220,7 @@ std::optional<Meeting> FirstMeeting(const Scene& scene, const std::optional<Mode
   return std::nullopt;
 }
 
-// Losses at ever more steps beside the exact one.
+// Compares losses at increasing numbers of steps with the exact one.
 void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const ModelGradient& exact,
                  int samples, const StopRequest& stop, BlackBoxFindings* findings) {
   std::vector<Question> questions;
@@ -318,8 +318,8 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   }
 }
 
-// What the parts of an audit cost, from the time that the first gradient took, and what of them fits into the time and
-// into kMostCalls.
+// The plan of an audit: the costs of its parts, estimated from the time of the first gradient, and the parts that fit
+// into the time and into kMostCalls.
 class AuditPlan {
  public:
   AuditPlan(const AuditTime& time, const CountedBox& box, const std::function<void(const std::string&)>& status)
@@ -331,20 +331,20 @@ class AuditPlan {
   }
   bool limited() const { return time_.seconds > 0; }
   double Left() const { return time_.seconds - (Now() - start_); }
-  // Whether so many more calls fit.
+  // Whether this many more calls fit.
   bool FitsCalls(double calls) const { return static_cast<double>(box_.calls()) + calls <= kMostCalls; }
 
-  // A gradient took `seconds`, for which the simulator was asked for so many rollouts at a time.
+  // Sets the cost of a gradient: `seconds`, for batches of this many rollouts.
   void SetCost(double seconds, int rollouts) {
     gradient_ = seconds;
     rollouts_ = rollouts;
     rollout_ = seconds / rollouts;
   }
-  // Of rollouts that are asked for at a time, and one after the other.
+  // Estimated time of rollouts in batches, and of rollouts one after the other, s.
   double OfRollouts(double count) const { return rollout_ * count; }
   double OfSingleRollouts(double count) const { return single_ * count; }
   void SetSingleCost(double seconds) { single_ = seconds; }
-  // Each level has twice the steps of the one before.
+  // Returns the time of a refinement, in which each level has twice the steps of the one before, s.
   double OfRefinement(int levels, int samples) const { return gradient_ * samples * (std::ldexp(1, levels) - 1); }
   double OfMotion(int samples) const { return OfRollouts(samples * (std::ldexp(1, kMotionLevels) - 1)); }
 
@@ -380,14 +380,14 @@ class AuditPlan {
   int rollouts_ = 1;                                // of a gradient
 };
 
-// Rollouts for a gradient.
+// Returns the number of rollouts that a gradient takes.
 int NumRollouts(const Scene& scene, bool own_gradient) {
   if (own_gradient) return 3;  // a rollout, and a gradient, which takes about two
   const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
   return 1 + 2 * (4 * static_cast<int>(moving) + AskingOptions().segments * scene.control_width());
 }
 
-// Counts the rollouts, one after the other, for differences of every width.
+// Returns the number of single rollouts that differences of every width take.
 double NumRolloutsOfWidths(const Scene& scene, const WidthSweepOptions& options) {
   const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
   const auto entries = 4 * moving + scene.control_width();
@@ -395,7 +395,7 @@ double NumRolloutsOfWidths(const Scene& scene, const WidthSweepOptions& options)
   return static_cast<double>(2 * options.NumWidths() * entries) + 0.5 * std::min(scene.steps, kSpeeds);
 }
 
-// Differences know the control by segments only.
+// Returns the gradient with the control averaged over the segments that differences have.
 ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& findings) {
   const int segments = AskingOptions().segments;
   if (findings.own_gradient || gradient.num_steps % segments != 0) return gradient;
@@ -404,8 +404,8 @@ ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& finding
   return gradient;
 }
 
-// The names of the parameters by which the box gives derivatives. The cotangent is zero, as some boxes only give the
-// gradient of the loss.
+// Returns the names of the parameters by which the box gives derivatives. The cotangent of the question is zero, as
+// some boxes give the gradient of the loss only.
 std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
                                          const StopRequest& stop) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
@@ -419,7 +419,7 @@ std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, cons
   return names;
 }
 
-// What the box could not be asked for any more, though it could before.
+// Whether the box no longer answers, though it did before; sets the reason.
 bool HasFailed(BlackBox* box, const Scene& scene, ModelAudit* audit) {
   const BlackBoxTraits traits = TraitsFor(box, scene);
   if (!traits.error.empty()) audit->gradient.reason = traits.error;
@@ -452,7 +452,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
   findings.own_gradient = traits.gradient;
   findings.refused = traits.error.empty() && !traits.not_applicable.empty();
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
-  // What was being studied when it was stopped is not kept.
+  // A study that was stopped is dropped.
   const auto keep = [&](auto found, auto* kept) {
     if (interrupted()) return false;
     *kept = std::move(found);
@@ -558,7 +558,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
   if (HasFailed(box.get(), scene, &audit)) return audit;
   Remark(audit, &findings);
   if (traits.gradient && options.refinement.parameters && plan.Fits(0)) {
-    // A scene with other parameters is told to another copy of a command.
+    // A scene with other parameters is given to another copy of a command.
     audit.parameters = CompareParameters(contact, scene, ParametersGiven(box.get(), scene, traits, stop), stop);
   }
   return audit;

@@ -13,13 +13,13 @@ constexpr double kSpeed = 3;             // m/s: engines have speeds, up to 2 m/
 constexpr double kMostOfRadius = 0.125;  // that a disc may move in a step
 constexpr int kSteps = 240;              // at least
 constexpr int kPhases = 9;
-// Displacements, of what moves in a step: small, so that the impact stays in its step, unless answers are rounded much.
+// Displacements, in the motion of a step: small, so that the impact stays in its step, unless answers are very noisy.
 constexpr double kSmall = 1e-3, kLarger = 0.05, kMuchNoise = 1e-11;
 constexpr double kFelt = 16;  // noises by which a velocity must change
 constexpr int kBlock = 8;     // steps that are asked for at a time
 constexpr int kMostSteps = 4096;
 
-// The pair alone.
+// Returns a scene with the pair only.
 Scene SceneOf(const Scene& scene, const Candidate& pair) {
   Scene alone;
   alone.name = "head_on";

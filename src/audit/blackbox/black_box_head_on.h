@@ -1,4 +1,4 @@
-// A head-on impact, asked of a black box: the pair of a scene by itself, without friction.
+// An experiment with a black box: a head-on impact of a pair of the scene, alone and without friction.
 //
 //   e     speed of separation / closing speed
 //   feed  h d(relative velocity at the end) / d(displacement)
@@ -28,11 +28,11 @@ struct Meeting {
 
 class HeadOnImpact final : public ContactBench {
  public:
-  // `noise` is that of the answers, relative.
+  // `noise` is the relative noise of the answers.
   HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const Meeting& meeting, double noise,
                const StopRequest& stop);
 
-  // Why it cannot be asked; empty if it can.
+  // Returns the reason why the experiment is not possible; empty if it is.
   const std::string& reason() const { return reason_; }
   // Length of a step of the simulator on the scene's time grid, s.
   double step() const { return traits_.grid_steps * grid_step_; }
@@ -41,14 +41,14 @@ class HeadOnImpact final : public ContactBench {
   std::vector<double> FarBefore() const { return {kApproach * speed_ * step(), speed_}; }
   ContactRun Run(double h, std::span<const double> from, bool onset_only) const override;
   NormalMap Linearize(double h, std::span<const double> before_largest) const override;
-  // Without states, every step is a call with a number of steps of its own.
+  // Without intermediate states, every step needs a call of the box with another number of steps.
   int MostSteps() const override { return traits_.states ? ContactBench::MostSteps() : kMostCalls; }
 
   // Whether the force that gives the first disc its acceleration does not change its velocity in free flight.
   bool IgnoresForce() const;
 
-  // At the scene's steps, or so many times finer ones; nothing if an answer is missing. Medians over nine phases of the
-  // impact within a step.
+  // Measures at the scene's steps, or at `finer` times as many: medians over nine phases of the impact within a step.
+  // Returns std::nullopt if an answer is missing.
   std::optional<BlackBoxFindings::HeadOn> Measure(int finer) const;
 
  private:
@@ -58,16 +58,16 @@ class HeadOnImpact final : public ContactBench {
   struct Motion {
     double position = 0, velocity = 0;  // of the first disc to the other, m, m/s
   };
-  // What is run: from a gap at a closing speed, under an acceleration.
+  // The start of a run: a gap, a closing speed and a relative acceleration.
   struct Start {
     double gap, speed, acceleration;
   };
   Question Ask(const Start& start, int steps, double h) const;
   Motion MotionIn(std::span<const double> state) const;
-  // d(motion) / d(displacement) in those runs; empty if an answer is missing.
+  // Returns d(motion) / d(displacement) of these runs; empty if an answer is missing.
   std::vector<Motion> Slopes(const std::vector<Start>& starts, int steps, double h) const;
   std::vector<Answer> AnswersTo(const std::vector<Question>& questions) const;
-  // After steps first, first + 1, ...; none if an answer is missing.
+  // Returns the motion after steps first, first + 1, ...; empty if an answer is missing.
   std::vector<Motion> Motions(const Start& start, double h, int first, int count) const;
 
   std::shared_ptr<BlackBox> box_;

@@ -16,8 +16,8 @@ namespace {
 
 constexpr double kRounding = std::numeric_limits<double>::epsilon();
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-// Widths of differences, in what a disc moves in a step: narrow, so that impacts stay in their steps, and so much above
-// the noise as the budget of error says.
+// Widths of differences, in the motion of a disc in a step: narrow, so that impacts stay in their steps, but above the
+// noise by a factor that the budget of errors gives.
 constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300, kMuchNoise = 1e-11;
 
 using Kind = Question::Kind;
@@ -82,7 +82,7 @@ std::vector<double> BlackBoxSimulator::ForceIn(int k) const {
   return force;
 }
 
-// Those in between are asked for when they are needed: all at once or by steps, or else as the final state of a shorter
+// Asks for states in between when they are needed: for all at once or by steps, or else as the final state of a shorter
 // run.
 const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
   if (!states_[k].empty()) return states_[k];
@@ -128,7 +128,7 @@ void BlackBoxSimulator::AdjointInto(std::span<const double> cotangent, const Sen
   }
   if (out.parameters != nullptr) *out.parameters = {};
   if (!traits_.gradient || options_.differences) return AdjointByDifferences(cotangent, out);
-  // There is no other way to say it: what is not a number is refused as a gradient.
+  // The interface has no other way to report a failure: a gradient that is NaN is refused.
   if (!AdjointByItself(cotangent, out)) {
     std::fill(out.initial.begin(), out.initial.end(), kNan);
   }
@@ -176,7 +176,7 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
   const double speed =
       std::max({LargestSpeed(states_.front()), LargestSpeed(states_.back()), kNarrow * radius / step()});
   const double width = Width(speed, extent);
-  // What changes a velocity is felt in every step, and lost there if it is rounding.
+  // Changes of forces act in every step, and vanish there if they are below its rounding: so they are wider.
   const double driven = options_.noise > kMuchNoise ? kWidest * speed * step() : width;
   std::vector<Variable> variables;
   for (int i = 0; i < kNumbers * num_bodies(); ++i) {
@@ -214,7 +214,7 @@ void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, 
     if (above.error.empty() && below.error.empty()) {
       slope = 0;
       for (std::size_t i = 0; i < cotangent.size(); ++i) slope += cotangent[i] * (above.final[i] - below.final[i]);
-      // What was changed is not quite the width.
+      // Rounding makes the actual difference of the two initial states differ from the width.
       const double width =
           variable.control ? 2 * variable.width
                            : questions[2 * v].initial[variable.index] - questions[2 * v + 1].initial[variable.index];
@@ -269,8 +269,8 @@ void BlackBoxSimulator::Step(std::span<const double> x, std::span<const double> 
   std::copy(answer.final.begin(), answer.final.end(), next.begin());
 }
 
-// Of the last rollout, if what touches in it is known: the step from a state; else -1. Who asks goes through them in
-// order.
+// Returns the step of the last rollout that begins with state x, if its touches are known; else -1. The search begins
+// at the last result, because callers ask for the steps in order.
 int BlackBoxSimulator::FindState(std::span<const double> x) const {
   for (int i = 0; options_.touches && i < num_steps_ && !states_.empty(); ++i) {
     const int k = (last_found_ + num_steps_ - i) % num_steps_;
@@ -285,7 +285,7 @@ void BlackBoxSimulator::FindTouches() {
   }
 }
 
-// Discs that did not fly freely, with what is nearest to each.
+// Returns the touches of the discs that did not fly freely, each with its nearest neighbour.
 std::vector<Touch> BlackBoxSimulator::TouchesIn(std::span<const double> x, std::span<const double> force,
                                                 std::span<const double> next) const {
   const double h = step();
@@ -407,7 +407,7 @@ StepLinearization::Island BlackBoxSimulator::LinearizeIsland(std::span<const dou
   return island;
 }
 
-// Of the first disc that moves, all at rest where they start: free flight is linear, whatever the width.
+// Measures the free flight of the first moving disc; all discs start at rest. Free flight is linear: any width is good.
 StepLinearization::FreeFlight BlackBoxSimulator::MeasureFreeFlight() const {
   std::vector<double> x = InitialState(scene_);
   for (std::size_t i = 0; i < x.size(); ++i) x[i] = i % kNumbers < 2 ? x[i] : 0.0;

@@ -1,4 +1,4 @@
-// A black box behind the interface of a simulator: rollouts are questions, and what it does not give is differences.
+// A black box as a simulator: rollouts are questions, and derivatives that it does not give are finite differences.
 #pragma once
 
 #include <memory>
@@ -11,8 +11,8 @@
 
 namespace saltus {
 
-// Width of differences by positions, m, for answers with a relative noise, of discs that get `extent`, m, from the
-// origin and move by `moved`, m, in a step.
+// Returns the width of differences by positions, m, for answers with a relative noise, and discs that are up to
+// `extent`, m, from the origin and move by `moved`, m, in a step.
 double WidthOfDifferences(double noise, double extent, double moved);
 
 class BlackBoxSimulator final : public Simulator {
@@ -43,7 +43,7 @@ class BlackBoxSimulator final : public Simulator {
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override;
 
  private:
-  // A number that differences change: of the initial state, or of the control in some steps of the grid.
+  // A variable of differences: a number of the initial state, or of the control in some steps of the grid.
   struct Variable {
     int index;  // into the initial state, or into the forces of a step
     bool control;
@@ -56,7 +56,7 @@ class BlackBoxSimulator final : public Simulator {
     return box_->Ask(scene_, questions, stop_);
   }
   bool Fail(const std::string& why);
-  // The forces on all discs in one of its steps.
+  // Returns the forces on all discs in step k of the simulator.
   std::vector<double> ForceIn(int k) const;
   const std::vector<double>& StateAt(int k) const;
   void FindTouches();
@@ -87,7 +87,7 @@ class BlackBoxSimulator final : public Simulator {
   mutable std::optional<StepLinearization::FreeFlight> free_;
 };
 
-// What the box says of a scene, and that scenes of more than discs and planes are not for it.
+// Returns the traits that the box reports for a scene; an error if the scene has more than discs and planes.
 BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene);
 
 }  // namespace saltus

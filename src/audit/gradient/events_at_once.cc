@@ -22,7 +22,7 @@ constexpr double kAside = 1e-8;      // by which the initial state moves, natura
 constexpr double kMostWork = 1e6;    // entries times (discs times steps, and so many for each impact)
 constexpr double kImpactWork = 100;
 
-// The impacts of the last rollout and what they did, in their order.
+// Returns the impacts of the last rollout with their modes, in their order.
 std::vector<Touch> ImpactsOf(const Simulator& simulator) {
   std::vector<Touch> impacts;
   for (const StepTouch& at : simulator.touches()) {
@@ -50,7 +50,7 @@ std::optional<std::size_t> OtherImpactsNearby(SingleShooting* shooting) {
   return std::nullopt;
 }
 
-// In the order of SingleShooting's variables.
+// Returns the entries in the order of SingleShooting's variables.
 std::vector<OneSided> EntriesOf(const Scene& scene) {
   std::vector<OneSided> entries;
   for (const auto quantity : {OneSided::Quantity::kPosition, OneSided::Quantity::kVelocity}) {
@@ -66,13 +66,13 @@ class Sides {
   Sides(SingleShooting* shooting, double loss, std::vector<double> gradient)
       : shooting_(*shooting), loss_(loss), gradient_(std::move(gradient)) {}
 
-  // Nothing where the derivative exists from both sides, or where differences do not tell.
+  // Returns the side on which the derivative holds; std::nullopt if it holds on both, or if differences do not decide.
   std::optional<OneSided::Side> Of(int variable, double scale) {
     const Found below = Follow(variable, -1, scale), above = Follow(variable, 1, scale);
     if (above.agrees && below.other) return OneSided::Side::kAbove;
     if (below.agrees && above.other) return OneSided::Side::kBelow;
-    // Other orders to both sides, perhaps the same one: moved across the line of centers, two discs meet later whatever
-    // the side.
+    // The motion has other orders of impacts on both sides, perhaps the same one: moved across the line of centres, two
+    // discs meet later whatever the side.
     return above.other && below.other ? std::optional(OneSided::Side::kNone) : std::nullopt;
   }
 
@@ -81,7 +81,7 @@ class Sides {
     bool agrees = false;
     std::optional<double> other;  // the slope on which differences settle instead
   };
-  // By slopes at w, w/2, w/4 and w/8, of which each three on end give the value at 0 of a parabola.
+  // Follows slopes at w, w/2, w/4 and w/8, of which each three in a row give the value at 0 of a parabola.
   Found Follow(int variable, double sign, double scale) {
     Found found;
     double width = kWidest;
@@ -126,7 +126,7 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
     return static_cast<double>(entries.size()) * of_rollout > kMostWork;
   };
   if (is_too_much(ImpactsOf(shooting.simulator()).size())) return found;
-  // Discs that rest have no impacts, and may have many nearby.
+  // Discs at rest have no impacts, but small changes may cause many.
   const std::optional<std::size_t> nearby = OtherImpactsNearby(&shooting);
   if (!nearby || is_too_much(*nearby)) return found;
   const auto largest = [&](OneSided::Quantity quantity) {

@@ -17,10 +17,10 @@
 
 namespace saltus {
 
-// Of the derivatives by the initial state, those that are not among `known`. Empty where no impact coincides with
-// another event of one of its discs and no discs pass each other without a gap, and where rollouts are so long that
-// differences by every entry would take minutes. Without meaning if it was stopped. `contact` is event-driven and takes
-// the scene, which is in natural units.
+// Returns the one-sided derivatives by the initial state that are not among `known`. Empty where no impact coincides
+// with another event of one of its discs and no discs pass each other without a gap, and where rollouts are so long
+// that differences by every entry would take minutes. The result has no meaning if it was stopped. `contact` is
+// event-driven and can simulate the scene, which is in natural units.
 std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene, const std::vector<OneSided>& known,
                                      const StopRequest& stop = nullptr);
 

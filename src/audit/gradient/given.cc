@@ -30,7 +30,7 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
   const auto judge = [&](double value, double at, double largest) {
     return exact.ambiguous.empty() ? Judge(value, at, largest, given.tolerance) : Verdict::kAmbiguous;
   };
-  // `values` and `at` name the exact entries of one vector.
+  // Judges the given entries of one vector; `values` and `at` name the exact ones.
   const auto add = [&](const std::optional<Vec2d>& value,
                        const std::string& name,
                        const std::string& of,

@@ -14,7 +14,7 @@
 namespace saltus {
 namespace {
 
-// Bounds and pairs that must not touch do not change the loss.
+// Returns the reason why there is no gradient. Bounds and pairs that must not touch do not change the loss.
 std::string WhyNotGradient(const Scene& scene) {
   Scene unbounded = scene;
   unbounded.control.max.clear();
@@ -25,7 +25,7 @@ std::string WhyNotGradient(const Scene& scene) {
   return found.empty() ? "" : "the scene has " + found + ", of which there is no gradient by shooting";
 }
 
-// Loss, events and the adjoint's gradient.
+// Computes loss, events and the gradient by the adjoint.
 void FillIn(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
             ModelGradient* result, const std::vector<double>* control = nullptr) {
   Scene near = NearOrigin(scene);
@@ -56,7 +56,7 @@ void FillIn(const Contact& contact, const Scene& scene, Precision precision, con
   result->unresolved_steps = NumUnresolvedSteps(shooting.simulator());
 }
 
-// The estimate about the initial guess; false if a sample is not finite, or it was stopped.
+// Estimates the gradient at the initial guess; returns false if a sample is not finite, or if it was stopped.
 bool Estimate(SmoothedGradient smoothed, const StopRequest& stop, std::vector<double>* gradient,
               std::vector<double>* standard_error) {
   smoothed.set_stop(stop);
@@ -65,8 +65,8 @@ bool Estimate(SmoothedGradient smoothed, const StopRequest& stop, std::vector<do
   return smoothed.Evaluate(smoothed.initial_guess(), 0, *gradient, *standard_error);
 }
 
-// From the positions of all discs that move, then their velocities, then the rotations of those that spin, to the shape
-// of an initial state.
+// Converts a vector of positions of all moving discs, then their velocities, then the rotations of those that spin, to
+// the layout of an initial state.
 std::vector<double> PerDisc(const Scene& scene, const std::vector<double>& variables) {
   std::vector<double> initial(InitialSize(scene));
   size_t next = 0;

@@ -26,7 +26,7 @@ constexpr int kMostVariables = 8;      // of each part, in a width sweep
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-// Rows `first` to `last` - 1, of m numbers each, of a control of which each row is held over `held` of them.
+// Returns rows `first` to `last` - 1 of a control with m columns, of which each row is held over `held` of them.
 std::vector<double> HeldRows(const std::vector<double>& control, int m, int held, int first, int last) {
   std::vector<double> rows;
   for (int k = first; k < last; ++k) {
@@ -36,7 +36,7 @@ std::vector<double> HeldRows(const std::vector<double>& control, int m, int held
   return rows;
 }
 
-// The motion that a scheme's steps make from an input, the loss of a problem along it, and the gradient.
+// The motion by a scheme's steps from an input, the loss of a problem along it, and the gradient.
 class SchemeRun {
  public:
   SchemeRun(const HybridProblem& problem, HybridScheme* scheme, const StopRequest& stop)
@@ -46,7 +46,7 @@ class SchemeRun {
 
   const std::string& reason() const { return reason_; }
 
-  // From the state in `mode` at time t, steps of length h with the controls of `control`, one row a step.
+  // Moves from the state in `mode` at time t by steps of length h, with the rows of `control`, one for each step.
   bool Move(int mode, const std::vector<double>& x, double t, double h, int steps, const double* control,
             const std::vector<double>& p, bool with_jacobians) {
     modes_ = {mode};
@@ -99,7 +99,7 @@ class SchemeRun {
     return lambda;
   }
 
-  // The loss with `per_interval` steps in each control interval, and its gradient. False with the reason.
+  // Computes loss and gradient with `per_interval` steps in each control interval. Returns false with a reason.
   bool Evaluate(const HybridInput& input, int per_interval, double* loss, HybridGradient* gradient) {
     const int K = input.num_intervals, steps = K * per_interval, m = system_.num_controls();
     const double h = input.duration / steps, length = input.duration / K;
@@ -220,7 +220,7 @@ std::vector<Segment> SegmentsOf(const std::vector<HybridEvent>& events, double h
   return segments;
 }
 
-// The errors of the segments, with `finer` times their steps.
+// The study of the errors of segments, with `finer` times as many steps.
 class SegmentStudy {
  public:
   SegmentStudy(const HybridProblem& problem, HybridScheme* scheme, int steps, const StopRequest& stop)
@@ -241,7 +241,7 @@ class SegmentStudy {
       error.mode = problem_.system.ModeName(segment.event.mode);
       error.guard = problem_.system.GuardName(segment.event.mode, segment.event.guard);
       error.step = std::min(static_cast<int>(segment.event.time / h), steps_ - 1);
-      // The costate at its end: that of the final state, pulled back exactly.
+      // The costate at the end of the segment is that of the final state, pulled back exactly.
       const std::vector<double> end(exact.StateAt(segment.last).begin(), exact.StateAt(segment.last).end());
       const std::vector<double> begin(exact.StateAt(segment.first).begin(), exact.StateAt(segment.first).end());
       const HybridFunctions& functions = problem_.system.functions();
@@ -262,7 +262,7 @@ class SegmentStudy {
   }
 
  private:
-  // Of the terminal costs by the final state; of ones where these read no state.
+  // Returns the gradient of the terminal costs by the final state; a vector of ones if these read no state.
   std::vector<double> FinalCotangent(const HybridSimulator& exact) const {
     const std::vector<double> x(exact.final_state().begin(), exact.final_state().end());
     Eigen::RowVectorXd sum = Eigen::RowVectorXd::Zero(static_cast<int>(x.size()));
@@ -345,7 +345,7 @@ std::vector<HybridAudit::Part> PartsOf(const HybridProblem& problem, const Hybri
 
 void SweepWidthsOf(const HybridProblem& problem, const HybridAuditOptions& options, SchemeRun* run,
                    HybridAudit* audit) {
-  // Not a multiple, so that an event on the grid is not on the refined one again.
+  // The number of steps is no multiple, so that an event on the grid is not on the refined grid again.
   const double swept = std::min(kSweptSteps, kSweptPart * options.refinement.budget);
   const int steps = std::max(options.widths.refine * audit->steps, static_cast<int>(swept));
   const int per_interval = steps / problem.guess.num_intervals + 1;
@@ -357,7 +357,7 @@ void SweepWidthsOf(const HybridProblem& problem, const HybridAuditOptions& optio
     study.reason = run->reason();
     return;
   }
-  // How far each variable moves the events.
+  // Finds how far each variable moves the events.
   HybridSimulator exact(problem.system, problem.integration);
   HybridSensitivity events;
   if (exact.Rollout(problem.guess)) events = exact.Sensitivity();
@@ -416,7 +416,7 @@ void SweepWidthsOf(const HybridProblem& problem, const HybridAuditOptions& optio
   }
 }
 
-// The worst of the parts.
+// Returns the worst verdict of the parts.
 Verdict Overall(const std::vector<HybridAudit::Part>& parts) {
   const auto any = [&](Verdict verdict) {
     return std::any_of(parts.begin(), parts.end(), [&](const auto& part) { return part.study.verdict == verdict; });
@@ -449,7 +449,7 @@ int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const Ste
     for (int i = 0; i < sizes[part]; ++i, ++column) {
       const double middle = at[i];
       double width = std::cbrt(precision) * scale;
-      // Where an event moves from this step to another the state jumps: narrower differences, and at last one side.
+      // Where an event moves into another step the state jumps: differences are narrowed, then taken on one side.
       for (int attempt = 0;; ++attempt, width /= kNarrower) {
         std::vector<double> ends[2] = {std::vector<double>(most), std::vector<double>(most)};
         double change[2] = {0, 0}, first = 0, second = 0;

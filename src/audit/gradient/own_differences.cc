@@ -47,7 +47,7 @@ class Loss {
   const std::vector<double>& gradient() const { return gradient_; }
   const SingleShooting& shooting() const { return shooting_; }
 
-  // Not a number where it fails.
+  // Returns the loss at a distance along a direction, NaN where it fails.
   double At(const std::vector<double>& direction, double width) {
     std::vector<double> z = shooting_.initial_guess();
     for (std::size_t i = 0; i < z.size(); ++i) z[i] += width * direction[i];
@@ -62,7 +62,7 @@ class Loss {
   bool ok_ = false;
 };
 
-// What a direction shows. `widest` is in its units.
+// Compares the gradient along a direction with differences. `widest` is in the units of the direction.
 OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double widest) {
   OwnDifferences found;
   double scale = 0;  // so that entries that happen to cancel do not ask for more than there is
@@ -104,14 +104,14 @@ OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double 
   return found;
 }
 
-// What moves in a step, m.
+// Returns the distance that discs move in a step, m.
 double LengthOfStep(const Scene& scene, const Simulator& simulator, int most_states = 0) {
   double smallest_radius = scene.bodies[0].radius;
   for (const Body& body : scene.bodies) smallest_radius = std::min(smallest_radius, body.radius);
   return std::max(LargestSpeed(simulator, most_states) * simulator.step(), 1e-3 * smallest_radius);
 }
 
-// What a small change of a parameter is; `length` is what moves in a step.
+// Returns the size of a small change of a parameter; `length` is the distance that discs move in a step.
 double ScaleOf(const SceneParameter& parameter, const Scene& scene, double length) {
   using Kind = SceneParameter::Kind;
   const double value = std::abs(ValueOf(parameter, scene));
@@ -139,7 +139,7 @@ struct Direction {
   double widest = 0;
 };
 
-// Of each of several threads the losses that its directions need.
+// For each of several threads, the losses that its directions need.
 class LossesOfThreads {
  public:
   LossesOfThreads(const Contact& contact, const Scene& scene, const StopRequest& stop, int threads)
@@ -167,7 +167,7 @@ class LossesOfThreads {
   std::vector<Losses> losses_;
 };
 
-// The worse of the two.
+// Returns the worse of the two.
 OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
   const auto badness = [](const OwnDifferences& found) {
     return found.agreement == Agreement::kDiffers ? 2 : found.agreement == Agreement::kUndecided ? 1 : 0;
@@ -233,7 +233,7 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
 std::vector<std::string> ParametersToCompare(const Scene& scene) {
   if (scene.num_bodies() > kMostDiscs) return {};
   std::vector<std::string> names = {"restitution", "stiffness", "damping", "gravity"};
-  // At zero the loss has only a right derivative with respect to friction.
+  // At zero friction the loss has only a right derivative with respect to friction.
   if (scene.contact.friction > 0) names.push_back("friction");
   for (const Body& body : scene.bodies) {
     if (!body.fixed) names.push_back("mass." + body.name);

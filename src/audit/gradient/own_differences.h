@@ -14,21 +14,21 @@
 
 namespace saltus {
 
-// Undecided where the model cannot take the scene. What was stopped is of no use. The same for any number of `threads`;
-// more than one needs a contact model whose simulators may run at the same time. `most_states`: as of LargestSpeed.
+// Undecided where the model cannot simulate the scene. A stopped comparison has no meaning. Results do not depend on
+// `threads`; more than one needs a model whose simulators may run in parallel. `most_states`: as in LargestSpeed().
 OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
                                          int threads = 1, int most_states = 0);
 
-// The same of parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out are those
-// that neither gradient nor differences depend on. Empty where the model cannot take the scene, or has derivatives by
-// parameters in other precisions only.
+// Compares derivatives by parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out
+// are those that neither gradient nor differences depend on. Empty where the model cannot simulate the scene, or has
+// derivatives by parameters in other precisions only.
 std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scene& scene,
                                               const std::vector<std::string>& names, const StopRequest& stop = nullptr);
-// Those of `contact`, gravity, the masses, and those that the scene optimizes; empty of scenes with many discs.
+// Returns the names of the contact parameters, gravity, masses, and optimized ones; none in scenes with many discs.
 std::vector<std::string> ParametersToCompare(const Scene& scene);
 
-// The largest speed of a disc in the simulator's last rollout, m/s: of all states, or if `most_states` is positive and
-// there are more, of about as many at even distances.
+// Returns the largest speed of a disc in the simulator's last rollout, m/s: over all states, or if `most_states` is
+// positive and there are more, over about as many at even distances.
 double LargestSpeed(const Simulator& simulator, int most_states = 0);
 
 }  // namespace saltus

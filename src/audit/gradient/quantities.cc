@@ -1,4 +1,4 @@
-// What gradients are compared by: the names, units and entries of each quantity (refinement.h).
+// The quantities by which gradients are compared: their names, units and entries (refinement.h).
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/scene/scene_parameter.h"

@@ -27,7 +27,7 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   if (scene.num_controlled() > 0) quantities.push_back(Quantity::kControl);
   if (!parameters) return quantities;
   quantities.push_back(Quantity::kRestitution);
-  // At zero the loss has only a right derivative with respect to friction.
+  // At zero friction the loss has only a right derivative with respect to friction.
   if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
   quantities.push_back(Quantity::kMass);
   quantities.push_back(Quantity::kGravity);
@@ -52,7 +52,7 @@ double RelativeChange(std::vector<double> gradient, const std::vector<double>& f
   return scale > 0 ? Norm(gradient) / scale : 0.0;
 }
 
-// With every number of the initial state off by a last bit, up or down.
+// Returns the scene with every number of the initial state changed by a last bit, up or down.
 Scene Jitter(Scene scene, std::mt19937* random) {
   for (Body& body : scene.bodies) {
     for (Vec2d* vector : {&body.position, &body.velocity}) {
@@ -62,7 +62,7 @@ Scene Jitter(Scene scene, std::mt19937* random) {
   return scene;
 }
 
-// The entries, but 0 for those whose names are in `left_out`.
+// Returns the entries, with 0 for those whose names are in `left_out`.
 std::vector<double> Without(const std::vector<std::string>& left_out, const std::vector<std::string>& names,
                             std::vector<double> entries) {
   for (size_t i = 0; i < entries.size(); ++i) {
@@ -71,7 +71,7 @@ std::vector<double> Without(const std::vector<std::string>& left_out, const std:
   return entries;
 }
 
-// Names, as of EntryNames, of the entries of `exact` that are derivatives from one side or none.
+// Returns the names (EntryNames) of the entries of `exact` that are one-sided derivatives or none.
 std::vector<std::string> OneSidedNames(const Scene& scene, const ModelGradient& exact, Quantity quantity) {
   std::vector<std::string> names;
   for (const OneSided& entry : exact.one_sided) {
@@ -83,14 +83,14 @@ std::vector<std::string> OneSidedNames(const Scene& scene, const ModelGradient& 
   return names;
 }
 
-// The control is compared over a few parts of the horizon, each of several steps.
+// Returns the number of parts of the horizon over which the control is compared, each of several steps.
 int NumIntervals(const Scene& scene, int most) {
   int intervals = 1;
   while (2 * intervals <= most && scene.steps >= 32 * intervals) intervals *= 2;
   return intervals;
 }
 
-// -d log(error) / d log(steps) over the levels from `first` on, by least squares.
+// Returns -d log(error) / d log(steps) over the levels from `first` on, by least squares.
 double FitOrder(const std::vector<RefinementLevel>& levels, size_t first, double rounding) {
   std::vector<double> steps, errors;
   for (size_t i = first; i < levels.size(); ++i) {
@@ -100,7 +100,7 @@ double FitOrder(const std::vector<RefinementLevel>& levels, size_t first, double
   return -PowerOf(steps, errors);
 }
 
-// Entries that contradict the exact ones in sign; neither side may be negligible.
+// Returns the entries that contradict the exact ones in sign; neither value may be negligible.
 std::vector<std::string> FindWrongSigns(const std::vector<std::string>& names, const std::vector<double>& exact,
                                         const std::vector<double>& own, const std::vector<double>& finest) {
   const double negligible = kNegligible * Largest(exact);
@@ -113,19 +113,19 @@ std::vector<std::string> FindWrongSigns(const std::vector<std::string>& names, c
   return wrong;
 }
 
-// Beside a step of one disc in free flight.
+// The work of a touch, relative to a step of one disc in free flight.
 constexpr double kWorkOfATouch = 24;
 
-// Before that no floor can be told from slow convergence.
+// The error above which a floor cannot be distinguished from slow convergence.
 constexpr double kSettled = 0.01;
-// Roundings of the exact gradient, of which a few were measured, by which a model may miss it.
+// The number of measured roundings of the exact gradient by which a model may miss it.
 constexpr double kRoundings = 10;
-// Up to so many of those at the scene's own steps, roundings are measured at all levels: more steps round more.
+// Roundings are measured at all levels if the error is at most this many of those at the scene's own steps.
 constexpr double kRoundingsOfLevels = 1e4;
 constexpr int kSamplesOfLevels = 3;
-// Relative: a gradient that rounding changes by more has no correct digit, and no other can be compared with it.
+// A gradient whose relative change by rounding is larger has no correct digit, and cannot be a reference.
 constexpr double kNoDigit = 0.1;
-// Orders are fitted over this many of the finest levels.
+// The number of finest levels over which orders are fitted.
 constexpr size_t kTail = 4;
 
 void Judge(const RefinementOptions& options, QuantityStudy* study) {
@@ -147,7 +147,7 @@ bool EntersTheVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl;
 }
 
-// From good to bad; what is wrong outweighs what is unknown.
+// Orders verdicts from good to bad; a wrong gradient outweighs an unknown one.
 int Badness(Verdict verdict) {
   constexpr int kBadness[] = {0, 1, 5, 6, 2, 4, 3, 3, 7, 2};  // in the order of the enum
   return kBadness[static_cast<int>(verdict)];
@@ -202,7 +202,7 @@ class Study {
     }
   }
 
-  // As of RefinementOptions::budget.
+  // Returns the work of a level, in the unit of RefinementOptions::budget.
   double CostOf(int level) const {
     const double work = std::max(double(scene_.steps) * scene_.num_bodies(), kWorkOfATouch * touches_);
     return std::ldexp(work, level) * options_.samples;
@@ -214,12 +214,12 @@ class Study {
     });
   }
 
-  // False, with the reason in the study, if a rollout is not finite.
+  // Adds a level. Returns false, with the reason in the study, if a rollout is not finite.
   bool AddLevel(int level) {
     std::vector<ModelGradient> gradients(options_.samples);
     const int threads = options_.threads_now ? options_.threads_now() : options_.threads;
     ParallelFor(threads, options_.samples, [&](int, int sample) {
-      // Of many steps the arrays alone take long.
+      // With many steps even the allocation of the arrays takes long, so this asks before.
       if (gradients[sample].reason = stop_ && stop_() ? kStopped : ""; !gradients[sample].ok()) return;
       Scene refined = scene_;
       refined.steps = StepsOf(level, sample);
@@ -246,7 +246,7 @@ class Study {
     return true;
   }
 
-  // Errors that are no larger than what rounding does to the exact gradient are nobody's.
+  // Errors no larger than the effect of rounding on the exact gradient do not count against the model.
   void ExcuseRounding() {
     std::vector<double> of_levels;  // by quantity
     for (size_t q = 0; q < out_.quantities.size(); ++q) {
@@ -267,7 +267,7 @@ class Study {
  private:
   int StepsOf(int level, int sample) const { return unit_ * ((std::max(1, scene_.steps / unit_) << level) + sample); }
 
-  // The largest relative distance of exact gradients with the step counts of the levels from the exact one, by
+  // Returns the largest relative distance of exact gradients with the step counts of the levels from the exact one, by
   // quantity.
   std::vector<double> RoundingOfLevels() const {
     std::vector<double> largest(out_.quantities.size(), 0.0);

@@ -27,7 +27,7 @@ constexpr double kMostScatter = 0.25;   // spread beyond which there is no plate
 constexpr double kNegligible = 1e-2;    // entries smaller than this, of the largest, may have any sign
 constexpr double kMostSteps = 20000;    // of the refined simulation
 
-// A direction: one entry of the initial state, or a constant force.
+// A direction of differences: one entry of the initial state, or a constant force.
 struct Direction {
   Quantity quantity;
   std::string entry;
@@ -49,7 +49,7 @@ class Line {
 
   const Simulator& simulator() const { return *simulator_; }
 
-  // Not a number if the rollout is not finite.
+  // Returns the loss with one variable moved by `offset`, NaN if the rollout is not finite.
   double LossAt(const Direction& direction, double offset) {
     std::vector<double> initial = initial_, control = control_;
     if (direction.quantity == Quantity::kControl) {
@@ -65,7 +65,7 @@ class Line {
            EffortLoss(objective, control, simulator_->step());
   }
 
-  // Of the rollout from the scene's own start; 0 if it fails.
+  // Returns the largest speed in the rollout from the scene's initial state, m/s; 0 if it fails.
   double LargestSpeed(int most_states) {
     return simulator_->Rollout(initial_, control_) ? saltus::LargestSpeed(*simulator_, most_states) : 0.0;
   }
@@ -75,7 +75,7 @@ class Line {
   std::vector<double> initial_, control_, final_;
 };
 
-// Half the smallest gap of a disc at the start, m.
+// Returns half the smallest gap of a disc at the initial time, m.
 double Room(const Scene& scene, int body) {
   const Body& a = scene.bodies[body];
   double gap = std::numeric_limits<double>::infinity();
@@ -125,7 +125,7 @@ std::vector<Direction> DirectionsOf(const Scene& scene, double speed, double ste
   return directions;
 }
 
-// The level of the slopes of widths in [from, to] grid widths, and how they scatter about it. False without a plateau.
+// Finds the level and the spread of the slopes of widths in [from, to] grid widths. Returns false without a plateau.
 bool FindPlateau(const WidthSweep& sweep, double from, double to, double* level, double* spread) {
   std::vector<double> slopes;
   for (size_t i = 0; i < sweep.widths.size(); ++i) {
@@ -152,7 +152,7 @@ bool IsAgainst(const WidthSweep& sweep) {
   return sweep.finding == WidthFinding::kOnlyOfItsSteps || sweep.finding == WidthFinding::kOfNeither;
 }
 
-// The model's gradient along a direction.
+// Returns the model's gradient along a direction.
 double GradientAlong(const Direction& direction, const ModelGradient& gradient, size_t controls_per_step) {
   if (direction.quantity != Quantity::kControl) return gradient.gradient.initial[direction.index];
   double sum = 0;
@@ -162,7 +162,7 @@ double GradientAlong(const Direction& direction, const ModelGradient& gradient, 
   return sum;
 }
 
-// The exact derivative along the direction of a sweep; none of a torque.
+// Returns the exact derivative along the direction of a sweep; std::nullopt for a torque.
 std::optional<double> ExactAlong(const Scene& scene, const ModelGradient& exact, const WidthSweep& sweep) {
   std::vector<std::string> names = EntryNames(scene, sweep.quantity, 1);
   if (sweep.quantity == Quantity::kControl) {
@@ -219,7 +219,7 @@ std::string WidthSweepStudy::Summary() const {
     return any(WidthFinding::kUndecided) ? "differences of some entries scatter too much to tell"
                                          : "differences of all widths agree with it";
   }
-  // Differences of rounding are shown as none.
+  // A difference that is rounding is shown as 0.
   const auto shown = [&](double value) { return std::abs(value) < 1e-7 * std::abs(worst->wide) ? 0.0 : value; };
   return "d/d" + worst->entry + " is " + ToText(shown(worst->gradient), 4) +
          "; differences narrower than a step give " + ToText(shown(worst->narrow), 4) + ", wider ones " +
@@ -282,7 +282,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
   }
   WidthSweepStudy study;
   Scene refined = scene;
-  // Not quite a multiple, so that an impact on a grid node is not on one again.
+  // The number of steps is no exact multiple, so that an impact on a grid node is not on a node of the refined grid.
   refined.steps = scene.steps * std::clamp<int>(kMostSteps / scene.steps, 1, options.refine) +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
   const ModelGradient own = ComputeGradient(contact, refined, Precision::kDouble, stop);

@@ -1,5 +1,5 @@
-// What an event of the event-driven model (event.h) does to its discs: they are moved to its time, released from their
-// contacts, stopped, taken out of play, or given an impulse.
+// The changes that an event of the event-driven model (event.h) makes to its discs: they are moved to the time of the
+// event, released from contacts, stopped, taken out of play, or given an impulse.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ struct ImpactNumbers {
   T restitution, friction;
 };
 
-// The numbers of the scene, whatever the relative velocity w and the normal of the impact.
+// The impact law with the constant restitution and friction of the scene, independent of velocity and normal.
 template <typename T>
 struct SceneLaw {
   const StepInput<T>& in;
@@ -31,18 +31,18 @@ class EventChanges {
  public:
   using Disc = EventDisc<T, kRotation>;
 
-  // All but the law must outlive this object.
+  // Keeps references to all arguments but the law: these must outlive this object.
   EventChanges(const StepInput<T>& in, const Law& law, EventMotion<T, kRotation>& motion,
                EventQueue<T, kRotation>& queue)
       : in_(in), law_(law), motion_(motion), queue_(queue) {}
 
-  // Whether a step of many discs that fails is taken by time-stepping instead (event_fallback.h); so if its contacts
-  // are the scene's own.
+  // Whether a step of many discs that fails is taken by time-stepping instead (event_fallback.h). The fallback knows
+  // neither rotation nor laws other than the scene's.
   static constexpr bool kMayFallBack = kRotation == 0 && std::is_same_v<Law, SceneLaw<T>>;
   bool MayFallBack() const {
     return kMayFallBack && motion_.num_discs() >= kFewestFallbackDiscs && in_.table < 0 && in_.num_pockets == 0;
   }
-  // The step has no result, for this reason; or it is to be taken by time-stepping.
+  // Ends the step without a result, for the reason `why`, or marks it for the time-stepping fallback.
   void Fail(std::string_view why) {
     failed_ = true;
     if (MayFallBack()) {
@@ -53,7 +53,7 @@ class EventChanges {
   }
   bool failed() const { return failed_; }
   bool falls_back() const { return falls_back_; }
-  // Energy that discs had when they fell into pockets, J.
+  // The kinetic energy that discs had when they fell into pockets, J, which the check of the energy must not miss.
   double pocketed_energy() const { return pocketed_energy_; }
 
   void Report(const Candidate& c, ContactMode mode, const T& time, ContactKind kind) {
@@ -100,20 +100,20 @@ class EventChanges {
     if (!c.plane) Release(c.b, at);
   }
 
-  // On a table disc i slows against its velocity as it is now, or rests: at once if it would stop within kNodeMargin.
-  // If it stops on a grid node, rounding may have reversed its velocity there, and its acceleration would be wrong.
+  // Sets the deceleration of disc i on a table, against its present velocity. A disc that would stop within kNodeMargin
+  // rests: rounding may have reversed its velocity at a grid node, and the deceleration would have the wrong sign.
   void Slide(int i) {
     if (in_.table < 0 || !motion_.Moves(i) || motion_.disc(i).out) return;
     Disc& disc = motion_.disc(i);
     const T speed = Length(disc.v);
     const bool slides = Value(speed) > 2 * kNodeMargin * in_.h * in_.slowing;
-    // From a small velocity it would stop after a distance of second order.
+    // A disc this slow would stop after a distance of second order in its speed.
     if (!slides) disc.v = Vec2<T>(T(0.0), T(0.0));
     disc.a = slides ? Scale(-in_.slowing, Quotient(disc.v, speed)) : Vec2<T>(T(0.0), T(0.0));
     disc.moved = true;
     ReportOnTable(i, slides ? ContactMode::kSlip : ContactMode::kStick);
   }
-  // Disc i comes to rest on the table.
+  // Brings disc i to rest on the table, at the time at which its speed reaches zero.
   void Stop(int i, int event) {
     const T time = motion_.disc(i).t + Divide(Length(motion_.disc(i).v), in_.slowing);
     MoveTo(i, {time, event});
@@ -121,7 +121,7 @@ class EventChanges {
     Slide(i);
   }
 
-  // The disc of pair q falls into its pocket: its contacts end, and it rests where it is.
+  // Takes the disc of pair q out of play in its pocket: its contacts end, and it rests where it is.
   void TakeOut(int q, const Instant<T>& at) {
     const Candidate& c = motion_.CandidateOf(q);
     const T none(0.0);
@@ -139,7 +139,7 @@ class EventChanges {
     Report(c, ContactMode::kPocketed, at.time, ContactKind::kSustained);
   }
 
-  // `pressed`: the two are accelerated into each other and touch nothing else.
+  // Applies the impulse of an impact. `pressed`: the two are accelerated into each other and touch nothing else.
   void Impact(int q, const Instant<T>& at, bool pressed) {
     const Candidate& c = motion_.CandidateOf(q);
     ReleaseBoth(c, at);
@@ -152,7 +152,7 @@ class EventChanges {
     Report(c, mode, at.time, ContactKind::kImpact);
   }
 
-  // A pair that touches slowly, and is not pushed together, loses the speed at which it closes.
+  // Sets the closing speed of a pair that touches slowly, without being accelerated into each other, to zero.
   void StopClosing(int q, const Instant<T>& at) {
     const Candidate& c = motion_.CandidateOf(q);
     ReleaseBoth(c, at);
@@ -163,13 +163,13 @@ class EventChanges {
     queue_.pair(q).passed = at.event;
   }
 
-  // Of this step.
+  // Numbers of events and impacts since the start of the step.
   struct Counts {
     int events = 0, impacts = 0;
   };
   const Counts& counts() const { return counts_; }
   void set_counts(const Counts& counts) { counts_ = counts; }
-  // The number of a new event.
+  // Returns the number of a new event.
   int NewEvent() { return ++counts_.events; }
 
  private:
@@ -187,8 +187,8 @@ class EventChanges {
     }
   }
 
-  // A pressed pair that would separate slowly has all further bounces at once: their impulses beyond those of a contact
-  // at rest, friction included, sum up to that of a plastic impact.
+  // Applies the impulse of one impact. If a pressed pair would separate slowly, all its further bounces are applied at
+  // once: beyond the impulse of a resting contact, friction included, they sum up to a plastic impact.
   SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = motion_.LastSeparation(c);
     const Vec2<T> w = motion_.LastRelativeVelocity(c);
@@ -205,9 +205,9 @@ class EventChanges {
     }
     return impact.mode;
   }
-  // After an impact that shares a disc of c with impacts at the same time: the rounding of positions has turned their
-  // normals. A closing speed that comes from this alone would cause a second impact of the same pair, whose derivatives
-  // are those of no order of the impacts. It is taken away, from values only.
+  // Removes, after an impact that shares a disc of c with impacts at the same time, the closing speeds that only come
+  // from rounding of the positions, which turns the normals. They would cause a second impact of the same pair, whose
+  // derivatives belong to no order of the impacts. Only values change.
   void RemoveRounding(const Candidate& c, double time) {
     motion_.ForEachPairBeside(c, [&](int q) {
       if (time - queue_.pair(q).met > kNodeMargin * in_.h) return;

@@ -1,8 +1,8 @@
 // The motion of one disc between events of the event-driven model (event.h), and how two things approach each other.
 //
-// A disc has a constant acceleration from its last event on: p(s) = p + v s + a s^2 / 2, and where discs spin, its
-// angle likewise. The gap of a pair is a polynomial in time, of degree 2 with a line and 4 with a disc or a circle. Of
-// discs that roll or slide around each other with friction the polynomials have three terms more
+// A disc has a constant acceleration from its last event on: p(s) = p + v s + a s^2 / 2, and its angle, if it spins,
+// is a quadratic too. The gap of a pair is then a polynomial in time, of degree 2 with a line and 4 with a disc or a
+// circle. The positions of discs that roll or slide around each other with friction have three terms more
 // (EventGroup::SetCurves).
 #pragma once
 
@@ -22,7 +22,7 @@ struct Instant {
   int event = 0;
 };
 
-// The terms of degree 3 to 5 of a position or an angle, and their part in it and in its first and second derivative.
+// The terms of degree 3 to 5 of a position or an angle, and their contributions to it and its first two derivatives.
 template <typename V>
 using Curve = std::array<V, 3>;
 template <typename T, typename V>
@@ -54,7 +54,7 @@ struct DiscTurn<T, kSpin> {
   T angle, speed, acceleration;     // rad, rad/s, rad/s^2
   const Curve<T>* curve = nullptr;  // as EventDisc::curve
 
-  // After s seconds.
+  // Returns the angle `s` seconds after the last event.
   T AngleAfter(const T& s) const {
     const T after = angle + s * (speed + (0.5 * s) * acceleration);
     return curve == nullptr ? after : T(after + ChangeOfPosition(*curve, s));
@@ -68,7 +68,7 @@ struct DiscTurn<T, kSpin> {
   }
 };
 
-// A disc since the last event that concerned it.
+// The state of a disc since its last event.
 template <typename T, int kRotation = 0>
 struct EventDisc {
   T t;                                    // s since the start of the step, of its last event
@@ -116,7 +116,7 @@ Vec2d ValueOf(const Vec2<T>& a) {
   return {Value(a[0]), Value(a[1])};
 }
 
-// Position, velocity and acceleration, as values.
+// Position, velocity and acceleration of a disc as values, without derivatives.
 struct Motion {
   Vec2d p, v, a;
   bool curved = false;      // the acceleration is not constant
@@ -127,7 +127,7 @@ struct Motion {
     if (curved) AddCurve(s, &after);
     return after;
   }
-  // Of the position, by the power of time.
+  // Returns the coefficients of the position as a polynomial in time, by ascending power.
   std::array<Vec2d, 6> Coefficients() const {
     const Vec2d none(0, 0);
     return {p, v, 0.5 * a, curved ? curve[0] : none, curved ? curve[1] : none, curved ? curve[2] : none};
@@ -154,12 +154,12 @@ struct Approach {
 
   bool Touching(double slow = kSlowSpeed) const { return gap <= kContactGap && speed <= slow && speed >= -slow; }
   bool PushedTogether() const { return acceleration < -kPushing; }
-  // So slow and so curved that the pair separates before the gap falls below -kContactGap.
+  // Whether the pair is so slow and so curved that it separates before the gap falls below -kContactGap.
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
 };
 
-// What curves add to the polynomial of two discs, which becomes one of degree 10. Not inlined, as most motions have
-// none.
+// Adds the terms of degree 3 to 5 of two discs to their gap polynomial, whose degree becomes 10. Not inlined, because
+// most motions have no such terms.
 [[gnu::noinline]] inline void AddCurves(const Motion& a, const Motion& b, GapPolynomial* polynomial) {
   const auto of_a = a.Coefficients(), of_b = b.Coefficients();
   for (std::size_t i = 0; i < of_a.size(); ++i) {

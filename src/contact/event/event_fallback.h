@@ -50,7 +50,7 @@ class TimeSteppingStep {
     }
   }
 
-  // Whether the derivatives of such a step are asked for, whose record begins with a vector without numbers.
+  // Whether derivatives are asked for of a step that a fallback has recorded (its record begins with an empty vector).
   static bool IsRecorded(const StepInput<T>& in) {
     return in.solved != nullptr && !in.solved->AtEnd() && in.solved->numbers()[0] == 0;
   }
@@ -100,7 +100,7 @@ class TimeSteppingStep {
     Separation<double> at =
         c.plane ? Separate<double>(position(c.a), in_.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
     at.distance -= in_.ContactDistance(c);
-    // Edges are those that count at the start of the step.
+    // An edge counts as a contact if it does so at the start of the step.
     const bool edge = c.plane && !in_.extents.empty() && !in_.extents[c.b].endless;
     if (edge && !in_.extents[c.b].Covers(discs_[c.a].start.p, kSeam)) at.distance = kNever;
     return at;
@@ -118,11 +118,11 @@ class TimeSteppingStep {
   }
   Contact MeasureContact(int pair) const {
     const Separation<double> at = ApartAt(in_.candidates[pair], [&](int i) { return discs_[i].start.p; });
-    // An overlap by rounding is undone.
+    // A small overlap comes from rounding, and is undone.
     return {pair, at.normal, (at.distance > -kLargestOverlap ? at.distance : 0.0) / in_.h};
   }
 
-  // Two impulses of each pair, and whether its discs take part.
+  // Returns two impulses of each pair, N s, and whether the discs of each take part.
   std::vector<double> FindImpulses() {
     Gather();
     for (int round = 0; round < kMostFallbackRounds; ++round) {
@@ -192,7 +192,7 @@ class TimeSteppingStep {
 
   bool IsActive(double impulse) const { return impulse > kActiveImpulse * largest_; }
   bool IsActive(const Contact& contact) const { return IsActive(contact.left) || IsActive(contact.right); }
-  // Discs without active contacts fly, unless they would meet another so.
+  // Removes the discs without active contacts, which fly exactly, unless they would meet another disc on the way.
   void LeaveOut() {
     std::pmr::vector<char> has_active(discs_.size(), in_.scratch);
     for (const Contact& contact : contacts_) {
@@ -232,7 +232,7 @@ class TimeSteppingStep {
     return found;
   }
 
-  // Without a time, so as no event; inactive pairs too, as the derivatives are those of all discs together.
+  // Reports a contact without a time, so not as an event; inactive pairs too, as the derivatives are of all discs.
   void Report(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const bool left = contact.left > 0, right = contact.right > 0, rough = Friction() > 0 && (left || right);
@@ -242,8 +242,8 @@ class TimeSteppingStep {
     in_.Report(c, mode, -1, ContactKind::kSustained);
   }
 
-  // Applies the impulses, then corrections that have derivatives only. Values are those found with the impulses, to the
-  // last bit that the gaps need.
+  // Applies the impulses, then corrections in T, which carry the derivatives and do not change the values, to the last
+  // bit that the gaps need.
   void ApplyImpulses() {
     if constexpr (std::is_same_v<T, double>) {
       for (Disc& disc : discs_) disc.velocity = disc.after;
@@ -275,7 +275,7 @@ class TimeSteppingStep {
     add(at.normal + slope, contact.right);
   }
 
-  // The reason why the motion is not that of rigid discs; empty if it is.
+  // Returns the reason why the motion is not that of rigid discs; empty if it is.
   std::string_view WhatIsWrong() const {
     double gain = 0, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {

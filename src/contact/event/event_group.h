@@ -85,7 +85,7 @@ class EventGroup {
   std::span<const Contact> contacts() const { return contacts_; }
   bool Contains(int pair) const { return has_pair_[pair]; }
   bool HasDisc(int i) const { return has_disc_[i]; }
-  // Precondition: its discs have been moved to the instant of the group.
+  // Adds a pair to the group. Precondition: its discs have been moved to the instant of the group.
   void Add(int pair, bool drifts = false) {
     const Candidate& c = in_.candidates[pair];
     if (!HasDisc(c.a)) Reset(c.a);
@@ -209,7 +209,7 @@ class EventGroup {
         if (!c.plane) discs_[c.b].turn.acceleration = in_.AngularAcceleration(c.b);
       }
     }
-    // The forces found on values, then the corrections to these.
+    // The first pass sets the forces found on values, the second one the corrections, which carry derivatives.
     const auto push = [&](int i, const Vec2<T>& change) { discs_[i].a += change; };
     const auto push_and_turn = [&] {
       rows_.ForEachPush(push);
@@ -279,8 +279,8 @@ class EventGroup {
     return any;
   }
 
-  // How far the forces are from where a contact with friction opens or begins to slide, at the end of the curves: the
-  // least, as a part of the normal force at the start; negative beyond that.
+  // Returns how far the forces at the end of the curves are from where a contact with friction opens or begins to
+  // slide: the least distance over all contacts, divided by the normal force at the start; negative beyond that place.
   double LeftInMode() const {
     const double friction = Value(in_.contact.friction);
     double left = kNever;
@@ -294,20 +294,20 @@ class EventGroup {
     return left;
   }
 
-  // The tangential force of a sliding contact per normal force.
+  // Returns the tangential force of a sliding contact divided by its normal force.
   T TangentialShare(const Contact& contact) const {
     if (contact.mode == ContactMode::kStick || jammed_) return T(0.0);
     return in_.contact.friction * double(-contact.force.sliding);
   }
 
-  // Speed and acceleration of the centres along each other, as values: these turn the normal.
+  // Speed and acceleration of the two centres along each other, which turn the normal, as values.
   double PassingSpeed(const Contact& contact) const {
     return AlongTangent(contact, [&](int i) { return ValueOf(discs_[i].v); });
   }
   double PassingAcceleration(const Contact& contact) const {
     return AlongTangent(contact, [&](int i) { return ValueOf(discs_[i].a); });
   }
-  // The same of the points of contact: the sliding speed of a contact and its rate of change.
+  // Speed and acceleration of the points of contact along each other: the sliding speed and its rate of change.
   double SlidingSpeed(const Contact& contact) const {
     return AlongSurface<kRotation>(
         in_, in_.candidates[contact.pair], PassingSpeed(contact), [&](auto i) { return Value(discs_[i].turn.speed); });
@@ -322,13 +322,13 @@ class EventGroup {
   using Row = typename ForceRows<T, kRotation>::Row;
   static constexpr bool kDerivatives = !std::is_same_v<T, double>;
 
-  // The difference of the vectors of the two discs along the tangent.
+  // Returns the difference of a vector of the two discs along the tangent; a wall's vector is zero.
   template <typename Of>
   double AlongTangent(const Contact& contact, const Of& of) const {
     const RestingContact& f = contact.force;
     return Dot(Perpendicular(f.normal), Vec2d(of(f.a) - (f.b >= 0 ? of(f.b) : Vec2d(0, 0))));
   }
-  // Discs that spin may continue to roll.
+  // Ends sliding. Discs that spin may go on rolling around each other, so only without spin the normal stops turning.
   static void EndSliding(RestingContact* force) {
     force->sliding = 0;
     if (kRotation != kSpin) force->turning = 0;
@@ -344,8 +344,8 @@ class EventGroup {
     if constexpr (kRotation == kSpin) turning_[i] = Value(in_.AngularAcceleration(i));
   }
 
-  // Whether the discs jam, then of each contact the normal and the tangential force and the acceleration along its
-  // tangent; empty if there is no solution.
+  // Returns whether the discs jam, then for each contact the normal force, the tangential force and the acceleration
+  // along its tangent; empty if there is no solution.
   std::pmr::vector<double> FindForces() {
     std::pmr::vector<double> found(in_.scratch);
     RestingForces result = TryForces();
@@ -412,13 +412,13 @@ class EventGroup {
     f.turning = turns ? passing * passing / turning : 0.0;
   }
 
-  // `along`: the acceleration along the tangent.
+  // Sets the state and mode of a contact from its forces. `along`: the acceleration along the tangent, m/s^2.
   static void Classify(double friction, double open, double along, Contact* contact) {
     RestingContact& f = contact->force;
     contact->closed = f.normal_force > open;
     if (!(friction > 0)) {
       contact->mode = ContactMode::kFrictionless;
-      // The derivative by friction exists where the contact slides or begins to.
+      // The derivative with respect to friction exists only where the contact slides or begins to slide.
       if (f.sliding == 0) f.sliding = (along > kPushing) - (along < -kPushing);
       return;
     }
@@ -455,7 +455,7 @@ class EventGroup {
       if (contact.closed) add(contact);
     }
   }
-  // Keeps the values of the violations, which are undone along the normals and tangents.
+  // Drops the derivatives of the violations, and undoes their values along normals and tangents, as they are rounding.
   void KeepValues() {
     for (Row& row : rows_) {
       row.violation = T(Value(row.violation));
@@ -466,7 +466,7 @@ class EventGroup {
     for (Row& row : rows_) row.violation -= Value(row.violation);
   }
 
-  // The acceleration of the points of contact of a row along the tangent by the turning of the discs.
+  // Returns the tangential acceleration of the points of contact of a row by the angular accelerations of its discs.
   T TurningOf(const Row& row) const {
     T sum = in_.bodies[row.a].radius * discs_[row.a].turn.acceleration;
     if (row.b >= 0) sum += in_.bodies[row.b].radius * discs_[row.b].turn.acceleration;
@@ -520,7 +520,7 @@ class EventGroup {
     }
     return DriftOfBounces(tangential, -Dot(f.normal, a) - f.turning, friction, restitution);
   }
-  // On values. Not only of closed contacts: closing these must not make others overlap little by little.
+  // Adds a row for an overlap, on values; for open contacts too: closing others must not make them overlap bit by bit.
   void AddOverlap(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
     const Separation<T> at = SeparationOf(c);
@@ -612,7 +612,7 @@ class EventGroup {
     }
   }
 
-  // Differences of velocity and acceleration (and position) from a motion of constant acceleration.
+  // Differences of position, velocity and acceleration from a motion of constant acceleration.
   template <typename V>
   struct Difference {
     V p, v, a;
@@ -642,7 +642,7 @@ class EventGroup {
     disc.p = start.p + Scale(s, Vec2<T>(start.v + Scale(0.5 * s, start.a))) + bent.p;
     disc.v = start.v + Scale(s, start.a) + bent.v;
   }
-  // The terms with these differences at the end of a sub-step.
+  // Returns the terms of degree 3 to 5 with which a curve has these differences at the end of a sub-step.
   template <typename V, typename Scaled>
   const Curve<V>* KeepCurve(const Difference<V>& end, double h, const Scaled& times) const {
     Curve<V>* const curve = in_.template Array<Curve<V>>(1).data();

@@ -85,7 +85,7 @@ class EventMotion {
     }
     for (int k = first_pair_of_[i]; k < first_pair_of_[i + 1]; ++k) visit(pairs_of_[k]);
   }
-  // Likewise for the pairs that share a disc that moves with c.
+  // Calls visit(q) for the pairs that share a moving disc with c, in ascending order.
   template <typename Visit>
   void ForEachPairBeside(const Candidate& c, const Visit& visit) const {
     if (num_pairs() <= kFewPairs) {
@@ -126,7 +126,7 @@ class EventMotion {
   Separation<T> SeparationAtTime(const Candidate& c, const T& time) const {
     return SeparationAt(in_, c, [&](int i) { return discs_[i].PositionAt(time); });
   }
-  // The same at the last events of both discs. Precondition: these are at the same instant, or a disc is fixed.
+  // Returns the relative velocity at the last events of both discs. Precondition: same instant, or one disc is fixed.
   Vec2<T> LastRelativeVelocity(const Candidate& c) const {
     return RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return discs_[i].v; });
   }
@@ -145,13 +145,13 @@ class EventMotion {
   SALTUS_FLATTEN Approach ApproachAt(const Candidate& c, double time) const {
     return Measure(c, [&](int i) { return MotionAt(i, time); });
   }
-  // The size of the coordinates of a pair, to which rounding is relative, m.
+  // Returns the magnitude of the coordinates of a pair, m, to which rounding errors are proportional.
   double SizeAt(const Candidate& c, double time) const {
     return in_.ContactDistance(c) + MotionAt(c.a, time).p.template lpNorm<1>();
   }
 
-  // How long after `now` the gap of a pair reaches zero, given its approach then, s. The line of an edge continues
-  // beyond its ends, where a disc crosses it freely.
+  // Returns how long after `now` the gap of a pair reaches zero, s, given its gap polynomial from then on. The line of
+  // an edge continues beyond its ends, where a disc may cross it freely.
   double FirstClosingOf(const Candidate& c, double now, GapPolynomial g, double horizon, bool ignore_start) const {
     double after = FirstClosing(g, horizon, ignore_start);
     if (!IsEdge(c)) return after;
@@ -164,7 +164,7 @@ class EventMotion {
     return kNever;
   }
 
-  // How long a closed pair stays on its part of an edge if its disc keeps the motion it has at `now`, s.
+  // Returns how long a closed pair stays on its part of an edge if its disc keeps the motion it has at `now`, s.
   double TimeOnEdge(const Candidate& c, double now) const {
     double first = kNever;
     if (!IsEdge(c)) return first;
@@ -182,13 +182,13 @@ class EventMotion {
     return first;
   }
 
-  // The time and the number of the last event of a pair's discs.
+  // The time of the last event of a pair's discs, and the disc that had it.
   const T& LastTime(const Candidate& c) const { return LastDisc(c).t; }
   const Disc& LastDisc(const Candidate& c) const {
     return c.plane || discs_[c.a].event >= discs_[c.b].event ? discs_[c.a] : discs_[c.b];
   }
 
-  // The time of an impact. A pair that overlapped at the start of the step has none; it meets at its last event.
+  // Returns the time of an impact. A pair that overlapped at the start of the step meets at its last event.
   SALTUS_FLATTEN T ImpactTime(const Candidate& c, double predicted) const {
     if (predicted <= Value(LastTime(c)) && OverlapsAtStart(c)) return LastTime(c);
     const T time(predicted);
@@ -213,7 +213,7 @@ class EventMotion {
       return discs_[i].turn.SpeedAfter(T(time - discs_[i].t));
     });
   }
-  // When sliding ends between two times, kNever if it does not.
+  // Returns when sliding ends between two times, or kNever if it does not.
   double FirstStop(const Candidate& c, double begin, double end) const {
     const auto sliding = [&](double time) {
       return Value(SlidingAlong(Perpendicular(SeparationAtTime(c, T(time)).normal), c, T(time)));
@@ -253,8 +253,8 @@ class EventMotion {
     return time - Divide(T(inside - Value(inside)), Value(Dot(passed->normal, v)));
   }
 
-  // The reason why the motion of the step is not that of rigid discs, empty if it is: gaps that overlap, or energy
-  // gained beyond the work of the forces. `removed` is the energy that discs had when they fell into pockets, J.
+  // Returns the reason why the motion of the step is not that of rigid discs (overlaps, or energy gained beyond the
+  // work of the forces); empty if it is. `removed` is the energy that discs had when they fell into pockets, J.
   std::string_view WhatIsWrong(double removed) const {
     double gain = removed, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {
@@ -282,7 +282,7 @@ class EventMotion {
   }
 
  private:
-  // Up to so many pairs it is cheaper to visit all than to keep lists.
+  // With at most this many pairs it is cheaper to visit all than to keep lists.
   static constexpr int kFewPairs = 16;
 
   // Whether two pairs have a disc that moves in common.
@@ -290,8 +290,8 @@ class EventMotion {
     const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
     return has(c.a) || (!c.plane && has(c.b));
   }
-  // The gap is infinite where a part of an edge does not count, of a pocket, which nothing touches, and of a disc that
-  // lies in one; the polynomial is always that of the whole line or circle.
+  // Measures the approach of a pair. The gap is infinite where the part of an edge does not count, for pockets, which
+  // nothing touches, and for discs that lie in one. The polynomial is always that of the whole line or circle.
   template <typename MotionOf>
   Approach Measure(const Candidate& c, const MotionOf& motion) const {
     Approach approach;
@@ -314,12 +314,12 @@ class EventMotion {
   Approach ApproachAtStart(const Candidate& c) const {
     return Measure(c, [&](int i) { return AtStart(i); });
   }
-  // By more than what impacts in the last kNodeMargin of the step before leave, of which there may be several.
+  // Whether the overlap at the start exceeds what impacts in the last kNodeMargin of the step before can leave.
   bool OverlapsAtStart(const Candidate& c) const {
     const Approach start = ApproachAtStart(c);
     return start.gap < -(kContactGap + 2 * kNodeMargin * in_.h * std::abs(start.speed));
   }
-  // The gap at the start of the step; of an edge the smallest of all edges that the disc may meet.
+  // Returns the gap at the start of the step; for an edge, the smallest gap of all edges that the disc may meet.
   double StartGap(const Candidate& c) const {
     double gap = ApproachAtStart(c).gap;
     if (!IsEdge(c)) return gap;

@@ -32,7 +32,7 @@ inline const char* PairStateToString(PairState state) {
 }
 inline constexpr bool IsClosed(PairState state) { return state >= PairState::kClosed; }
 
-// What changes the state of a pair.
+// The reason for a change of the state of a pair.
 enum class PairChange : char {
   kPredicted,  // its next event has been found again, after the motion of one of its discs has changed
   kSettled,    // the forces of its contact group have been found
@@ -121,9 +121,9 @@ class EventQueue {
     return next;
   }
 
-  // Of the impacts at the time of pair q's event that are connected with it through discs that move, returns the first
-  // candidate's. Rounding finds one of them earlier, and what else happens at that time in between: the derivatives
-  // would be those of an order that depends on where steps begin, and that may be no order of any disturbed motion.
+  // Returns the first candidate among the impacts at the time of pair q's event that are connected with it through
+  // moving discs. Without this rule, rounding would decide which of them comes first; the derivatives would then belong
+  // to an order that depends on where steps begin and that may not occur in any disturbed motion.
   int FirstAtOnce(int q) {
     const double time = pairs_[q].next;
     bool alone = true;
@@ -150,7 +150,7 @@ class EventQueue {
     }
   }
 
-  // Pair q touches slowly and separates by itself: its next event is the impact after that, if there is one.
+  // Sets the next event of pair q, which touches slowly and separates by itself, to the following impact, if any.
   void Pass(int q, const Approach& approach) {
     const double time = pairs_[q].next;
     const Candidate& c = motion_.CandidateOf(q);
@@ -160,7 +160,7 @@ class EventQueue {
     };
     pairs_[q].next = next(time, approach.polynomial);
     if (pairs_[q].next > time) return;
-    // Where the gap grows slowly, rounding closes it at the same time again, without end: it is measured a bit later.
+    // Where the gap grows slowly, rounding would close it at this time again and again: it is measured a bit later.
     const double wait = kNodeMargin * in_.h;
     pairs_[q].next = next(time + wait, ShiftedTo(approach.polynomial, wait));
   }
@@ -236,19 +236,19 @@ class EventQueue {
     pair.next = now + wait[0];
   }
 
-  // Whether a pair that touches is amid the last of its bounces, in which the step begins. It meets once more: if it
-  // were stopped here, it would lose its speed without the friction of that impact, and at a time without derivative.
+  // Whether a pair that touches is among the last of its bounces when the step begins. It meets once more: stopping it
+  // here would take its speed without the friction of that impact, and at a time that has no derivative.
   bool Bounces(int q, const Approach& approach, double now) const {
     return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.PushedTogether() &&
            motion_.TouchesAlone(q, now);
   }
 
-  // Of two events at the same time. The end of sliding comes before the end of the sub-step that was cut there.
+  // Whether q comes first of two events at one time. The end of sliding precedes the end of the sub-step cut there.
   bool Precedes(int q, int other) const {
     return pairs_[q].precedes || (pairs_[other].waits && pairs_[q].state == PairState::kFree);
   }
   bool IsAtOnce(int r, double time) const { return pairs_[r].next - time <= kTieTime * in_.h; }
-  // Whether the next event of pair r is an impact, or that its disc reaches a pocket, at `time` but for rounding.
+  // Whether the next event of pair r is an impact or the rim of a pocket, at `time` up to rounding.
   bool MayPrecede(int r, double time) const {
     const Candidate& c = motion_.CandidateOf(r);
     const double wait = pairs_[r].next - time;
@@ -258,8 +258,8 @@ class EventQueue {
            Value(motion_.LastTime(c)) <= time;
   }
 
-  // How often pair q has met since there are kManyImpacts in the step, at most as often as its discs have met others.
-  // With friction piles come to rest by themselves, and elastic ones never do.
+  // Returns how often pair q has met since the step has had kManyImpacts, at most as often as its discs have met
+  // others. It is 0 with friction, with which piles come to rest, and for elastic impacts, with which they never do.
   int Repetitions(int q) const {
     if (Value(in_.contact.friction) > 0 || Value(in_.contact.restitution) >= 1) return 0;
     const Candidate& c = motion_.CandidateOf(q);

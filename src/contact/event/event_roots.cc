@@ -6,14 +6,14 @@
 namespace saltus {
 namespace {
 
-// b^2 - 4 a c without cancellation (Kahan).
+// Returns b^2 - 4 a c with the rounding error of the product corrected by fma (Kahan).
 double Discriminant(double a, double b, double c) {
   const double product = 4 * a * c;
   const double error = std::fma(4 * a, c, -product);
   return std::fma(b, b, -product) - error;
 }
 
-// First closing of c + b s + a s^2 on [0, horizon].
+// Returns the first s in [0, horizon] at which c + b s + a s^2 closes, kNever if there is none.
 double FirstClosingOfQuadratic(double a, double b, double c, double horizon, bool ignore_start) {
   double s = kNever;
   if (c > 0) {
@@ -47,7 +47,7 @@ double EvaluateDerivative(const double* c, int degree, double s) {
   return sum;
 }
 
-// The zero of a polynomial that is monotone on [low, high] and has opposite signs at the ends.
+// Returns the zero of a polynomial that is monotone on [low, high] and has opposite signs at the ends.
 double RootOfPiece(const double* c, int degree, double low, double high) {
   const bool falling = Evaluate(c, degree, low) > 0;
   double s = 0.5 * (low + high);
@@ -63,7 +63,7 @@ double RootOfPiece(const double* c, int degree, double low, double high) {
   return s;
 }
 
-// Where the sign of a polynomial of `degree` < kLargestDegree changes strictly inside (0, horizon), in order.
+// Returns where the sign of a polynomial of `degree` < kLargestDegree changes strictly inside (0, horizon), in order.
 Roots SignChanges(const double* c, int degree, double horizon) {
   while (degree > 0 && c[degree] == 0) --degree;
   Roots roots;

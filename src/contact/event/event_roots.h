@@ -1,4 +1,4 @@
-// When a gap closes: the first zero crossing of a polynomial in time, downwards.
+// The time at which a gap closes: the first downward zero crossing of a polynomial in time.
 //
 // Under constant acceleration the distance of a disc to a plane is a quadratic in time, and the squared distance of two
 // discs a quartic (a quadratic if both accelerate alike); of discs that roll, of degree 5 and 10. None of its zeros may
@@ -36,15 +36,15 @@ inline GapPolynomial ShiftedTo(GapPolynomial g, double from) {
 
 inline constexpr double kNever = std::numeric_limits<double>::infinity();
 
-// A cheap sufficient test: true only if g > 0 on all of [0, horizon].
+// Whether g > 0 on all of [0, horizon], by a cheap test that is sufficient but not necessary.
 inline bool StaysApart(const GapPolynomial& g, double horizon) {
   double least = 0;
   for (int k = g.degree; k > 0; --k) least = (least + (g.c[k] < 0 ? g.c[k] : 0.0)) * horizon;
   return g.c[0] + least > 0;
 }
 
-// A zero of a function between two arguments at which it has opposite signs, to rounding or until it is at most
-// `tolerance` (method of Illinois). The function has been called last with what is returned.
+// Returns a zero of a function between two arguments at which it has opposite signs, to rounding or with a magnitude of
+// at most `tolerance` (Illinois method). The last call of the function is at the zero that is returned.
 template <typename Function>
 double FindZero(double low, double at_low, double high, double at_high, double tolerance, const Function& function) {
   constexpr int kMostIterations = 100;
@@ -65,9 +65,9 @@ double FindZero(double low, double at_low, double high, double at_high, double t
   return s;
 }
 
-// The first s in [0, horizon] with g(s) <= 0 and g falling there, kNever if there is none. Where g has a local maximum
-// at or below zero, that is the maximum.
-// With `ignore_start`, a g that already falls from g(0) <= 0 is let fall until it has turned.
+// Returns the first s in [0, horizon] with g(s) <= 0 at which g falls, kNever if there is none. A local maximum of g at
+// or below zero counts as such an s. With `ignore_start`, a g that already falls from g(0) <= 0 may go on falling
+// until it has turned.
 // Precondition: finite coefficients, horizon >= 0.
 double FirstClosing(const GapPolynomial& g, double horizon, bool ignore_start = false);
 

@@ -16,7 +16,7 @@
 
 namespace saltus::internal {
 
-// The factorizations that the owner of a step keeps for the next one, if it does.
+// Returns the factorizations that the owner of the step keeps for the next step, nullptr if it keeps none.
 inline ContactSystem::Cache* KeptFactors(std::pmr::memory_resource* scratch) {
   auto* const memory = dynamic_cast<ScratchMemory*>(scratch);
   return memory != nullptr ? &memory->Kept<ContactSystem::Cache>() : nullptr;
@@ -57,10 +57,10 @@ class ForceRows {
   auto begin() { return rows_.begin(); }
   auto end() { return rows_.end(); }
   const Row& operator[](std::size_t row) const { return rows_[row]; }
-  // Per disc, values.
+  // The inverse mass of each disc, 1/kg, as a value.
   std::span<const double> inverse_mass() const { return inverse_mass_; }
 
-  // Sets the forces that undo the violations. The matrix has values only: violations are small, or have no value.
+  // Sets the forces that undo the violations. A matrix of values is exact: violations are rounding or derivatives only.
   void Solve() {
     const int n = static_cast<int>(rows_.size());
     if (n == 0) return;

@@ -54,7 +54,7 @@ class EventStep {
     return true;
   }
 
-  // GCC 12 cannot flatten it as a whole.
+  // Takes the step. Not inlined, because GCC 12 cannot flatten it as a whole.
   [[gnu::noinline]] void Run() {
     for (int q = 0; in_.num_pockets > 0 && q < motion_.num_pairs(); ++q) {
       const Candidate& c = motion_.CandidateOf(q);
@@ -80,8 +80,8 @@ class EventStep {
     changes_.Fail("more than 200000 events happen within the step, the most that are resolved: use more `steps`");
   }
 
-  // Whether an event changed disc i, and if so its state at the end of the step; not a number if the step has failed. A
-  // disc that was only looked at, beside others, flies as if there had been nothing.
+  // Whether an event changed disc i, and if so its state at the end of the step (not a number if the step has failed).
+  // A disc that was only examined, because of others, flies freely.
   bool Moved(int i) const { return motion_.disc(i).moved && (motion_.disc(i).reported || changes_.failed()); }
   State End(int i) const {
     const auto& disc = motion_.disc(i);
@@ -98,7 +98,7 @@ class EventStep {
  private:
   using Group = EventGroup<T, kRotation>;
 
-  // The next event of pair q.
+  // Processes the next event of pair q.
   void Resolve(int q, int event) {
     const Candidate& c = motion_.CandidateOf(q);
     const double time = queue_.pair(q).next;
@@ -199,7 +199,7 @@ class EventStep {
     pair.Change(PairChange::kSettled, state);
   }
 
-  // Once for each mode.
+  // Reports a sustained contact, once for each of its modes.
   void ReportSustained(const typename Group::Contact& contact, const T& time) {
     int& reported = queue_.pair(contact.pair).reported_mode;
     if (reported == static_cast<int>(contact.mode)) return;
@@ -214,7 +214,7 @@ class EventStep {
       if (!wrong.empty()) changes_.Fail(wrong);
     }
   }
-  // Discs that moved around each other end the step exactly in contact.
+  // Makes discs that moved around each other end the step exactly in contact.
   void CloseTurningPairs() {
     for (int q = 0; q < motion_.num_pairs(); ++q) {
       if (!queue_.pair(q).closed() || !queue_.pair(q).turns) continue;

@@ -41,7 +41,7 @@ inline double LongestSubStep(double distance, double speed, double acceleration)
 template <typename T, int kRotation>
 class SubSteps {
  public:
-  // All must outlive this object.
+  // Keeps references to all arguments, which must outlive this object.
   SubSteps(const StepInput<T>& in, const EventMotion<T, kRotation>& motion, const EventQueue<T, kRotation>& queue,
            EventGroup<T, kRotation>& group)
       : in_(in), motion_(motion), queue_(queue), group_(group) {}
@@ -102,7 +102,7 @@ class SubSteps {
     return rows <= kMostDenseRows || kRotation == kSpin;
   }
 
-  // SetMotion() if so.
+  // Sets the motion of a group that HasCurves(); returns the length of its sub-step, s.
   double SetCurves(double time) {
     const double left = in_.h - time;
     double turns = -1;  // rad, of the normals until the end of the step

@@ -8,7 +8,7 @@ namespace {
 
 int Factorial(int n) { return n < 2 ? 1 : n * Factorial(n - 1); }
 
-// SplitMix64 (Steele, Lea, Flood 2014).
+// Returns the next number of the generator SplitMix64 (Steele, Lea, Flood 2014).
 std::uint64_t Next(std::uint64_t* state) {
   std::uint64_t z = *state += 0x9e3779b97f4a7c15;
   z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9;

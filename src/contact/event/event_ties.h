@@ -19,8 +19,8 @@
 
 namespace saltus {
 
-// The number of orders in which a tie of so many contacts is tried: all of up to kAllTieOrders contacts; of more, as
-// many as of these, drawn by a generator with a fixed seed.
+// Returns the number of orders that are tried for a tie of so many contacts: all permutations of up to kAllTieOrders
+// contacts; for more contacts the same number of permutations, drawn by a generator with a fixed seed.
 int NumTieOrders(int num_contacts);
 
 // Rearranges the contacts of a tie, given in the order of the candidates, to order 1..NumTieOrders(contacts.size()).
@@ -40,7 +40,7 @@ inline bool MeetsNow(const Approach& approach, double distance, double size, dou
 template <typename T, int kRotation, typename Law>
 class EventTies {
  public:
-  // All must outlive this object.
+  // Keeps references to all arguments, which must outlive this object.
   EventTies(const StepInput<T>& in, EventMotion<T, kRotation>& motion, EventQueue<T, kRotation>& queue,
             EventChanges<T, kRotation, Law>& changes)
       : in_(in), motion_(motion), queue_(queue), changes_(changes), tied_(in.scratch), trial_(in.scratch) {}
@@ -134,7 +134,7 @@ class EventTies {
     return matters;
   }
 
-  // Between the velocities of disc i, and of its rim by its spin, after the first order and now.
+  // Returns how much the velocity of disc i, and of its rim by spin, differs between the first order and this one, m/s.
   double Difference(int i, double time) const {
     const Disc &first = trial_.outcome[i], &now = motion_.disc(i);
     double difference = (first.VelocityAt(time) - now.VelocityAt(time)).norm();

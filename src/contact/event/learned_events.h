@@ -118,7 +118,7 @@ struct LearnedEvents {
       return c.plane ? Value(discs_[c.a].t) : std::max(Value(discs_[c.a].t), Value(discs_[c.b].t));
     }
 
-    // When the event function falls to zero for the first time; kNever if it does not.
+    // Returns when the event function falls to zero for the first time, kNever if it does not.
     double TimeOf(const Candidate& c) const {
       const double since = Since(c);
       const Rate now = RateAt(c, since);
@@ -139,7 +139,7 @@ struct LearnedEvents {
       return kNever;
     }
 
-    // Of one that rises from zero and is below it at `high`: moves `low` to where it is above.
+    // Moves `low` to where an event function that rises from zero, and is below it at `high`, is above zero.
     bool LeavesZero(const Candidate& c, double high, double* low) const {
       const double since = *low;
       for (double length = high - since; length > 1e-12 * in_.h; length /= 2) {
@@ -150,7 +150,7 @@ struct LearnedEvents {
       return false;
     }
 
-    // Newton's method, safeguarded by bisection: above zero at `low`, not so at `high`.
+    // Returns a zero between `low`, where the function is positive, and `high`, where it is not (Newton, bisection).
     double Zero(const Candidate& c, double low, double high) const {
       double time = high;
       for (int i = 0; i < 100 && low < high; ++i) {
@@ -180,7 +180,7 @@ struct LearnedEvents {
       return {value / model_.unit.length, slope / model_.unit.length};
     }
 
-    // Position, velocity or acceleration at a time.
+    // Returns the position (derivative 0), velocity (1) or acceleration (2) at a time, as values.
     static Vec2d PlainAt(const Disc& disc, double time, int derivative) {
       const auto plain = [](const Vec2<T>& at) { return Vec2d(Value(at[0]), Value(at[1])); };
       const Vec2d v = plain(disc.v), a = plain(disc.a);
@@ -210,7 +210,7 @@ struct LearnedEvents {
       }
     }
 
-    // With derivatives. The outputs have the unit `out`.
+    // Evaluates a function with derivatives. The outputs have the unit `out`.
     template <int kOutputs>
     std::array<T, kOutputs> Evaluate(const std::shared_ptr<const ceres::CostFunction>& function, const Vec2<T>& p,
                                      const Vec2<T>& v, int i, double out) const {

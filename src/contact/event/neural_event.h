@@ -76,7 +76,7 @@ struct NeuralEvent {
     }
   };
 
-  // In the units of the step.
+  // Returns restitution and friction at the given speeds, which are in the units of the step.
   template <typename T>
   internal::ImpactNumbers<T> At(const StepInput<T>& in, const T& speed, const T& sliding) const {
     const std::size_t count = law->parameters.size();

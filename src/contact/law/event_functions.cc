@@ -168,7 +168,7 @@ EventFunctions ProfileEvents(const Scene& scene, int width) {
                           NaturalUnits(scene).length,
                           static_cast<int>(events.parameters.size()),
                           width};
-    // The units bend at different places from the start on, or they would stay alike.
+    // The biases of the units differ from the start on, because equal units would have equal gradients and stay equal.
     for (int i = 0; i < width; ++i) {
       events.parameters.insert(events.parameters.end(), {2.0, -2 * ((2 * i + 1.0) / width - 1)});
     }

@@ -34,14 +34,14 @@ struct Impact {
   T tangential = T(0.0);  // its part along t
 };
 
-// p_n and p_t.
+// The normal and the tangential part of an impulse, p_n and p_t, N s.
 template <typename T>
 struct ImpulseParts {
   T normal, tangential;
 };
 
-// In a given mode, sliding in the direction `sign`: linear in the velocities. `bounce` is 1 + e. Without friction only
-// the derivative by it is left of p_t.
+// Returns the impulse in a given mode, sliding in the direction `sign`; it is linear in the velocities. `bounce` is
+// 1 + e. Without friction p_t has no value, but its derivative with respect to friction.
 template <typename T, typename P>
 ImpulseParts<T> ImpulseInMode(ContactMode mode, const T& speed, const T& sliding, double sign, const P& mass,
                               const P& stick_mass, const P& bounce, const P& friction) {
@@ -50,9 +50,9 @@ ImpulseParts<T> ImpulseInMode(ContactMode mode, const T& speed, const T& sliding
   return {normal, T(-friction * sign * normal)};
 }
 
-// Precondition: |normal| = 1. `sliding` is v_t, `stick_mass` the mass of a stick. An impact that slides by no more than
-// `head_on` of its speed has no direction of sliding. With friction it slips or sticks by Coulomb's law, or as `mode`
-// says.
+// Returns the impulse of an impact, with the mode by Coulomb's law unless `mode` is given. `sliding` is v_t,
+// `stick_mass` the effective mass along t. An impact whose |v_t| is at most `head_on` times its |v_n| has no direction
+// of sliding. Precondition: |normal| = 1.
 template <typename T, typename P>
 Impact<T> MakeImpact(const Vec2<T>& normal, const T& speed, const T& sliding, const P& mass, const P& stick_mass,
                      const P& bounce, const P& friction, double head_on = 0,
@@ -76,7 +76,7 @@ Impact<T> MakeImpact(const Vec2<T>& normal, const T& speed, const T& sliding, co
   return impact;
 }
 
-// Of discs that do not spin, with the relative velocity w.
+// Returns the impulse for discs that do not spin, given the relative velocity w.
 template <typename T, typename P>
 Impact<T> MakeImpact(const Vec2<T>& normal, const Vec2<T>& w, const P& mass, const P& bounce, const P& friction,
                      double head_on = 0, std::optional<ContactMode> mode = std::nullopt) {

@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kSpread = 3;  // of weights, whose inputs and outputs are about 1
 
-// Parameters: of each hidden unit its `inputs` weights and its bias, then of each output `width` weights and its bias.
+// Parameters: for each hidden unit `inputs` weights and a bias, then for each output `width` weights and a bias.
 class Network final : public ceres::CostFunction {
  public:
   Network(int width, int inputs, int outputs, double speed) : width_(width), inputs_(inputs), speed_(speed) {
@@ -32,7 +32,7 @@ class Network final : public ceres::CostFunction {
       const int first = width_ * (inputs_ + 1) + r * (width_ + 1);
       double sum = weights[first + width_];
       for (int i = 0; i < width_; ++i) sum += weights[first + i] * hidden[i];
-      // The restitution by the logistic function, the coefficient of friction by the exponential.
+      // The logistic function keeps the restitution in (0, 1), the exponential keeps the friction positive.
       outputs[r] = r == 0 ? 1 / (1 + std::exp(-sum)) : std::exp(sum);
       const double slope = r == 0 ? outputs[r] * (1 - outputs[r]) : outputs[r];
       if (jacobians != nullptr) Differentiate(r, first, slope, speeds, weights, hidden, jacobians);
@@ -41,7 +41,7 @@ class Network final : public ceres::CostFunction {
   }
 
  private:
-  // Of output r, whose own weights begin at `first`.
+  // Sets the derivatives of output r, whose weights begin at `first`.
   void Differentiate(int r, int first, double slope, const double* speeds, const double* weights,
                      const std::vector<double>& hidden, double** jacobians) const {
     double* by_speeds = jacobians[0] == nullptr ? nullptr : jacobians[0] + 2 * r;
@@ -67,8 +67,8 @@ class Network final : public ceres::CostFunction {
   const double speed_;
 };
 
-// The outputs do not see the hidden units yet. These bend at different speeds from the start on, or they would stay
-// alike.
+// Makes a network whose output weights are zero, so that its first outputs are the given constants. The biases of the
+// hidden units differ, because units with equal parameters would have equal gradients and stay equal.
 ImpactLaw MakeNetwork(const char* name, int width, int inputs, double speed, const std::vector<double>& outputs) {
   const int num_outputs = static_cast<int>(outputs.size());
   ImpactLaw law;

@@ -1,4 +1,4 @@
-// What the two Brax models share (Brax 0.0.13: physics/colliders.py, bodies.py, math.py).
+// Functions that the two Brax models share (Brax 0.0.13: physics/colliders.py, bodies.py, math.py).
 //
 // A step of a model covers two integrator steps of h = in.h / 2. Every disc has moment of inertia 1 kg m^2, whatever
 // its mass and radius; in scenes with discs that spin, that of the scene, and the others do not turn. Restitution and
@@ -21,7 +21,7 @@ namespace saltus::brax {
 // Regulariser of every normalisation, and of the quotients of the position-based model.
 inline constexpr double kEpsilon = 1e-6;
 
-// |x|; 0 without derivative if no entry exceeds 1e-8.
+// Returns |x|, or 0 without derivative if no entry exceeds 1e-8.
 template <typename T>
 T Norm(const Vec2<T>& x) {
   using S = Base<T>;
@@ -29,13 +29,13 @@ T Norm(const Vec2<T>& x) {
   return Length(x);
 }
 
-// x / (|x| + eps) for `norm` = Norm(x).
+// Returns x / (|x| + eps), given `norm` = Norm(x).
 template <typename T>
 Vec2<T> Direction(const Vec2<T>& x, const T& norm) {
   return Quotient(x, T(norm + Base<T>(kEpsilon)));
 }
 
-// The smaller of two; at a tie half of each derivative, as the source's automatic differentiation has it.
+// Returns the smaller of two; at a tie with half of each derivative, as in the source's automatic differentiation.
 template <typename T>
 T HalfTieMin(const T& a, const T& b) {
   if (a < b) return a;
@@ -55,7 +55,7 @@ T Torque(const Vec2<T>& arm, const Vec2<T>& force) {
   return arm[1] * force[0] - arm[0] * force[1];
 }
 
-// With `of_scene` that of a scene with discs that spin.
+// Returns the inverse moment of inertia: the scene's with `of_scene`, else that of the source, 1 / (kg m^2).
 template <bool of_scene, typename T>
 auto InverseInertia(const BodyConstants<T>& body) {
   if constexpr (of_scene) {
@@ -65,9 +65,9 @@ auto InverseInertia(const BodyConstants<T>& body) {
   }
 }
 
-// The normal of a half-plane as Brax has it: the upward direction turned by a quaternion, normalised in the arithmetic
-// of the simulation. It differs from the given one by rounding (in single precision a wall's is 1 + 2^-23 long), which
-// published digits show.
+// Returns the normal of a half-plane as Brax computes it: the upward direction turned by a quaternion, normalised in
+// the arithmetic of the simulation. It differs from the given normal by rounding (in single precision a wall's is
+// 1 + 2^-23 long), which is visible in published digits.
 template <typename S>
 Vec2<S> PlaneNormal(const Vec2<S>& normal) {
   S c, s;

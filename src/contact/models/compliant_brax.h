@@ -70,14 +70,14 @@ struct CompliantBraxIn {
     return next;
   }
 
-  // The spin as the source has it, clockwise.
+  // Returns the spin with the sign of the source, positive clockwise.
   template <typename T>
   static T SpinOf(const State<T>& x) {
     if constexpr (kOfScene) return -x.rotation[1];
     return x.rotation[0];
   }
 
-  // Applies the impulses of all contacts of the discs as they are.
+  // Applies the impulses of all contacts in the present state of the discs.
   template <typename T>
   static void Collide(const StepInput<T>& in, std::span<State<T>> x, std::span<char> reported) {
     using S = Base<T>;
@@ -118,7 +118,7 @@ struct CompliantBraxIn {
     return Divide(T(-(restitution + Base<T>(1)) * approach), T(in.InverseMassA(c) + in.InverseMassB(c)));
   }
 
-  // The impulse against `tangential`, and what it makes of the contact.
+  // Returns the impulse against the tangential velocity `tangential`, and sets the mode of the contact.
   template <typename T>
   static Vec2<T> Friction(const StepInput<T>& in, const Candidate& c, const T& normal_impulse,
                           const Vec2<T>& tangential, ContactMode* mode) {

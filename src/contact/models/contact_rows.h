@@ -1,4 +1,4 @@
-// What models share that solve for the impulses of all contacts of a group together.
+// Rows of contact groups, for models that solve for the impulses of all contacts of a group together.
 //
 // A group is a set of contacts connected by moving discs. Its rows are directions in which contacts push: first the
 // normals of all contacts, then, with friction, the tangents, in the same order. An impulse along a row acts on disc a,
@@ -38,7 +38,7 @@ class ContactGroup {
   ContactGroup(const StepInput<T>& in, bool friction)
       : in_(&in), friction_(friction), contacts_(in.scratch), tangents_(in.scratch) {}
 
-  // Refers to `contact` from then on.
+  // Adds a contact, to which the group then refers: it must outlive the group.
   void Add(const GapContact<T>& contact) {
     contacts_.push_back(&contact);
     if (friction_) tangents_.push_back(Perpendicular(contact.normal));
@@ -53,7 +53,7 @@ class ContactGroup {
   const Candidate& candidate(int row) const { return contact(NormalOf(row)).candidate; }
   const Vec2<T>& Direction(int row) const { return IsNormal(row) ? contact(row).normal : tangents_[NormalOf(row)]; }
 
-  // Relative velocity along a row when the discs have the twists that `twist(i)` says.
+  // Returns the relative velocity along a row when disc i has the twist twist(i).
   template <typename TwistOfDisc>
   T Along(int row, const TwistOfDisc& twist) const {
     const T along =
@@ -64,7 +64,7 @@ class ContactGroup {
     return along;
   }
 
-  // Entry of A, 1/kg.
+  // Returns an entry of A, 1/kg.
   T Coupling(int row, int column) const {
     const auto [by_a, by_b] = Signs(row, column);
     T mobility = in_->InverseMassA(candidate(row)) * by_a;
@@ -99,7 +99,7 @@ class ContactGroup {
     }
   }
 
-  // Reports the contacts whose normals push. `class_of(row)` is the LcpClass of a row.
+  // Reports the contacts whose normal impulse is not zero. `class_of(row)` is the LcpClass of a row.
   template <typename ClassOf>
   void Report(const ClassOf& class_of) const {
     for (int i = 0; i < num_contacts(); ++i) {
@@ -110,15 +110,15 @@ class ContactGroup {
   }
 
  private:
-  // How an impulse along `column` acts on discs a and b of `row`, seen along `row`.
+  // Returns the signs with which a unit impulse along `column` changes the velocities of discs a and b of `row`.
   std::pair<S, S> Signs(int row, int column) const {
     const Candidate &i = candidate(row), &j = candidate(column);
     const auto sign = [&](int disc) { return j.a == disc ? S(1) : !j.plane && j.b == disc ? S(-1) : S(0); };
     return {sign(i.a), i.plane ? S(0) : -sign(i.b)};
   }
 
-  // What the discs of both rows, if those are tangents, add to their coupling by turning: an impulse turns both of its
-  // discs the same way, whichever it pushes.
+  // Returns the coupling of two tangents through the rotation of discs that both have. An impulse turns both of its
+  // discs the same way, whichever of them it acts on.
   T CouplingByTurning(int row, int column) const {
     T coupling = T(S(0));
     if (IsNormal(row) || IsNormal(column)) return coupling;
@@ -139,8 +139,8 @@ class ContactGroup {
   std::pmr::vector<Vec2<T>> tangents_;
 };
 
-// Of each of some contacts, which have a Candidate: the number of its group. Groups count in the order of their first
-// contacts.
+// Returns the number of the group of each contact (a struct with a Candidate). Groups are numbered in the order of
+// their first contacts.
 template <typename T, typename Contacts>
 std::pmr::vector<std::size_t> NumbersOfGroups(const StepInput<T>& in, std::size_t num_discs, const Contacts& contacts) {
   if (contacts.size() <= 1) return std::pmr::vector<std::size_t>(contacts.size(), 0, in.scratch);
@@ -165,7 +165,7 @@ std::pmr::vector<std::size_t> NumbersOfGroups(const StepInput<T>& in, std::size_
   return numbers;
 }
 
-// The pairs whose gap is `active`, by group, when the discs are where the states `x` say.
+// Returns the pairs whose gap is `active`, by group, for discs in the states `x`.
 template <typename T, int kTurn, typename Active>
 std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& in,
                                                            std::span<const BodyState<T, kTurn>> x,
@@ -206,7 +206,7 @@ struct GroupDiscs {
   std::pmr::vector<int> place;  // of each disc in `discs`; -1 if it is not there
 };
 
-// The value of a candidate's gap when the discs are where `position(i)` says, values too.
+// Returns the gap of a candidate for discs at position(i), as a value, m.
 template <typename T, typename PositionOf>
 double GapValue(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   const Separation<double> at =
@@ -214,8 +214,8 @@ double GapValue(const StepInput<T>& in, const Candidate& c, const PositionOf& po
   return at.distance - in.ContactDistance(c);
 }
 
-// Lets those discs of a group fly freely that no reported contact has. For models that step groups in several
-// substeps, or to the end of an iteration: what that leaves in such a disc is rounding.
+// Lets the discs of a group that no reported contact has fly freely. Needed by models that step groups in several
+// substeps or iterate to a tolerance, which leave rounding errors in such discs.
 template <typename M, typename T>
 void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGroup<T, M::kRotation>& group,
                        std::span<const char> reported, std::span<const BodyState<T, M::kRotation>> x,
@@ -235,8 +235,8 @@ void FlyUnlessReported(const M& model, const StepInput<T>& in, const ContactGrou
   }
 }
 
-// Impulses x with A x + c = 0 in clamping rows and x = +-mu x_n in tangents at a bound: derivatives by one Newton
-// correction of the given values within the given classes. `c` has one entry a row.
+// Returns the impulses x with A x + c = 0 in clamping rows and x = +-mu x_n in tangents at a bound; one Newton
+// correction of the given values within the given classes has the derivatives. `c` has one entry for each row.
 template <typename T, int kTurn>
 std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup<T, kTurn>& group,
                                       std::type_identity_t<std::span<const T>> c,

@@ -75,7 +75,7 @@ struct ConvexOf : ExplicitFlight<kTurn> {
     ContactMode mode;
   };
 
-  // m_eff / m_t.
+  // Returns m_eff / m_t, the ratio of the masses along normal and tangent.
   template <typename T>
   static auto MassRatio(const StepInput<T>& in, const Candidate& c) {
     if constexpr (kTurn == kSpin) {
@@ -85,8 +85,8 @@ struct ConvexOf : ExplicitFlight<kTurn> {
     }
   }
 
-  // The point of the cone |f_t| <= mu f_n where (f_n - a_n)^2 + ratio (f_t - a_t / ratio)^2 is least. Precondition: a_n
-  // > 0.
+  // Returns the point of the cone |f_t| <= mu f_n where (f_n - a_n)^2 + ratio (f_t - a_t / ratio)^2 is least.
+  // Precondition: a_n > 0.
   template <typename T, typename R>
   static Projection<T> ProjectOnCone(const T& a_n, const T& a_t, const T& mu, const R& ratio) {
     using S = Base<T>;

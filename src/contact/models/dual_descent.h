@@ -100,7 +100,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
     }
   }
 
-  // The change of the force on disc a.
+  // Updates the forces of a contact by one iteration; returns the change of the force on disc a, N.
   template <typename T>
   Vec2<T> Update(const Problem<T>& problem, const typename Problem<T>::Side& side, const typename Problem<T>::At& at,
                  Forces<T>* forces) const {

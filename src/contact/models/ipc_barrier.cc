@@ -15,7 +15,7 @@ constexpr double kArmijo = 1e-4;
 
 std::span<const double> Span(const Eigen::VectorXd& x) { return {x.data(), static_cast<std::size_t>(x.size())}; }
 
-// Where side b is (the foot of the normal does not matter at a plane), and how a moves against it.
+// Position of disc a relative to side b (any foot of the normal serves for a plane), and its relative step.
 struct Motion {
   Vec2d from, by;
 };
@@ -29,7 +29,7 @@ Motion RelativeMotion(const Energy& energy, const Energy::Side& side, const Eige
   return {energy.Position(Span(x), side.a) - energy.Position(Span(x), side.b), moved(side.a) - moved(side.b)};
 }
 
-// The part of `step` after which the first gap closes; infinite if none does.
+// Returns the fraction of `step` after which the first gap closes; infinite if none does.
 double PartToContact(const Energy& energy, const Eigen::VectorXd& x, const Eigen::VectorXd& step) {
   double part = HUGE_VAL;
   for (const Energy::Side& side : energy.contacts) {
@@ -47,7 +47,7 @@ double PartToContact(const Energy& energy, const Eigen::VectorXd& x, const Eigen
   return part;
 }
 
-// The Newton step with the identity added until the Hessian is positive definite; not a number if none is enough.
+// Returns the Newton step of the Hessian, made positive definite by a multiple of the identity; NaN if none suffices.
 Eigen::VectorXd DescentStep(const Linearized& at) {
   Eigen::MatrixXd hessian = at.jacobian;
   double shift = 0;
@@ -72,7 +72,7 @@ bool MinimizeBarrierEnergy(const Energy& energy, Eigen::VectorXd* x) {
     const double size = step.cwiseAbs().maxCoeff();
     if (size <= 1e-15 * (1 + x->cwiseAbs().maxCoeff())) return true;
     const double slope = at.residual.dot(step);
-    // Below the energy's rounding only the step itself can be trusted.
+    // A decrease below the rounding of the energy cannot be measured, so such a step is accepted as it is.
     const double rounding = 1e-10 * std::abs(value);
     double length = std::min(1.0, 0.9 * PartToContact(energy, *x, step));
     for (int halving = 0; halving < 60; ++halving, length /= 2) {

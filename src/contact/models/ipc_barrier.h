@@ -76,7 +76,7 @@ struct BarrierEnergy {
     if (side.b < 0) return Separate<T>(Position(x, side.a), side.plane);
     return Separate<T>(Position(x, side.a), Position(x, side.b));
   }
-  // Displacement of a relative to b along the tangent.
+  // Returns the tangential displacement of a relative to b, m.
   T Slid(std::span<const T> x, const Side& side) const {
     Vec2<T> moved = Position(x, side.a) - discs[side.a].q;
     if (side.b >= 0) moved -= Position(x, side.b) - discs[side.b].q;
@@ -113,7 +113,7 @@ struct BarrierEnergy {
     }
   }
 
-  // Infinite where a gap is closed.
+  // Returns the energy E, J; infinite where a gap is closed.
   double Energy(std::span<const double> x) const {
     double energy = 0;
     for (const Disc& disc : discs) {
@@ -132,7 +132,7 @@ struct BarrierEnergy {
     return energy;
   }
 
-  // b'
+  // Returns the derivative of the barrier, b'.
   static T BarrierSlope(const T& gap, double range) {
     using std::log;
     if (!(gap < range)) return T(0.0);
@@ -156,13 +156,13 @@ struct BarrierEnergy {
   }
 };
 
-// The minimiser of E, found from x; false if it is not reached.
+// Finds the minimiser of E, starting from x. Returns false if it is not reached.
 bool MinimizeBarrierEnergy(const BarrierEnergy<double>& energy, Eigen::VectorXd* x);
 
-// Why a scene has no gaps to keep; empty if it has.
+// Returns the reason why a barrier cannot be used in a scene (bodies touch at the start); empty if it can.
 std::string WhyNoBarrier(const Scene& scene);
 
-// True if no pair comes within `range` of contact on the straight way from q to the targets.
+// Whether no pair comes within `range` of contact on the straight line from q to the targets.
 bool StaysBeyondRange(const BarrierEnergy<double>& energy);
 
 }  // namespace internal
@@ -275,7 +275,7 @@ struct IpcBarrierOf {
     }
   }
 
-  // Takes over the way of a disc's rim in a substep; without one it flies on.
+  // Sets angle and angular velocity of a disc from the displacement of its rim in a substep; if `rim` < 0 it flies on.
   template <typename T>
   void TurnBy(const StepInput<T>& in, int disc, std::span<const T> solution, int rim, State<T>* s) const {
     const double h = SubstepLength(in);
@@ -325,7 +325,7 @@ struct IpcBarrierOf {
     return energy;
   }
 
-  // Positions at the end of a substep: empty if everything flies, not a number if the minimum is not found.
+  // Returns the positions at the end of a substep: empty without contacts, not a number if the minimum is not found.
   template <typename T>
   static Eigen::VectorXd Minimize(const StepInput<T>& in, const internal::BarrierEnergy<double>& energy) {
     if (internal::StaysBeyondRange(energy)) return Eigen::VectorXd(0);

@@ -7,12 +7,12 @@
 namespace saltus {
 namespace {
 
-// The degrees of freedom of a disc.
+// The number of degrees of freedom of a disc.
 template <int kTurn>
 inline constexpr int kDofs = kTurn == kSpin ? 3 : 2;
 
-// The degrees of freedom of a group of up to kMaxRows rows: each row connects at most two moving discs, of two
-// directions and, if they spin, a turn.
+// A bound on the degrees of freedom of a group of up to kMaxRows rows: each row connects at most two moving discs, of
+// two directions and, if they spin, a rotation.
 template <int kMaxRows>
 inline constexpr int kMaxDofs = kMaxRows == Eigen::Dynamic ? Eigen::Dynamic : 3 * (kMaxRows + 1);
 template <int kMaxRows>
@@ -25,7 +25,7 @@ using DofsByRows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::
 template <int kMaxRows>
 using RowsByDofs = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxRows, kMaxDofs<kMaxRows>>;
 
-// Places the degrees of freedom of the discs of some rows, `width` of each; those of fixed ones are dropped.
+// Numbers the degrees of freedom of the discs of some rows, `width` for each disc that is not fixed.
 class Dofs {
  public:
   template <typename Rows>
@@ -43,7 +43,7 @@ class Dofs {
   int size() const { return width_ * static_cast<int>(discs_.size()); }
   bool spins() const { return width_ > 2; }
   const std::pmr::vector<int>& discs() const { return discs_; }
-  // First degree of freedom of a disc, or -1.
+  // Returns the first degree of freedom of a disc, -1 if it has none.
   int operator[](int disc) const { return index_[disc]; }
 
  private:
@@ -59,7 +59,7 @@ DofVector<kMaxRows> ImpulseDirection(const Dofs& dofs, const Candidate& c, const
   return a;
 }
 
-// The same of a row of a group, with the arms of a tangent.
+// Returns the direction of the impulse of a row in the degrees of freedom, with the lever arms of a tangent.
 template <int kMaxRows, typename Row>
 DofVector<kMaxRows> RowDirection(const StepInput<double>& in, const Dofs& dofs, const Row& row) {
   DofVector<kMaxRows> a = ImpulseDirection<kMaxRows>(dofs, row.candidate, row.direction);
@@ -72,8 +72,8 @@ DofVector<kMaxRows> RowDirection(const StepInput<double>& in, const Dofs& dofs, 
   return a;
 }
 
-// d ImpulseDirection / dp, whose turning distance (step_input.h) is given. Normal and tangent turn alike, each along
-// the other, when the centres move along the tangent.
+// Returns d ImpulseDirection / dp for a given turning distance (step_input.h). When the centres move along the tangent,
+// normal and tangent turn alike, each towards the other.
 template <int kMaxRows>
 DofMatrix<kMaxRows> TurningOfDirection(const Dofs& dofs, const Candidate& c, const Vec2d& direction,
                                        const Vec2d& tangent, double distance) {
@@ -82,7 +82,7 @@ DofMatrix<kMaxRows> TurningOfDirection(const Dofs& dofs, const Candidate& c, con
   return ImpulseDirection<kMaxRows>(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
 }
 
-// The matrix closest to the identity with a^T X a = -e for each column a of `bounces`.
+// Returns the matrix X closest to the identity with a^T X a = -e for each column a of `bounces`.
 template <int kMaxRows>
 DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, double restitution) {
   const int size = static_cast<int>(bounces.rows());
@@ -100,7 +100,7 @@ DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, double res
 // Where the degrees of freedom of a disc stand in its state: its position and angle, and how fast they change.
 constexpr int kPlace[] = {0, 1, 4}, kRate[] = {2, 3, 5};
 
-// Of n discs that touch nothing.
+// Sets the Jacobians of n discs in free flight.
 template <int kTurn>
 void SetFreeFlight(const StepInput<double>& in, int n, Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B) {
   constexpr int kSize = 4 + kTurn;
@@ -114,7 +114,7 @@ void SetFreeFlight(const StepInput<double>& in, int n, Eigen::Ref<Eigen::MatrixX
   }
 }
 
-// |l_v| + |l_u| / h over some discs, from the cotangents of all states and forces.
+// Returns |l_v| + |l_u| / h over some discs, from the cotangents of all states and forces.
 template <int kTurn>
 double SizeOfGradient(const StepInput<double>& in, const std::pmr::vector<int>& discs, const Eigen::VectorXd& state,
                       const Eigen::VectorXd& force) {
@@ -126,7 +126,7 @@ double SizeOfGradient(const StepInput<double>& in, const std::pmr::vector<int>& 
   return std::sqrt(velocity_squared) + std::sqrt(force_squared) / in.h;
 }
 
-// An elastic bounce off a plane leaves the size as it is; rounding must not decide between opposite directions.
+// How much larger counts: an elastic bounce leaves the size unchanged, and rounding must not choose a direction.
 constexpr double kLarger = 1 + 1e-9;
 
 }  // namespace

@@ -105,7 +105,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
   // Contacts that are connected by moving discs, in the order of candidates; tangents follow their normals.
   template <typename T>
   using Group = std::pmr::vector<Row<T>>;
-  // So that its matrices need no heap.
+  // Whether the matrices of a group have a bounded size and so need no heap.
   template <typename T>
   static bool IsSmall(const Group<T>& group) {
     return group.size() <= kFewLcpRows;
@@ -134,7 +134,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
     return in.contact.friction > Base<T>(kMinFriction);
   }
 
-  // `flying` has the velocities without contact.
+  // Returns the groups of contacts. `flying` has the velocities without contact.
   template <typename T>
   static std::pmr::vector<Group<T>> FindGroups(const StepInput<T>& in, std::span<const State<T>> x,
                                                std::span<const State<T>> flying) {
@@ -174,7 +174,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
     group->push_back({c, tangent, at.distance, T(-Dot(tangent, velocity)), normal, false, true});
   }
 
-  // Entry of Lambda: the change of velocity along `i` by a unit impulse along `j`.
+  // Returns an entry of Lambda, 1/kg: the change of velocity along `i` by a unit impulse along `j`.
   template <typename T>
   static T Coupling(const StepInput<T>& in, const Row<T>& i, const Row<T>& j) {
     using S = Base<T>;
@@ -212,7 +212,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
     return problem;
   }
 
-  // The impulse of each row: its value from the solution, its derivative from
+  // Returns the impulse of each row: its value from the solution, its derivative from
   //   Q dx_C = db_C - dQ x_C,   x at a bound = +-mu x_n.
   template <int kMaxRows, typename T>
   static std::pmr::vector<T> Impulses(const StepInput<T>& in, const Group<T>& group,
@@ -277,13 +277,13 @@ struct LcpOf : ExplicitFlight<kTurn> {
     }
   }
 
-  // The blocks of one group's published Jacobian, written over those of free flight. Without bounces, X = I.
+  // Sets the blocks of one group's published Jacobian in that of free flight. Without `with_bounces`, X = I.
   template <int kMaxRows>
   static void LinearizeGroup(const StepInput<double>& in, std::span<const State<double>> flying,
                              const Group<double>& group, const LcpSolutionUpTo<kMaxRows>& solution, bool with_bounces,
                              Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B);
 
-  // The classes that the loss would rather have.
+  // Returns the classes that the sign of the cotangent along the normals asks for (complementarity_aware, above).
   static std::vector<LcpClass> PreferredClasses(const StepInput<double>& in, const Group<double>& group,
                                                 const Eigen::VectorXd& cotangent);
 };

@@ -197,7 +197,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
     return touching;
   }
 
-  // The whole step of one group; not a number if kMaxSubsteps do not get to its end.
+  // Advances one group by the whole step; the result is not a number if kMaxSubsteps do not suffice.
   template <typename T>
   void Advance(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members, std::span<State<T>> x,
                std::span<char> reported) const {
@@ -237,7 +237,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
     for (const int disc : members.discs) x[disc].v = Vec2<T>::Constant(T(std::numeric_limits<double>::quiet_NaN()));
   }
 
-  // The length of the next substep and, if anything touches, the unknowns of its equations.
+  // Returns the length of the next substep and, if anything touches, the unknowns of its equations.
   template <typename T>
   Eigen::VectorXd FindSubstep(const StepInput<T>& in, const Group<T>& group, const GroupDiscs& members,
                               std::span<const int> touching, std::span<const State<T>> x, double rest) const {
@@ -264,7 +264,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
     return found;
   }
 
-  // Not a number if the iteration does not converge.
+  // Returns the solution of the equations, not a number if the iteration does not converge.
   template <typename T>
   Eigen::VectorXd Solve(const StepInput<T>& in, internal::KktEquations<double, kTurn> equations) const {
     Eigen::VectorXd z = Eigen::VectorXd::Ones(equations.size());
@@ -290,7 +290,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
     }
   }
 
-  // Those of the moving discs from the unknowns of the equations.
+  // Copies the velocities of the moving discs from the unknowns of the equations.
   template <typename T>
   static void TakeVelocities(const StepInput<T>& in, const GroupDiscs& members, const std::vector<T>& unknowns,
                              std::span<Twist<T, kTurn>> velocity) {

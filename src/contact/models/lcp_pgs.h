@@ -24,8 +24,8 @@
 
 namespace saltus {
 
-// One update of a row of A x = b with all others held, within its bounds: of the normals, rows [0, num_normals), and of
-// tangents, row num_normals + i with normal i. Returns how it ended.
+// Updates one row of A x = b with all others held, within its bounds. Normals are rows [0, num_normals); row
+// num_normals + i is the tangent of normal i. Returns the class in which the update left the row.
 template <typename T>
 LcpClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction, int num_normals, int i,
                    std::span<T> x) {
@@ -46,7 +46,7 @@ LcpClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction
   return kind;
 }
 
-// Projected Gauss-Seidel on values, with what its reverse needs.
+// Projected Gauss-Seidel on values, with a record of all updates for the reverse sweep.
 class GaussSeidelSweeps {
  public:
   // Rows [0, n) of A are normals; if there are 2 n rows, row n + i is the tangent of normal i. A lies row by row and is
@@ -55,10 +55,10 @@ class GaussSeidelSweeps {
                     std::pmr::memory_resource* memory = std::pmr::get_default_resource());
 
   std::span<const double> x() const { return x_; }
-  // Of the last update of a row.
+  // Returns the class of a row in its last update.
   LcpClass ClassOf(int row) const;
 
-  // Derivative of x[row] by A, which lies as A does, b and friction.
+  // The derivative of x[row] with respect to b, to friction, and to A, in the layout of A.
   struct Derivative {
     std::pmr::vector<double> by_A, by_b;
     double by_friction;

@@ -67,7 +67,7 @@ struct NcpEquations {
     if (disc < 0 || discs[disc].unknown < 0) return Vec2<T>(T(0.0), T(0.0));
     return {z[discs[disc].unknown], z[discs[disc].unknown + 1]};
   }
-  // How fast the points of contact slide by spin.
+  // Returns the sliding speed of the points of contact by spin, m/s.
   T SlidingBySpin(std::span<const T> z, const Side& side) const {
     T sliding = T(0.0);
     for (const int disc : {side.a, side.b}) {
@@ -280,7 +280,7 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
     return equations;
   }
 
-  // Free flight and a point that is strictly inside: on the path for `kappa` if everything stays well apart, else at 1.
+  // Returns free flight and a strictly interior point: on the path for `kappa` if all stay well apart, else for 1.
   Eigen::VectorXd Start(Equations<double>* equations) const {
     Eigen::VectorXd z(equations->size());
     for (const auto& disc : equations->discs) {
@@ -315,7 +315,7 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
     return z;
   }
 
-  // All that are coupled take effect, however far apart.
+  // Reports all contacts that are coupled, at whatever distance, because all of them have forces.
   template <typename T>
   static void ReportContacts(const StepInput<T>& in, const Group<T>& group, const Equations<double>& equations,
                              const Eigen::VectorXd& z) {

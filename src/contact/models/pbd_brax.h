@@ -120,8 +120,8 @@ struct PbdBraxIn {
     return next;
   }
 
-  // Velocity and spin from the change of pose since `old`. The source divides by the constant h, which its compiler
-  // turns into a product.
+  // Sets velocity and spin from the change of pose since `old`. The source divides by the constant h, which its
+  // compiler turns into a product.
   template <typename T, typename H>
   static void Project(const StepInput<T, H>& in, const State<T>& old, State<T>* x) {
     using S = Base<T>;
@@ -134,7 +134,7 @@ struct PbdBraxIn {
     x->rotation[0] = cosine < S(0) ? T(-spin) : spin;
   }
 
-  // `arm` turned by the orientation of x, or back.
+  // Returns `arm` turned by the orientation of x, or back.
   template <typename T>
   static Vec2<T> Rotate(const Vec2<T>& arm, const State<T>& x, bool back) {
     using S = Base<T>;
@@ -148,13 +148,13 @@ struct PbdBraxIn {
     return vector - Scale(Dot(vector, normal), normal);
   }
 
-  // 1/m + (arm x direction)^2 / I of a disc.
+  // Returns W of one disc: 1/m + (arm x direction)^2 / I.
   template <typename T>
   static T PointMobility(const StepInput<T>& in, int disc, const Vec2<T>& arm, const Vec2<T>& direction) {
     const T lever = brax::Torque(arm, direction);
     return in.bodies[disc].inverse_mass + brax::InverseInertia<kOfScene>(in.bodies[disc]) * (lever * lever);
   }
-  // The same of both sides, for the point of contact.
+  // Returns W of both sides at the point of contact.
   template <typename T>
   static T PointMobility(const StepInput<T>& in, const brax::Contact<T>& contact, std::span<const State<T>> x,
                          const Vec2<T>& direction) {
@@ -181,7 +181,7 @@ struct PbdBraxIn {
     return contacts;
   }
 
-  // Way of the material point of disc i at the point of contact since `old`.
+  // Returns the displacement since `old` of the material point of disc i at the point of contact, m.
   template <typename T>
   static Vec2<T> WayOfPoint(const brax::Contact<T>& contact, int i, std::span<const State<T>> old,
                             std::span<const State<T>> x) {
@@ -222,7 +222,7 @@ struct PbdBraxIn {
     });
   }
 
-  // Friction and restitution impulses; `unprojected` has the positions of x and the velocities before the projection.
+  // Applies friction and restitution; `unprojected` has the positions of x and the velocities before projection.
   template <typename T>
   static void CorrectVelocities(const StepInput<T>& in, std::span<const State<T>> unprojected,
                                 std::span<Touching<T>> contacts, std::span<State<T>> x) {
@@ -263,7 +263,7 @@ struct PbdBraxIn {
     return Scale(Divide(size, mobility), direction);
   }
 
-  // The impulse against `tangential`. Notes in `touching` whether it stops the slip.
+  // Returns the impulse against the tangential velocity `tangential`, and sets the mode in `touching`.
   template <typename T>
   static Vec2<T> Friction(const StepInput<T>& in, std::span<const State<T>> x, const Vec2<T>& tangential,
                           Touching<T>* touching) {
@@ -301,14 +301,14 @@ struct PbdBraxSpinning {
   }
 
  private:
-  // The source counts clockwise.
+  // Converts a state to the source's convention, in which rotation is positive clockwise.
   template <typename T>
   static Source::State<T> ToSource(const State<T>& x) {
     using std::cos, std::sin;
     const T half = Base<T>(-0.5) * x.rotation[0];
     return {x.p, x.v, {-x.rotation[1], cos(half), sin(half)}};
   }
-  // The angle goes on from that before the step, by however many turns that is.
+  // Converts back. The angle continues from that before the step, so that full turns are counted.
   template <typename T>
   static State<T> FromSource(const State<T>& before, const Source::State<T>& from, const Source::State<T>& to) {
     using std::atan2;

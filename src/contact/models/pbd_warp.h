@@ -116,7 +116,7 @@ struct PbdWarpOf {
     PushContact<kTurn>(in, c, contact.normal, impulse, apply);
   }
 
-  // `predicted`: positions p*; its velocities are not used.
+  // Returns the contacts at the predicted positions p*; the velocities of `predicted` are not used.
   template <typename T>
   static std::pmr::vector<Contact<T>> FindContacts(const StepInput<T>& in, std::span<const State<T>> x,
                                                    std::span<const State<T>> predicted) {

@@ -61,7 +61,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     FreeFlight(*this, in, x, next);
     const std::span<GapContact<T>> contacts = Contacts<T>(in, next);
     const std::span<const double> found = in.Solved([&] { return Multipliers<T>(in, contacts, next); });
-    // Of the contacts whose multiplier is not zero (or not a number).
+    // The contacts whose multiplier is not zero, or not a number.
     ContactGroup<T> pushing(in, /*friction=*/false);
     std::vector<double> values;
     std::pmr::vector<T> gaps(in.scratch), approach(in.scratch);
@@ -86,7 +86,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
   }
 
  private:
-  // Every pair, as it is at x*.
+  // Returns all pairs, with gaps and normals at x*.
   template <typename T>
   std::span<GapContact<T>> Contacts(const StepInput<T>& in, std::span<const State<T>> predicted) const {
     const std::span<GapContact<T>> contacts = in.template Array<GapContact<T>>(in.candidates.size());
@@ -100,7 +100,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     return contacts;
   }
 
-  // l of every pair, zero of those not in A.
+  // Returns the multiplier l of every pair, zero for pairs that are not in A.
   template <typename T>
   static std::vector<double> Multipliers(const StepInput<T>& in, std::span<const GapContact<T>> contacts,
                                          std::span<const State<T>> predicted) {
@@ -131,7 +131,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     }
   }
 
-  // x >= 0, A x + c >= 0, one of them zero in each row.
+  // Solves x >= 0, A x + c >= 0 with x_i (A x + c)_i = 0 for each i.
   template <typename T>
   static Eigen::VectorXd SolveLcp(const StepInput<T>& in, const ContactGroup<T>& group, const Eigen::VectorXd& c) {
     const Eigen::VectorXd zero = Eigen::VectorXd::Zero(c.size());
@@ -151,7 +151,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     if (!c.plane) (*at)[c.b] -= Value(in.InverseMassB(c)) * push;
   }
 
-  // `approach`: n . v_f,rel of each contact.
+  // Solves the program in velocities for restitution. `approach`: n . v_f,rel of each contact, m/s.
   template <typename T>
   static void Bounce(const StepInput<T>& in, const ContactGroup<T>& pushing, const std::pmr::vector<T>& approach,
                      std::span<State<T>> next) {

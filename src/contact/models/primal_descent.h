@@ -58,7 +58,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
   }
 
  private:
-  // Of one disc: P and the force of its contacts.
+  // The block of one disc in P, and the sum of its contact forces.
   template <typename T>
   struct Block {
     T xx, xy, yy;  // kg
@@ -76,7 +76,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
       x_turn += Scale(T(-weight * radius), tangent);
       turn += weight * radius * radius;
     }
-    // Takes turning out of the first two rows, for Solve(b - x_turn * result); its right-hand side is `b`.
+    // Eliminates the rotation from the first two rows, for Solve(b - x_turn * result); its right-hand side is `b`.
     T Eliminate(const T& b) {
       xx -= Divide(T(x_turn[0] * x_turn[0]), turn);
       xy -= Divide(T(x_turn[0] * x_turn[1]), turn);
@@ -108,7 +108,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
       for (std::size_t i = 0; i < blocks.size(); ++i) {
         if (!problem.discs[i].fixed) MoveDisc(problem, blocks[i], static_cast<int>(i), z);
       }
-      // What an iteration leaves as it was, the others would too.
+      // An iteration that changes nothing is a fixed point: all further ones would change nothing either.
       if (SameNumbers<T>(z, before)) return;
       std::copy(z.begin(), z.end(), before.begin());
     }
@@ -162,7 +162,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
     }
   }
 
-  // The same with the angular velocity; `step` is that of the velocity without contact.
+  // Moves a disc that may spin. `step`: its velocity less the one without contact, which is the step without springs.
   template <typename T>
   void MoveSpinning(const Problem<T>& problem, Block<T> block, int i, Vec2<T> step, std::span<T> z) const {
     const auto& disc = problem.discs[i];

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kMaxSweeps = 20000;
 
-// Sweeps until nothing changes by more than rounding; false if that takes too many.
+// Sweeps until nothing changes by more than rounding. Returns false if that takes more than kMaxSweeps.
 bool DescendCoordinates(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& low,
                         const Eigen::VectorXd& high, Eigen::VectorXd* x) {
   for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {

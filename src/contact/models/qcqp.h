@@ -25,9 +25,9 @@
 
 namespace saltus {
 
-// argmin of 1/2 x^T A x + c^T x over low <= x <= high for symmetric positive semidefinite A: coordinate descent, then
-// one solve in the coordinates that it leaves inside. Nothing if the descent has not ended after its most sweeps and
-// the solve does not give the minimum either.
+// Returns argmin of 1/2 x^T A x + c^T x over low <= x <= high for symmetric positive semidefinite A: coordinate
+// descent, then one direct solve for the coordinates that are not at a bound. Returns std::nullopt if the descent does
+// not end within its limit of sweeps and the direct solve does not give the minimum either.
 std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen::VectorXd& c,
                                           const Eigen::VectorXd& low, const Eigen::VectorXd& high,
                                           const Eigen::VectorXd& start);
@@ -37,7 +37,7 @@ struct StaggeredImpulses {
   std::vector<LcpClass> classes;
   bool converged = false;
 };
-// `c`: N v^f + restitution, then T v^f. Without tangents it has one entry a contact.
+// Solves both programs in turn. `c`: N v^f + restitution, then T v^f; without tangents one entry for each contact.
 StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
                                  int passes, double tolerance);
 
@@ -83,7 +83,7 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
   }
 
  private:
-  // The linear terms of both programs, m/s.
+  // Returns the linear terms of both programs, m/s.
   template <typename T>
   static std::pmr::vector<T> Velocities(const StepInput<T>& in, const Group<T>& group, std::span<const State<T>> x,
                                         std::span<const State<T>> flying) {

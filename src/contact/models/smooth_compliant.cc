@@ -6,7 +6,7 @@
 namespace saltus {
 namespace {
 
-// (ln((1 + x) / (1 - e x)) - (1 + e) x) / x^2, whose root is sought; regular at x = 0.
+// Returns (ln((1 + x) / (1 - e x)) - (1 + e) x) / x^2, whose root is sought. It is regular at x = 0 (by its series).
 double Condition(double e, double x) {
   if (std::abs(x) > 0.25) return (std::log1p(x) - std::log1p(-e * x) - (1 + e) * x) / (x * x);
   double sum = 0, sign = -1, power = 1, e_power = e * e;

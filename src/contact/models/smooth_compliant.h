@@ -30,7 +30,7 @@ namespace saltus {
 struct HuntCrossley {
   static constexpr double kLeastRestitution = 0.01;
 
-  // d * reference_speed for a restitution, > 0. Dimensionless; negative above restitution 1.
+  // Returns d * reference_speed for a restitution: dimensionless, positive, and negative above restitution 1.
   static double ScaledDissipation(double restitution);
 };
 
@@ -109,7 +109,7 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
             (change * S(e > kLeastRestitution ? slope : 0) + S(x)) * S(1 / reference_speed)};
   }
 
-  // The force on a at the point of contact; false if the two do not touch.
+  // Sets the force on a at the point of contact, N. Returns false if the two do not touch.
   template <typename T>
   bool Force(const StepInput<T>& in, const Law<T>& law, const Candidate& c, std::span<const State<T>> x, Vec2<T>* force,
              Vec2<T>* normal, ContactMode* mode) const {

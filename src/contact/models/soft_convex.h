@@ -126,7 +126,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     return program;
   }
 
-  // Twice the damping ratio of a linear spring with the restitution e, times its frequency: 2 zeta(e) sqrt(stiffness).
+  // Returns 2 zeta(e) sqrt(stiffness): twice damping ratio times frequency of a linear spring with restitution e.
   template <typename T>
   static T DampingOf(const StepInput<T>& in) {
     using S = Base<T>;
@@ -157,7 +157,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     return S(impedance.at_contact) + y * S(impedance.at_width - impedance.at_contact);
   }
 
-  // The forces of the group's rows.
+  // Returns the forces of the group's rows, N.
   template <typename T>
   std::pmr::vector<T> SolveProgram(const StepInput<T>& in, const Group<T>& group, const Program<T>& program) const {
     const int size = group.size();
@@ -173,7 +173,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     return f;
   }
 
-  // The values of the forces, not numbers if the sweeps do not converge, then the edge of each contact.
+  // Returns the forces as values (not a number if the sweeps do not converge), then the edge of each contact.
   template <typename T>
   static std::span<const double> Minimize(const StepInput<T>& in, const Group<T>& group, const MatrixMap& H,
                                           std::span<const T> linear) {
@@ -193,15 +193,15 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
       change = (f - before).cwiseAbs().maxCoeff();
       if (change <= 1e-15 * f.cwiseAbs().maxCoeff()) return found;
     }
-    // The sums of a large group round to more than that.
+    // In a large group the sums round to more than the tolerance of the sweeps.
     if (change <= 1e-12 * f.cwiseAbs().maxCoeff()) return found;
     in.Fail("the sweeps for the contact forces do not converge");
     f.setConstant(std::numeric_limits<double>::quiet_NaN());
     return found;
   }
 
-  // The best force of contact i while the others stay. Returns how it pushes: not at all, freely in its cone, or along
-  // the edge (1, +-mu).
+  // Solves for the force of contact i with all others held. Returns its class: no force, inside its cone, or along the
+  // edge (1, +-mu).
   template <typename T>
   static LcpClass SolveContact(const Group<T>& group, const MatrixMap& H, const VectorMap& c, double mu, int i,
                                VectorMap f) {
@@ -227,7 +227,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     return !(slope < 0) ? LcpClass::kFree : side > 0 ? LcpClass::kUpperBound : LcpClass::kLowerBound;
   }
 
-  // f in T: with E the active edges, f = E alpha and E^T (H f + c) = 0, H = A + R.
+  // Adds the derivatives: with E the active edges, f = E alpha and E^T (H f + c) = 0, where H = A + R.
   template <typename T, typename EdgeOf>
   static void Differentiate(const StepInput<T>& in, const Group<T>& group, const Program<T>& program,
                             const MatrixMap& H, const EdgeOf& edge, std::pmr::vector<T>* forces) {

@@ -74,7 +74,7 @@ struct SpringStep {
   Vec2<T> VelocityOf(std::span<const T> z, int disc) const { return {z[kUnknowns * disc], z[kUnknowns * disc + 1]}; }
   Vec2<T> PositionOf(std::span<const T> z, int disc) const { return discs[disc].q + Scale(h, VelocityOf(z, disc)); }
 
-  // Without forces.
+  // Returns the geometry of a contact at the velocities z, without forces.
   At Locate(std::span<const T> z, const Side& side) const {
     const Separation<T> s = side.b < 0 ? Separate<T>(PositionOf(z, side.a), side.plane)
                                        : Separate<T>(PositionOf(z, side.a), PositionOf(z, side.b));
@@ -155,7 +155,7 @@ struct SpringStep {
   }
 };
 
-// Whether two numbers are the same bit by bit, derivatives included (but for the sign of zeros).
+// Whether two numbers have the same bits, derivatives included (except for the sign of zeros).
 template <typename T>
 bool SameNumbers(const T& a, const T& b) {
   if constexpr (std::is_same_v<T, Base<T>>) {
@@ -169,7 +169,7 @@ bool SameNumbers(std::span<const T> a, std::span<const T> b) {
   return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const T& x, const T& y) { return SameNumbers(x, y); });
 }
 
-// Largest |r(z)|, m/s, of discs that spin at their rims.
+// Returns the largest |r(z)|, m/s; the rotation of discs that spin counts with the speed of their rims.
 template <typename T, int kTurn>
 double LargestResidual(const SpringStep<T, kTurn>& problem, std::type_identity_t<std::span<const T>> z) {
   std::vector<T> F(z.size());
@@ -184,7 +184,7 @@ double LargestResidual(const SpringStep<T, kTurn>& problem, std::type_identity_t
   return largest;
 }
 
-// What both models share: options, and substeps around the solution that each finds in its own way.
+// The base of both models: options, and substeps around the solution that each finds in its own way.
 template <int kTurn>
 class SpringDescent : public SubstepFlight<kTurn, 10> {
   using Flight = SubstepFlight<kTurn, 10>;
@@ -282,7 +282,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     return z;
   }
 
-  // z, whose residual is to be small; else not a number.
+  // Sets z to not a number unless its residual is at most `tolerance`.
   template <typename T>
   void Check(const StepInput<T>& in, double residual, std::span<T> z) const {
     if (residual <= tolerance) return;
@@ -300,7 +300,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     return z;
   }
 
-  // Steps are halved until the residual falls.
+  // Solves r(z) = 0 by Newton's method; steps are halved until the residual falls.
   static void SolveByNewton(const Problem<double>& problem, std::span<double> z, std::span<char> touched) {
     Eigen::Map<Eigen::VectorXd> at(z.data(), z.size());
     double error = Mark(problem, z, touched);
@@ -331,7 +331,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     return Eigen::Map<const Eigen::VectorXd>(F.data(), F.size()).norm();
   }
 
-  // The solution of values, and its derivative by one Newton correction.
+  // Returns the solution, found on values, with its derivative by one Newton correction.
   template <typename T, typename Descend>
   std::vector<T> AtEnd(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
                        std::vector<char>* touched) const {

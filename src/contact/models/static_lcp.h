@@ -55,7 +55,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     FreeFlight(*this, in, x, next);
-    // One number for each pair, not zero of those in A; then the unknowns.
+    // The first numbers, one for each pair, are not zero for those in A; the unknowns follow.
     const std::span<const double> found = in.Solved([&] { return FindContacts<T>(in, x, next); });
     const Rows<T> rows(in, x, found);
     if (rows.contacts.empty()) return;
@@ -70,14 +70,14 @@ struct StaticLcp : SemiImplicitFlight<0> {
   }
 
  private:
-  // Overlap at which a pair joins, m.
+  // The overlap at which a pair joins A, m.
   static constexpr double kJoins = 1e-13;
 
   // The contacts of A, and the free discs that they hold: unknowns are the displacements of these, then the multipliers
   // of the normals, p, and of the tangents, f = omega t . d_rel.
   template <typename T>
   struct Rows {
-    // `in_contact`: one number for each pair, not zero of those in A.
+    // `in_contact` has one number for each pair, which is not zero for those in A.
     Rows(const StepInput<T>& in, std::span<const State<T>> x, std::span<const double> in_contact)
         : contacts(in.scratch), discs(in.scratch), place(x.size(), -1, in.scratch) {
       for (std::size_t i = 0; i < in.candidates.size(); ++i) {
@@ -108,7 +108,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
     }
   };
 
-  // F(z) of M (d - d*) + T^T f - N^T p = 0, N d = g and T d = f / omega. `flying`: with the velocities v_f.
+  // Returns F(z) of M (d - d*) + T^T f - N^T p = 0, N d = g and T d = f / omega. `flying` has the velocities v_f.
   template <typename T, typename Z>
   std::pmr::vector<T> Residual(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
                                const Z& z) const {
@@ -135,7 +135,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
     return F;
   }
 
-  // dF/dz, of values.
+  // Returns dF/dz, as values.
   template <typename T>
   Eigen::MatrixXd Matrix(const StepInput<T>& in, const Rows<T>& rows) const {
     Eigen::MatrixXd K = Eigen::MatrixXd::Zero(rows.size(), rows.size());
@@ -156,7 +156,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
     return K;
   }
 
-  // Displacements and multipliers: the value `z`, which solves the equations, by one Newton correction in T.
+  // Returns displacements and multipliers: the value `z`, which solves the equations, with one Newton correction in T.
   template <typename T>
   std::pmr::vector<T> Differentiated(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
                                      std::span<const double> z) const {
@@ -213,7 +213,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
     return SolveByBlocks(Matrix(in, rows), -F);
   }
 
-  // Of least norm, along the normals and tangents of A, with which the discs move by z.
+  // Returns the forces of least norm, along the normals and tangents of A, under which the discs move by z.
   template <typename T>
   static Eigen::VectorXd NormalForces(const StepInput<T>& in, const Rows<T>& rows, std::span<const State<T>> flying,
                                       const Eigen::VectorXd& z) {

@@ -38,7 +38,7 @@ struct ToiVelocityRule : SemiImplicitFlight<0> {
     FreeFlight(*this, in, x, next);
     const auto end_velocity = [&](int i) -> Vec2<T> { return VelocityAfter(in, T(in.h), i, x[i]); };
     for (const Candidate& c : in.candidates) {
-      // Where the discs are after a time if they move with the velocity that they would end with.
+      // Returns the position of disc i after a time at which it has moved with its velocity at the end of the step.
       const auto position_after = [&](const T& time) {
         return [&](int i) -> Vec2<T> { return x[i].p + Scale(time, end_velocity(i)); };
       };

@@ -1,5 +1,5 @@
-// What models have in common that step through time: free flight, and discs that spin. What such a model says of
-// velocities it says of the points of contact, and what pushes there turns the discs too.
+// Free flight, and rotation of discs, for the models that step through time. Velocities in the equations of such a
+// model are those of the points of contact, and impulses there change the angular velocities too.
 //
 // A model is written once, for states with spin and without (kTurn is kSpin or 0): where discs cannot spin, nothing is
 // added to what it computes, to the last bit. t = Perpendicular(n), n towards disc a.
@@ -9,7 +9,7 @@
 
 namespace saltus {
 
-// Velocity and angular velocity of a disc, or how they change.
+// Velocity and angular velocity of a disc, or changes of these.
 template <typename T, int kTurn>
 struct Twist {
   Vec2<T> v;  // m/s
@@ -27,7 +27,7 @@ Twist<T, kTurn>& operator+=(Twist<T, kTurn>& to, const Twist<T, kTurn>& change) 
   return to;
 }
 
-// Those of a state.
+// Returns velocity and angular velocity of a state.
 template <typename T, int kTurn>
 Twist<T, kTurn> TwistOf(const BodyState<T, kTurn>& x) {
   if constexpr (kTurn == kSpin) {
@@ -37,7 +37,7 @@ Twist<T, kTurn> TwistOf(const BodyState<T, kTurn>& x) {
   }
 }
 
-// Accelerations of disc i by force, torque and gravity.
+// Returns the accelerations of disc i by force, torque and gravity.
 template <int kTurn, typename T, typename H>
 Twist<T, kTurn> AccelerationOf(const StepInput<T, H>& in, int i) {
   if constexpr (kTurn == kSpin) {
@@ -47,27 +47,27 @@ Twist<T, kTurn> AccelerationOf(const StepInput<T, H>& in, int i) {
   }
 }
 
-// Adds `change` times a time, s, to velocities.
+// Adds `change` times the time `h`, s, to the velocities.
 template <typename T, int kTurn, typename H>
 void Accelerate(const H& h, const Twist<T, kTurn>& change, BodyState<T, kTurn>* x) {
   x->v += Scale(h, change.v);
   if constexpr (kTurn == kSpin) x->rotation[1] += h * change.w;
 }
 
-// Moves a disc on with its velocities.
+// Moves a disc with its velocities for the time `h`, s.
 template <typename T, int kTurn, typename H>
 void Drift(const H& h, BodyState<T, kTurn>* x) {
   x->p += Scale(h, x->v);
   if constexpr (kTurn == kSpin) x->rotation[0] += h * x->rotation[1];
 }
 
-// Adds `change` to velocities.
+// Adds `change` to the velocities.
 template <typename T, int kTurn>
 void Kick(const Twist<T, kTurn>& change, BodyState<T, kTurn>* x) {
   x->v += change.v;
   if constexpr (kTurn == kSpin) x->rotation[1] += change.w;
 }
-// Adds `change` to velocities and, times `lever`, s, to position and angle.
+// Adds `change` to the velocities and, times `lever`, s, to position and angle.
 template <typename T, int kTurn, typename H>
 void Kick(const Twist<T, kTurn>& change, const H& lever, BodyState<T, kTurn>* x) {
   x->v += change.v;
@@ -154,7 +154,7 @@ inline ContactMode ModeOf(bool has_friction, bool sticks) {
   return !has_friction ? ContactMode::kFrictionless : sticks ? ContactMode::kStick : ContactMode::kSlip;
 }
 
-// How fast, or how far, a's point of contact moves along t relative to b's as the discs turn by what `turn(i)` says.
+// Returns the velocity (or displacement) along t of a's point of contact relative to b's by the rotation turn(i).
 template <typename T, typename TurnOf>
 T AlongByTurning(const StepInput<T>& in, const Candidate& c, const TurnOf& turn) {
   T along = -in.bodies[c.a].radius * turn(c.a);
@@ -162,7 +162,7 @@ T AlongByTurning(const StepInput<T>& in, const Candidate& c, const TurnOf& turn)
   return along;
 }
 
-// Velocity of a's point of contact relative to b's when the discs have the twists that `twist(i)` says.
+// Returns the velocity of a's point of contact relative to b's when disc i has the twist twist(i).
 template <int kTurn, typename T, typename TwistOfDisc>
 Vec2<T> ContactVelocity(const StepInput<T>& in, const Candidate& c, const Vec2<T>& n, const TwistOfDisc& twist) {
   Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return twist(i).v; });
@@ -172,7 +172,7 @@ Vec2<T> ContactVelocity(const StepInput<T>& in, const Candidate& c, const Vec2<T
   return w;
 }
 
-// The mass that an impulse along t meets, kg.
+// Returns the effective mass along t, kg.
 template <int kTurn, typename T>
 T SlidingMass(const StepInput<T>& in, const Candidate& c) {
   if constexpr (kTurn == kSpin) {
@@ -182,7 +182,7 @@ T SlidingMass(const StepInput<T>& in, const Candidate& c) {
   }
 }
 
-// Calls apply(i, change of its twist) for both discs of an impulse at the point of contact, on a.
+// Calls apply(i, change of its twist) for both discs of an impulse on disc a at the point of contact.
 template <int kTurn, typename T, typename Apply>
 void PushContact(const StepInput<T>& in, const Candidate& c, const Vec2<T>& n, const Vec2<T>& impulse,
                  const Apply& apply) {
@@ -196,8 +196,8 @@ void PushContact(const StepInput<T>& in, const Candidate& c, const Vec2<T>& n, c
   }
 }
 
-// A model without friction in scenes with discs that spin: nothing turns them but torques, and their spin changes
-// nothing.
+// A model without friction in scenes with discs that spin: only torques change the spin, and the spin changes nothing
+// else.
 template <typename M>
 struct SpinsFreely : M {
   static constexpr int kRotation = kSpin;

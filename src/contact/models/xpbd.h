@@ -98,7 +98,7 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
     bool held;     // by static friction
   };
 
-  // What moves a disc from one state to another.
+  // Returns the displacement (and rotation) of a disc from one state to another.
   template <typename T>
   static Twist<T, kTurn> Way(const State<T>& from, const State<T>& to) {
     if constexpr (kTurn == kSpin) {

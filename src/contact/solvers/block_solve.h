@@ -1,12 +1,12 @@
-// Least squares of what belongs together: contacts that share no disc have systems of their own, and the bits of each
-// do not depend on the others.
+// Least squares by independent blocks: contacts that share no disc have separate systems, so the bits of each solution
+// do not depend on the other blocks.
 #pragma once
 
 #include <Eigen/Core>
 
 namespace saltus {
 
-// Of all x that minimise |A x - b| the shortest, for each block of rows and columns that entries other than 0 connect.
+// Returns the x of least norm that minimises |A x - b|, by blocks of rows and columns that nonzero entries connect.
 Eigen::VectorXd SolveByBlocks(const Eigen::MatrixXd& A, const Eigen::VectorXd& b);
 
 }  // namespace saltus

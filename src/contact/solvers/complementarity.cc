@@ -36,8 +36,8 @@ class Tableau {
     return std::exchange(basis_[row], variable);
   }
 
-  // The row that becomes negative first as `variable` grows: of several, that of z0, else that of the largest pivot.
-  // Returns std::nullopt if none does.
+  // Returns the row whose variable becomes negative first as `variable` grows; at a tie that of z0, else that of the
+  // largest pivot. Returns std::nullopt if none does.
   std::optional<int> Leaving(int variable) const {
     std::optional<int> leaving;
     double least = std::numeric_limits<double>::infinity();

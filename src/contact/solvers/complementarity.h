@@ -1,4 +1,4 @@
-// Linear complementarity problems, and what their iterations have in common.
+// Linear complementarity problems, and functions that their iterations share.
 #pragma once
 
 #include <Eigen/Core>

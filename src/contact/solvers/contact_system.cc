@@ -174,7 +174,7 @@ bool ContactSystem::SolveSparse(bool transposed, std::span<double> x) const {
     undone = now;
     if (!shrinks) break;
   }
-  // What a symmetric matrix leaves, no force can undo.
+  // A residual in the null space of a symmetric matrix remains, as no force can undo it.
   const double missed = symmetric_ ? undone : left.lpNorm<Eigen::Infinity>();
   if (!(missed <= internal::kSystemConverged * given)) return false;
   std::copy(found.begin(), found.end(), x.begin());

@@ -26,8 +26,8 @@ struct ContactRow {
 double Coupling(const ContactRow& i, const ContactRow& j, std::span<const double> inverse_mass,
                 std::span<const double> turn_mobility = {});
 
-// Overwrites a small n x n matrix, which lies row by row, with its pseudo-inverse: of equations some may follow from
-// others.
+// Overwrites a small n x n matrix, which lies row by row, with its pseudo-inverse, as redundant contacts make the
+// matrix singular.
 void PseudoInvert(int n, std::span<double> matrix);
 
 // A large system of discs that do not spin. The solution is that of least norm, by a sparse factorization of the matrix
@@ -46,7 +46,7 @@ class ContactSystem {
   // Overwrites x, one number for each row, with A^+ x, or with A^+^T x. Returns whether the sparse iteration converged.
   bool Solve(std::span<double> x) const { return SolveAs(false, x); }
   bool SolveTransposed(std::span<double> x) const { return SolveAs(true, x); }
-  // As Solve, but returns false, and changes nothing, where only the dense pseudo-inverse would do.
+  // Solves if the sparse iteration converges; else returns false and changes nothing (no dense pseudo-inverse).
   bool SolveOnlySparse(std::span<double> x) const { return SolveSparse(false, x); }
 
  private:

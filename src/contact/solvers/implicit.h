@@ -23,13 +23,13 @@
 
 namespace saltus {
 
-// F at z, and dF/dz.
+// The residual F at z, and its Jacobian dF/dz.
 struct Linearized {
   Eigen::VectorXd residual;
   Eigen::MatrixXd jacobian;
 };
 
-// Not inlined, so that the iterations and the step in Jets share what is compiled of it.
+// Linearizes F. Not inlined, so that the iterations and the step in Jets share its compiled parts.
 template <typename P>
 [[gnu::noinline]] SALTUS_FLATTEN Linearized LinearizeByUnknowns(const P& problem, const Eigen::VectorXd& z) {
   using J = StepJet<double>;
@@ -50,7 +50,7 @@ template <typename P>
   return out;
 }
 
-// z in T: z - F_z^-1 F(z; theta), of which the value stays z. `jacobian`: F_z at z.
+// Returns z in T: z - F_z^-1 F(z; theta), whose value stays z. `jacobian`: F_z at z.
 template <typename P>
 auto CorrectInT(const P& problem, const Eigen::VectorXd& z, const Eigen::MatrixXd& jacobian) {
   using T = typename P::Scalar;
@@ -74,7 +74,7 @@ struct PathOptions {
   int max_iterations = 500;
 };
 
-// Follows the central path of `problem` from (z, problem.kappa) to options.kappa. False if it does not arrive.
+// Follows the central path of `problem` from (z, problem.kappa) to options.kappa. Returns false if it does not arrive.
 // Not inlined: it is long, and no part of a derivative.
 template <typename P>
 [[gnu::noinline]] bool InteriorPoint(const PathOptions& options, P* problem, Eigen::VectorXd* z) {
@@ -90,7 +90,7 @@ template <typename P>
         continue;
       }
     } else {
-      // Rounding may keep the residual above the tolerance: then it no longer falls.
+      // Rounding may keep the residual above the tolerance, which shows in that it no longer falls.
       if (error < options.tolerance) return true;
       stalled = error < 0.5 * best ? 0 : stalled + 1;
       best = std::min(best, error);

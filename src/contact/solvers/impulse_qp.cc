@@ -47,7 +47,7 @@ class WeightedMasses {
     return cholesky_.FactorAnalyzed(matrix_);
   }
 
-  // The velocities of the discs that move under the momenta `given`; of others 0.
+  // Sets the velocities of the moving discs to those under the momenta `given`, of others to 0.
   void Solve(std::span<Vec2d> x) const {
     Vector right(2 * count_);
     for (std::size_t i = 0; i < number_.size(); ++i) {
@@ -66,7 +66,7 @@ class WeightedMasses {
       for (int j = 0; j < 2 && number_[i] >= 0; ++j) visit(2 * number_[i] + j, 1 / inverse_mass_[i]);
     }
   }
-  // Of the lower half of what each row adds by a weight of 1.
+  // Calls visit for each entry that a row with weight 1 adds to the lower half of the matrix.
   template <typename Visit>
   void ForEachEntry(Visit visit) const {
     for (std::size_t k = 0; k < rows_.size(); ++k) {
@@ -126,7 +126,7 @@ class ImpulseSolver {
   std::span<const Vec2d> velocity() const { return velocity_; }
 
  private:
-  // Returns the largest change of velocity.
+  // Makes one sweep of projected Gauss-Seidel; returns the largest change of velocity, m/s.
   double Sweep(bool backwards) {
     return GaussSeidelSweep(
         std::ssize(rows_),
@@ -143,7 +143,7 @@ class ImpulseSolver {
         backwards);
   }
 
-  // The rate of the gap of a row, m/s; not negative in the solution.
+  // Returns the rate of the gap of a row, m/s, which is not negative in the solution.
   double GapOf(std::size_t k, std::span<const Vec2d> velocity) const {
     return SpeedOf(rows_[k], velocity) + rows_[k].apart;
   }
@@ -151,7 +151,7 @@ class ImpulseSolver {
     momenta[row.a] += impulse * row.direction;
     if (row.b >= 0) momenta[row.b] -= impulse * row.direction;
   }
-  // The difference of the given momenta to those of the velocities.
+  // Returns the given momenta less those of the velocities, N s.
   std::vector<Vec2d> MissingMomenta() const {
     std::vector<Vec2d> momenta(given_.size(), Vec2d(0, 0));
     for (std::size_t i = 0; i < momenta.size(); ++i) {
@@ -160,7 +160,7 @@ class ImpulseSolver {
     return momenta;
   }
 
-  // A row on the way along the central path. Gap and push stay positive.
+  // A row of an iterate on the central path. Gap and push stay positive.
   struct Central {
     double gap, push;  // m/s; the push is the impulse divided by the effective mass
     double gap_step = 0, push_step = 0;
@@ -212,7 +212,7 @@ class ImpulseSolver {
     velocity_ = nearest;
     return least;
   }
-  // The Newton step of velocities, gaps and pushes to where `missing` and `excess` are zero.
+  // Returns the Newton step of velocities, gaps and pushes to where `missing` and `excess` are zero.
   std::vector<Vec2d> FindStep(const WeightedMasses& masses, std::span<Central> rows) const {
     std::vector<Vec2d> step = MissingMomenta();
     for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -227,7 +227,7 @@ class ImpulseSolver {
     }
     return step;
   }
-  // The part of the step that may be taken.
+  // Returns the fraction of the step up to which gaps and pushes stay positive.
   static double PartOf(std::span<const Central> rows) {
     double part = 1 / internal::kQpToBoundary;
     for (const Central& row : rows) {
@@ -261,7 +261,7 @@ class ImpulseSolver {
   }
 
   double Stiffness(std::size_t k) const { return mass_[k] / internal::kQpCompliance; }
-  // The impulse of a row under given velocities and its compliance; negative if it would pull.
+  // Returns the impulse of a row under given velocities and its compliance, N s; negative if it would pull.
   double TrialOf(std::size_t k, std::span<const Vec2d> velocity) const {
     return rows_[k].impulse - Stiffness(k) * GapOf(k, velocity);
   }
@@ -290,8 +290,8 @@ class ImpulseSolver {
     return false;
   }
 
-  // The part of a step at which the function is smallest; 1 if the same rows are active there. Its slope grows with the
-  // part.
+  // Returns the fraction of a step at which the function is smallest; 1 if the same rows are active there. The function
+  // is convex: its slope grows along the step.
   double LowestOn(std::span<const Vec2d> step) const {
     std::vector<double> trial(rows_.size()), change(rows_.size());
     bool agrees = true;
@@ -323,7 +323,7 @@ class ImpulseSolver {
     return low;
   }
 
-  // Returns the largest violation before, m/s.
+  // Updates the multipliers (impulses); returns the largest violation before, m/s.
   double UpdateImpulses() {
     double missing = 0;
     for (std::size_t k = 0; k < rows_.size(); ++k) {

@@ -1,4 +1,4 @@
-// Contact impulses of many discs, of which any may depend on all others, as a convex quadratic program.
+// Contact impulses of many coupled discs as a convex quadratic program.
 #pragma once
 
 #include <span>

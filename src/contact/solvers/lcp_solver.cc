@@ -16,8 +16,8 @@ constexpr double kNoImpulse = 1e-6;       // smaller impulses are none
 constexpr double kFarOutside = 1e-2;      // of its bounds
 constexpr double kRegularization = 1e-4;  // on the diagonal, where there is no solution
 
-// While pivoting only, relative to the largest diagonal entry, one after the other until a solution fits: redundant
-// contacts make the matrix singular, and this tells their classes apart. Small ones change less, large ones round less.
+// Added to the diagonal while pivoting only, relative to the largest entry, one after the other until a solution fits.
+// Redundant contacts make the matrix singular; this decides their classes. Small ones bias less, large ones round less.
 constexpr double kPivotRegularizations[] = {1e-8, 1e-7, 1e-6};
 
 constexpr int kMaxSweeps = 2000;
@@ -38,7 +38,7 @@ LcpList<int, kMaxRows> ClampingRows(const LcpList<LcpClass, kMaxRows>& classes) 
   return rows;
 }
 
-// Q^+ for given classes.
+// Returns Q^+ for given classes.
 template <int kMaxRows>
 LcpMatrix<kMaxRows> InverseInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpClass, kMaxRows>& classes,
                                      const LcpList<int, kMaxRows>& clamping, double rank_threshold) {
@@ -73,7 +73,7 @@ LcpVector<kMaxRows> SolveInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const 
   return x;
 }
 
-// The class that row i should change to, or its own.
+// Returns the class that row i should change to, or its present one.
 template <int kMaxRows>
 LcpClass BetterClass(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpClass, kMaxRows>& classes,
                      const LcpVector<kMaxRows>& x, const LcpVector<kMaxRows>& w, int i, double tolerance) {
@@ -91,7 +91,7 @@ LcpClass BetterClass(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpCla
   return c;
 }
 
-// Tangents of separating normals separate; of those that no longer do, they stick.
+// Makes the tangents of separating normals separate, and stick where their normals no longer separate.
 template <int kMaxRows>
 void FollowNormals(const BoxedLcpUpTo<kMaxRows>& problem, LcpList<LcpClass, kMaxRows>* classes) {
   for (int i = 0; i < problem.size(); ++i) {
@@ -102,8 +102,8 @@ void FollowNormals(const BoxedLcpUpTo<kMaxRows>& problem, LcpList<LcpClass, kMax
   }
 }
 
-// Principal pivoting in blocks, or of the last row that violates its class (finite without friction). Returns x,
-// whether it has converged or not.
+// Principal pivoting in blocks, or of the last row that violates its class (finite without friction). Returns the last
+// x, whether or not it has converged.
 template <int kMaxRows>
 LcpVector<kMaxRows> Pivot(BoxedLcpUpTo<kMaxRows> problem, double regularization) {
   problem.matrix.diagonal().array() += regularization * problem.matrix.diagonal().maxCoeff();
@@ -153,7 +153,7 @@ LcpVector<kMaxRows> ProjectedGaussSeidel(const BoxedLcpUpTo<kMaxRows>& problem) 
   return x;
 }
 
-// As LcpViolation.
+// Returns the largest violation of the conditions, as LcpViolation() does, for problems with a bounded size.
 template <int kMaxRows>
 double Violation(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x, double at_bound) {
   const LcpVector<kMaxRows> w = problem.matrix * x - problem.rhs;
@@ -193,7 +193,7 @@ template <int kMaxRows>
 BoxedLcpUpTo<kMaxRows> WithoutFriction(BoxedLcpUpTo<kMaxRows> problem) {
   for (int i = 0; i < problem.size(); ++i) {
     if (problem.IsNormal(i)) continue;
-    // A row of its own that nothing pushes and that pushes nothing.
+    // The row becomes independent of all others: nothing acts on it, and it acts on nothing.
     problem.matrix.row(i).setZero();
     problem.matrix.col(i).setZero();
     problem.matrix(i, i) = 1;
@@ -203,7 +203,7 @@ BoxedLcpUpTo<kMaxRows> WithoutFriction(BoxedLcpUpTo<kMaxRows> problem) {
   return problem;
 }
 
-// Classes of x, and the impulses solved for again in them.
+// Classifies the rows of x, and solves for the impulses again within these classes.
 template <int kMaxRows>
 LcpSolutionUpTo<kMaxRows> Refine(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows>& x,
                                  bool with_friction) {

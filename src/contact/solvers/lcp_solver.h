@@ -19,7 +19,7 @@
 
 namespace saltus {
 
-// What a problem of up to kMaxRows rows is made of; Eigen::Dynamic: of any number.
+// Matrices and lists of a problem of up to kMaxRows rows; of any number with Eigen::Dynamic.
 template <int kMaxRows>
 using LcpMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMaxRows, kMaxRows>;
 template <int kMaxRows>
@@ -59,24 +59,24 @@ struct LcpSolutionUpTo {
 };
 using LcpSolution = LcpSolutionUpTo<Eigen::Dynamic>;
 
-// The bound that SolveBoxedLcp is there for, besides Eigen::Dynamic.
+// The bound for which SolveBoxedLcp is instantiated, besides Eigen::Dynamic.
 inline constexpr int kFewLcpRows = 8;
 
-// The solution, in the steps of the source: classes are found by principal pivoting; the impulses are classified (below
-// 1e-6 they are none, within 1e-5 of a bound they are at it), and solved for again in their classes by the minimum-norm
-// Q^+ b, which is kept if it fits to 1e-5. A problem without a solution that fits to 1e-5 gets 1e-4 on its diagonal,
-// and if that does not help, loses its friction. It always returns; whether the last resort has worked, `fits` says.
+// Solves as the source does: classes are found by principal pivoting; the impulses are classified (below 1e-6 they are
+// zero, within 1e-5 of a bound they are at it) and solved for again in their classes by the minimum-norm Q^+ b, which
+// is kept if it fits to 1e-5. A problem without a solution that fits to 1e-5 gets 1e-4 on its diagonal, and if that
+// does not help, loses its friction. Always returns; `fits` is false if the last resort has failed too.
 template <int kMaxRows>
 LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem);
 extern template LcpSolution SolveBoxedLcp(const BoxedLcp& problem);
 extern template LcpSolutionUpTo<kFewLcpRows> SolveBoxedLcp(const BoxedLcpUpTo<kFewLcpRows>& problem);
 
-// The same with classes that are given, whatever they say of forces: impulses Q^+ b if they fit to 1e-5, else those of
-// `solution` in the clamping rows. Regularized where `solution` is.
+// Solves in the given classes, whatever the forces are: impulses Q^+ b if they fit to 1e-5, else those of `solution` in
+// the clamping rows. Regularized where `solution` is.
 LcpSolution SolveBoxedLcpInClasses(const BoxedLcp& problem, const std::vector<LcpClass>& classes,
                                    const LcpSolution& solution);
 
-// By how much x violates the conditions above, the largest over all rows; bounds count as reached within `at_bound`.
+// Returns the largest violation of the conditions above by x; bounds count as reached within `at_bound`.
 double LcpViolation(const BoxedLcp& problem, const Eigen::VectorXd& x, double at_bound);
 
 }  // namespace saltus

@@ -24,7 +24,7 @@ struct Accelerations {
   std::span<Vec2d> linear;    // m/s^2
   std::span<double> turning;  // rad/s^2
 };
-// The same in memory of its own.
+// A copy of the accelerations that owns its memory.
 struct KeptAccelerations {
   KeptAccelerations(const Accelerations& given, std::pmr::memory_resource* memory)
       : linear(given.linear.begin(), given.linear.end(), memory),
@@ -40,7 +40,7 @@ struct KeptAccelerations {
   std::pmr::vector<double> turning;
 };
 
-// The relative acceleration at the points of contact.
+// Returns the relative acceleration at the points of contact, m/s^2.
 Vec2d RelativeAcceleration(const RestingContact& c, const Accelerations& of) {
   Vec2d relative = of.linear[c.a];
   if (c.b >= 0) relative -= of.linear[c.b];
@@ -48,7 +48,7 @@ Vec2d RelativeAcceleration(const RestingContact& c, const Accelerations& of) {
   return relative;
 }
 
-// Adds the angular accelerations by a force along the tangent.
+// Adds the angular accelerations by a force along the tangent, N.
 void Turn(const RestingContact& c, double tangential_force, std::span<double> turning) {
   turning[c.a] -= c.turns_a.radius * c.turns_a.inverse_inertia * tangential_force;
   if (c.b >= 0) turning[c.b] -= c.turns_b.radius * c.turns_b.inverse_inertia * tangential_force;
@@ -93,7 +93,7 @@ class RowSolver {
   }
 
  private:
-  // Not on the heap.
+  // A matrix whose entries are stored within the object, not on the heap.
   using SmallMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostDenseRows, kMostDenseRows>;
 
   std::optional<LeastNormSolver> dense_;
@@ -199,25 +199,25 @@ class ForceSolver {
     }
   }
 
-  // The mode of an active contact before its forces are known.
+  // Returns the mode of an active contact before its forces are known.
   Mode ActiveMode(const RestingContact& c) const {
     return c.sliding > 0 ? Mode::kLeft : c.sliding < 0 || friction_ == 0 ? Mode::kRight : Mode::kStick;
   }
-  // The mode that the forces of a contact have.
+  // Returns the mode that follows from the forces of a contact.
   Mode ModeOf(const RestingContact& c) const {
     if (c.normal_force <= 0) return Mode::kOpen;
     if (c.sliding != 0) return c.sliding > 0 ? Mode::kLeft : Mode::kRight;
     if (std::abs(c.tangential_force) < friction_ * c.normal_force) return Mode::kStick;
     return c.tangential_force < 0 ? Mode::kLeft : Mode::kRight;
   }
-  // The mode after this one in the order in which all are tried; kOpen after the last.
+  // Returns the mode after `mode` in the order in which all are tried; kOpen after the last.
   Mode NextMode(const RestingContact& c, Mode mode) const {
     if (mode == Mode::kStick) return Mode::kOpen;
     if (friction_ > 0 && c.sliding == 0) return static_cast<Mode>(static_cast<char>(mode) + 1);
     return mode != Mode::kOpen ? Mode::kOpen : c.sliding > 0 ? Mode::kLeft : Mode::kRight;
   }
-  // The mode that a contact changes to if its forces violate the conditions by more than `allowed`, m/s^2; `relative`
-  // is its acceleration under the forces.
+  // Returns the mode that a contact changes to if its forces violate the conditions by more than `allowed`, m/s^2;
+  // `relative` is its acceleration under the forces.
   std::optional<Mode> BetterMode(double allowed, const RestingContact& c, const Vec2d& relative) const {
     const double bound = friction_ * c.normal_force, slack = allowed * c.mass;
     const double apart = Dot(c.normal, relative) + c.turning, along = Dot(Perpendicular(c.normal), relative);
@@ -229,7 +229,7 @@ class ForceSolver {
     return std::nullopt;
   }
 
-  // r^2 / I of each disc; empty if none spins.
+  // Returns r^2 / I of each disc, 1/kg; empty if none spins.
   std::pmr::vector<double> TurnMobility(std::pmr::memory_resource* memory) const {
     std::pmr::vector<double> mobility(of_.turning.empty() ? 0 : inverse_mass_.size(), 0.0, memory);
     const auto set = [&](int disc, const RestingContact::Turns& turns) {
@@ -276,7 +276,7 @@ class ForceSolver {
       under = given_;
       Accelerate(solved, under.view());
     };
-    // The acceleration across row i that is to vanish; the normal of a contact turns.
+    // Returns the acceleration across row i, which must vanish; for a normal it includes the turning of the normal.
     const auto missing = [&](int i) {
       const RestingContact& c = contacts[contact_of[i]];
       const bool tangential = i > 0 && contact_of[i - 1] == contact_of[i];
@@ -285,7 +285,7 @@ class ForceSolver {
     if (n > 0) {
       const RowSolver solver(rows, inverse_mass_, TurnMobility(memory.get()), cache_);
       std::pmr::vector<double> change(n, memory.get());
-      // The second pass is for what rounding leaves of the first.
+      // The second pass is an iterative refinement, which removes the rounding errors of the first.
       for (int pass = 0; pass < 2; ++pass) {
         accelerate();
         for (int i = 0; i < n; ++i) change[i] = -missing(i);
@@ -328,7 +328,7 @@ class ForceSolver {
     std::pmr::vector<RestingContact> start(contacts_.begin(), contacts_.end(), memory.get());
     std::pmr::vector<WrongMode> wrong(memory.get());
     BlockPivoting blocks;
-    // What single pivots started from when their number was last a power of two: if it comes again, they cycle.
+    // The state at the last single pivot whose number was a power of two: if it comes again, the pivots cycle (Brent).
     Modes earlier_modes(memory.get());
     std::pmr::vector<RestingContact> earlier_start(memory.get());
     for (int pivot = 0; pivot < most_pivots; ++pivot) {
@@ -363,7 +363,7 @@ class ForceSolver {
     for (const RestingContact& c : contacts_) number *= friction_ > 0 && c.sliding == 0 ? 4 : 2;
     return number;
   }
-  // Tries all combinations of modes, from no forces.
+  // Tries all combinations of modes, each from zero forces.
   bool TryAllModes(double allowed) {
     std::vector<RestingContact> none(contacts_.begin(), contacts_.end());
     for (RestingContact& c : none) c.normal_force = c.tangential_force = 0;
@@ -382,8 +382,8 @@ class ForceSolver {
     }
   }
 
-  // The accelerations by unit forces: rows and columns 2 k and 2 k + 1 are the normal and the tangential part at
-  // contact k.
+  // Returns the accelerations by unit forces: rows and columns 2 k and 2 k + 1 are the normal and the tangential part
+  // at contact k.
   Eigen::MatrixXd Responses() const {
     const int n = static_cast<int>(contacts_.size());
     Eigen::MatrixXd responses(2 * n, 2 * n);
@@ -404,7 +404,7 @@ class ForceSolver {
     return responses;
   }
 
-  // By Lemke's method, then by pivoting from the modes of these forces.
+  // Finds forces by Lemke's method, then refines them by pivoting from their modes.
   bool SolveAsComplementarity(double allowed) {
     const int n = static_cast<int>(contacts_.size());
     if (n > kMostComplementaryRows) return false;

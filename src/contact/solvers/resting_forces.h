@@ -52,18 +52,18 @@ enum class RestingForces {
   kNotFound,  // not within the limits of iterations, or the input is not finite
 };
 
-// Of the acceleration along the tangent at a contact, the part that comes from the turning of its discs; 0 if
-// `turning`, their angular accelerations, rad/s^2, is empty.
+// Returns the part of the tangential acceleration at a contact that comes from the angular accelerations of its discs,
+// `turning`, rad/s^2; 0 if `turning` is empty.
 inline double RimAcceleration(const RestingContact& c, std::span<const double> turning) {
   if (turning.empty()) return 0;
   return c.turns_a.radius * turning[c.a] + (c.b >= 0 ? c.turns_b.radius * turning[c.b] : 0.0);
 }
 
-// Overwrites the forces of the contacts, and `acceleration` (per disc, m/s^2) with that under these forces; likewise
-// `turning`, the angular accelerations (rad/s^2), which is empty if no disc spins. Unless they are found, all of these
-// are unspecified. inverse_mass: per disc, 1/kg; 0 if it does not move. With `iteration_limited`, only a few pivots are
-// tried for many contacts. Where discs spin, f_t acts and t.b is measured at the points of contact. `cache`, if given,
-// keeps factorizations.
+// Overwrites the forces of the contacts, the accelerations of the discs, `acceleration` (m/s^2), and the angular ones,
+// `turning` (rad/s^2; empty if no disc spins), with those under the forces. All of these are unspecified unless forces
+// are found. inverse_mass: per disc, 1/kg; 0 if it does not move. With `iteration_limited`, only a few pivots are tried
+// for many contacts. Where discs spin, f_t acts and t.b is measured at the points of contact. `cache`, if given, keeps
+// factorizations.
 RestingForces SolveRestingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                                  std::span<RestingContact> contacts, std::span<double> turning = {},
                                  bool iteration_limited = false, ContactSystem::Cache* cache = nullptr);

@@ -124,8 +124,8 @@ struct AtOnce {
   Scene scene;
   std::vector<std::string> kinks = {};  // entries by which derivatives from both sides differ
   double tolerance = 1e-6;
-  // Of the kinks, those at which the gradient is the slope to neither side. It is that of one order of the events, and
-  // two discs that are moved across their line of centers meet later whichever the direction.
+  // The kinks at which the gradient is the slope to neither side. It is that of one order of the events, and two discs
+  // that are moved across their line of centres meet later whichever the direction.
   std::vector<std::string> neither = {};
 };
 

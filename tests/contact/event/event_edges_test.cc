@@ -114,7 +114,7 @@ void ExpectEventsOfTheShot(const std::vector<Event>& events) {
                                              {2.1226719982363336650, "coin2", "table"}}};
   std::size_t next = 0;
   for (const Event& event : events) {
-    // What begins to slide, or has not moved yet, is no event of these.
+    // The begin of sliding, and rest at time 0, are not among the expected events.
     if (event.b == "table" && (event.mode == ContactMode::kSlip || event.time == 0)) continue;
     ASSERT_LT(next, expected.size());
     EXPECT_NEAR(event.time, expected[next].time, 1e-12);
@@ -143,7 +143,7 @@ TEST(EventEdges, AShotOnATable) {
                 0},
                1e-11);
     if (steps > 1) ExpectEventsOfTheShot(run.Events());  // of one step, which says once that a disc rests
-    // Of the final position of the first coin and of the second, by the initial state and the restitution.
+    // Derivatives of the final positions of the first and second coin, by the initial state and the restitution.
     ExpectNear(run.DerivativesOf(4),
                {-5.8751936738998279,
                 88.848777191661263,
@@ -315,7 +315,7 @@ TEST(EventEdges, DerivativesEqualDifferences) {
   }
 }
 
-// Of a random polygon of walls nothing leaks out, and without friction and with restitution 1 the speed stays.
+// Nothing leaves a random polygon of walls, and without friction and with restitution 1 the speed stays.
 TEST(EventEdges, NothingLeaksOut) {
   std::mt19937 engine(7);
   std::uniform_real_distribution<double> uniform(0, 1);

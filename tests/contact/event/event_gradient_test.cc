@@ -194,7 +194,7 @@ TEST(EventGradient, EqualsDifferencesOnRandomScenes) {
   EXPECT_GT(counts.sticking, kScenes / 5);
 }
 
-// What a step adds to the energy beyond the work of the forces, J, and how much kinetic energy there is.
+// Returns the energy that a step adds beyond the work of the forces, J, and the kinetic energy, J.
 std::pair<double, double> Gain(const Experiment& e, std::span<const double> force, const std::vector<double>& x,
                                const std::vector<double>& next) {
   double gained = 0, kinetic = 0;

@@ -62,7 +62,7 @@ std::vector<double> Cotangent(std::size_t size) {
   return cotangent;
 }
 
-// What the reverse sweep (on a tape) makes of a cotangent in one step, and the Jacobian that Jets give.
+// Compares the reverse sweep (on a tape) of a cotangent through one step with the Jacobian by Jets.
 void ExpectTapeAsJets(const Scene& scene, double tolerance) {
   Scene one = scene;
   one.duration /= one.steps;
@@ -215,7 +215,7 @@ TEST(EventPiles, AValleyWithoutFrictionFills) {
 // At their first impact on the ground, with all above them still falling.
 TEST(EventPiles, ManyDiscsBecomeAPile) { ExpectNoOverlapAndNoGain(EventRun(Bag(50, 0, 0.5, 0.36, 36))); }
 
-// As above, but every other row falls into the gaps of the one below.
+// Returns a bag in which every other row falls into the gaps of the one below.
 Scene StaggeredBag(int n, double friction, double duration, int steps) {
   Scene scene = Bag(n, friction, 0.3, duration, steps);
   const int width = static_cast<int>(std::lround(std::sqrt(n)));
@@ -253,7 +253,7 @@ TEST(EventPiles, APileOfManySettles) {
   EXPECT_LT(ExpectNoOverlapAndNoGain(EventRun(FallingPile({.discs = 100, .duration = 2, .steps = 400}, 1))), 1e-15);
 }
 
-// What rests is not moved, and needs no such step.
+// A pile at rest does not move, and needs no step of the fallback.
 TEST(EventPiles, ABagThatRestsStays) {
   Scene scene = StaggeredBag(50, 0.3, 2, 400);
   const EventRun run(scene);
@@ -303,7 +303,7 @@ TEST(EventPiles, TheGradientOfStepsTakenAtOnceEqualsDifferences) {
                      by_friction * gradient.parameters.friction;
       for (int i = 0; i < 4 * n; ++i) exact += i % 4 < 2 ? 0 : direction[i] * gradient.initial[i];
       ++smooth;
-      // Of the sum of the two ends: some gradients are smaller than it.
+      // The tolerance is relative to the sum of the terms at both ends, as some gradients are far smaller.
       double terms = 0;
       for (int i = 0; i < 4 * n; ++i) terms += std::abs(start[i] * cotangent[i]);
       const double rounding = std::numeric_limits<double>::epsilon() * terms / by;
@@ -346,7 +346,7 @@ TEST(EventPiles, TheGradientOfASettlingBagEqualsDifferences) {
   EXPECT_GT(smooth, 5);
 }
 
-// What is right to first order judges nothing: there is no exact motion, and no exact gradient.
+// A step of first order is no reference: there is no exact motion, and no exact gradient.
 TEST(EventPiles, StepsTakenAtOnceAreNoReference) {
   Scene scene = StaggeredBag(50, 0.3, 0.5, 100);
   scene.objective.terminal = {{.body = 0, .target = {0, 0}, .weight = 1}};

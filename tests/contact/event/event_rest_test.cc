@@ -210,7 +210,7 @@ TEST(EventRest, LiftedAsItSlidesOffADisc) {
   }
 }
 
-// What presses without friction does no work, also if an impact elsewhere ends the sliding of a pair before its time.
+// Contact forces without friction do no work, also if an impact elsewhere ends the sliding of a pair early.
 TEST(EventRest, SlidingAlongDiscsDoesNoWork) {
   Scene scene = Dropped(1, 0, 0, 0.4, 10);
   scene.bodies = {{.name = "lowest", .radius = 0.125, .mass = 1.6, .position = {0, 0.125}, .velocity = {-0.7, 0}},

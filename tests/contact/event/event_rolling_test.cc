@@ -35,7 +35,7 @@ struct OnCircle {
   double Sliding() const { return speed + kRadius * spin; }
 };
 
-// The same by the classical Runge-Kutta method, in steps of 1e-5 s. It rolls while its friction suffices.
+// A reference by the classical Runge-Kutta method, in steps of 1e-5 s. The disc rolls while its friction suffices.
 class Reference {
  public:
   explicit Reference(const OnCircle& start) : x_{start.angle, start.speed, start.spin}, start_(start) {
@@ -211,7 +211,7 @@ TEST(EventRolling, Differences) {
   };
   for (const auto& [start, made] : starts) {
     for (double OnCircle::*changed : {&OnCircle::angle, &OnCircle::speed, &OnCircle::spin}) {
-      // What rolls and does not slide has one motion only: a change of its speed alone begins to slide.
+      // A disc that rolls without sliding has one motion only: a change of its speed alone begins to slide.
       if (changed != &OnCircle::angle && start.Sliding() == 0) continue;
       SCOPED_TRACE(start.angle);
       const auto scene_of = [&, made = made](double by) {
@@ -255,7 +255,7 @@ TEST(EventRolling, DerivativesBeyondAnImpact) {
   ExpectDerivatives(scene_of, 1e-3, 1e-8);
 }
 
-// Of solid discs.
+// Returns the energy of solid discs.
 double EnergyOf(const Scene& scene, const std::vector<double>& x) {
   double sum = 0;
   for (int i = 0; i < scene.num_bodies(); ++i) {

@@ -149,7 +149,7 @@ Velocities VelocitiesAt(const EventRun& run, int step) {
 }
 int StepAfterImpact(const Scene& scene) { return scene.steps / 2 + 1; }
 
-// The same scene with its bodies and planes in another order.
+// Returns the scene with its bodies and planes in another order.
 Scene Permuted(const Scene& scene, const std::vector<int>& bodies, bool planes_backwards) {
   Scene other = scene;
   for (std::size_t i = 0; i < bodies.size(); ++i) other.bodies[i] = scene.bodies[bodies[i]];

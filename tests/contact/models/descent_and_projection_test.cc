@@ -271,8 +271,8 @@ TEST(SpringDescentLimits, ProjectionAsStiffnessGrows) {
   }
 }
 
-// As the step goes to zero they are elastic; with a force that sets in smoothly the gradient gets there without
-// swinging.
+// The models become elastic as the step goes to zero; with a force that sets in smoothly the gradient converges without
+// oscillation.
 TEST(SpringDescentLimits, ElasticAsTheStepGoesToZero) {
   const double linear[3][3] = {{0.849, -3.013, -1.732}, {1.103, -0.778, -0.852}, {1.133, -0.993, -0.964}};
   const double smooth[3][3] = {{0.756, -0.655, -0.583}, {1.096, -0.947, -0.925}, {1.143, -0.995, -0.977}};

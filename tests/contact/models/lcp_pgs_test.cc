@@ -15,7 +15,7 @@ template <typename M>
 class LcpPgsTest : public ::testing::Test {
  protected:
   const ContactStepOf<M, double> model_ = Compiled<M>(), without_correction_ = Compiled<M>({{"erp", 0}});
-  // As the source's solver for articulated bodies.
+  // The options of the source's solver for articulated bodies.
   const ContactStepOf<M, double> one_sweep_ = Compiled<M>({{"sweeps", 1}, {"erp", 0.2}, {"cfm", 1e-5}});
 };
 using Variants = ::testing::Types<LcpPgs<false>, LcpPgs<true>>;

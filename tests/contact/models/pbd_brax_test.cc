@@ -36,7 +36,7 @@ TEST(PbdBrax, LossInSinglePrecision) {
   EXPECT_NEAR(EvaluateScene(scene, Precision::kFloat).loss, 8.710405, 6e-7);
 }
 
-// The same quantities in double, from an independent implementation.
+// Compares these quantities in double with an independent implementation.
 TEST(PbdBrax, DoublePrecision) {
   const Evaluation balls = EvaluateScene(ProblemScene("two_balls"), Precision::kDouble);
   EXPECT_NEAR(balls.loss, 2.05762876, 6e-9);
@@ -245,7 +245,7 @@ TEST(PbdBrax, UnequalMasses) {
   const double n = distance / (distance + kEps);
   const double depth = 0.3 - distance;
   const double lambda = depth / (1 / ma + 1 / mb + kEps);
-  // What is left of the relative displacement across the slightly short normal counts as sliding.
+  // The remainder of the relative displacement across the slightly short normal counts as sliding.
   const double slide = 2 * h - 2 * h * n * n;
   ASSERT_GT(slide, 1e-8);  // so small a sliding counts as none
   const double grip = slide / (1 / ma + 1 / mb) * slide / (slide + kEps);

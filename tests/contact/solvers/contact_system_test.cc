@@ -47,7 +47,7 @@ std::vector<double> DensePseudoInverse(const Pile& pile) {
   return matrix;
 }
 
-// What some motion of the discs is measured as, so that forces can undo it.
+// Returns the measurements of some motion of the discs, which forces can therefore undo.
 std::vector<double> Measured(const Pile& pile, unsigned seed, bool along_push) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal;

@@ -23,7 +23,7 @@ using Vec4d = Eigen::Vector4d;
 
 class ConstrainedOptimum : public testing::TestWithParam<Json> {};
 
-// Of two references the target is better left alone.
+// In two references the target is better left alone.
 TEST_P(ConstrainedOptimum, IsReachedFromThePapersGuess) {
   const Json& reference = GetParam();
   const Scene scene = SceneOf(reference, 480);
@@ -139,7 +139,7 @@ TEST(CeresPhases, FindsWhereAndHowFastToStart) {
       ASSERT_TRUE(exact.ok) << exact.reason;
       EXPECT_EQ(exact.loss, report.final_loss);
       EXPECT_EQ(exact.events.size(), 2u);
-      // What is given has stayed.
+      // The part of the initial state that is not optimised stays.
       const std::vector<double> given = InitialState(scene);
       const int held = what == Optimize::kVelocity ? 0 : 2;
       for (int j = held; j < held + 2; ++j) EXPECT_EQ(report.initial_state[j], given[j]);

@@ -231,7 +231,7 @@ TEST(OptimalControl, LeastSquaresRefusesACostThatIsNoSquare) {
   EXPECT_NE(report.reason.find("no square"), std::string::npos) << report.reason;
 }
 
-// Of a linear system with quadratic costs both algorithms find the one optimum.
+// Both algorithms find the only optimum of a linear system with quadratic costs.
 TEST(OptimalControl, BothAlgorithmsAgreeOnSquares) {
   if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
   HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({1, 0}, 1, 0, 40);

@@ -43,7 +43,7 @@ Scene Strike(double friction) {
   return scene;
 }
 
-// As the steps get shorter the optimum is that in continuous time, with second order.
+// The optimum converges to that in continuous time as the steps get shorter, with second order.
 TEST(SpinPhases, FindTheOptimumThatOnlyTheWallCanSpin) {
   const double exact = SpinOptimum("loss");
   std::vector<double> errors;
@@ -143,7 +143,7 @@ TEST(SpinPhases, LaunchAsSingleShootingDoes) {
     const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
     EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-9);
     for (std::size_t i = 0; i < shot.initial_state.size(); ++i) {
-      // Of an impact that slips, how fast its discs spin does not matter: the bank shot is the same with other spins.
+      // The spins of discs in an impact that slips do not matter: the bank shot is the same with other spins.
       if (std::string_view(name) == "bank_shot" && i >= 4 * scene.bodies.size()) break;
       EXPECT_NEAR(report.initial_state[i], shot.initial_state[i], 1e-4 * (1 + std::abs(shot.initial_state[i]))) << i;
     }

@@ -116,7 +116,7 @@ TEST(SearchWork, ImpossibleLimitsAreRefusedByName) {
   }
 }
 
-// What is called searched includes the sequences that solves have ended with.
+// The count of searched sequences includes those that solves have ended with.
 TEST(SearchWords, NoFewerSequencesThanOptimaAlongDifferentOnes) {
   const Scene scene = SceneOf(Reference("running"), 60);
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(12, 3));

@@ -314,7 +314,7 @@ TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   EXPECT_LT(report.final_loss, 0.8889);
 }
 
-// Of a wall that is moved the certificate knows where it stands between its bounds.
+// The certificate of a wall that is moved knows where it stands between its bounds.
 TEST(DesignSolvers, AWallStopsAtItsBound) {
   Scene scene = BounceToHeight(kHeight);
   scene.contact.restitution = kRestitution;
