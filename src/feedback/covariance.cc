@@ -90,7 +90,7 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
     // The covariance of the control that does not come from dx.
     const Eigen::MatrixXd of_control =
         or_zero(noise.control, m) + gain * or_zero(noise.measurement, n) * gain.transpose();
-    // Of what changes by by_state dx + by_control (control that does not come from dx).
+    // Returns the covariance of by_state dx + by_control du, where du is the control that does not come from dx.
     const auto covariance = [&](const Eigen::RowVectorXd& state,
                                 const Eigen::RowVectorXd& control,
                                 const Eigen::RowVectorXd& other_state,

@@ -31,7 +31,7 @@ HybridOptions BehindGuards(HybridOptions options) {
 
 namespace internal {
 
-// What the mean of a filter follows.
+// The motion that the mean of a filter follows.
 class FilterMotion {
  public:
   virtual ~FilterMotion() = default;

@@ -21,7 +21,7 @@ void AddEventsAndNearMisses(const SceneIntervals& motion, int k, std::span<const
                             std::span<const double> force, const std::vector<double>& columns,
                             LinearInterval* interval);
 
-// Of derivatives by the forces on all discs, those by a row of the control.
+// Returns the columns of derivatives by the forces on all discs that belong to a row of the control.
 Eigen::MatrixXd Select(const Eigen::MatrixXd& by_force, const std::vector<double>& columns);
 
 }  // namespace saltus

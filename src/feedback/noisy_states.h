@@ -30,7 +30,7 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
                             std::span<const double> parameters, int* mode, Eigen::VectorXd* x,
                             std::vector<HybridEvent>* events, Eigen::MatrixXd* saltation);
 
-// Of a symmetric matrix of `size` rows that is positive semidefinite, or positive definite, as "found x, expected y".
+// Checks a symmetric matrix of `size` rows that must be positive (semi)definite: "found x, expected y", empty if it is.
 std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite);
 
 // A matrix L with L L' = covariance, of as many columns as its rank; no columns if it is empty.

@@ -43,7 +43,7 @@ class SceneIntervals {
   // After a rollout: the state at the beginning of interval k, or at the end for k = size().
   std::vector<double> State(int k) const;
   const std::vector<std::unique_ptr<Simulator>>& simulators() const { return own_; }
-  // What touched in interval k, in order of time.
+  // Returns the touches of interval k, in order of time.
   std::span<const Touch> touches(int k) const { return touches_[k]; }
 
  private:
@@ -91,7 +91,7 @@ struct SceneEvent {
 // The events of a motion, in order of time: all but contacts that last from the start.
 std::vector<SceneEvent> PlannedEvents(const SceneIntervals& motion);
 
-// Of a motion that Rollout() has simulated, or the simulator that is given.
+// Plan and linearization of a motion that Rollout() has simulated, or of the simulator that is given.
 Plan MakePlan(const SceneIntervals& motion, std::span<const double> control);
 LinearMotion Linearize(const SceneIntervals& motion, std::span<const double> control);
 

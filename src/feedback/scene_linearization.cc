@@ -20,7 +20,7 @@ LinearMotion Linearize(const SceneIntervals& motion, std::span<const double> con
   const int n = simulator.state_size();
   const auto width = static_cast<std::size_t>(simulator.control_width());
   CHECK_EQ(control.size(), motion.size() * width);
-  // Of the numbers of the forces, those of a row of the control.
+  // The columns of the derivatives by forces that belong to a row of the control.
   std::vector<double> numbers(simulator.force_size()), columns(width), force(numbers.size());
   std::iota(numbers.begin(), numbers.end(), 0);
   simulator.SelectControl(numbers, columns);

@@ -605,7 +605,7 @@ class Relaxation::Impl {
       if (bound.lower < upper) keep({Cautious(quadratic, layout, weights, box, middle), {}});
     } else {
       keep(Following(quadratic, layout, free, z, drifts, box));
-      // What is not excluded now is worth more time only if it may be.
+      // A box that is not excluded now gets more work only if more work may exclude it.
       const bool poor = bound.lower < 0.5 * bound.at_middle;
       if (bound.lower < upper && (bound.at_middle > upper || poor))
         keep({Cautious(quadratic, layout, weights, box, middle), {}});

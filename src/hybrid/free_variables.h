@@ -23,7 +23,7 @@ struct FreeVariable {
   }
 };
 
-// Those of the control, by interval, of the initial state and of the parameters, and the duration.
+// Returns the free variables: of the control, by interval, of the initial state and of the parameters; the duration.
 std::vector<FreeVariable> FreeVariables(const HybridFree& free, int num_controls, int num_intervals);
 
 }  // namespace saltus

@@ -88,7 +88,7 @@ class HybridSimulator::Impl {
     return difference;
   }
 
-  // As IntegrationError.
+  // Returns the value of HybridSimulator::IntegrationError().
   double Error() {
     if (!error) {
       RolloutRun finer(system, options);
@@ -185,7 +185,7 @@ class HybridSimulator::Impl {
            "its own";
   }
 
-  // Of the last rollout, to one with another number of steps.
+  // Returns the difference of the last rollout from one with another number of steps.
   double DifferenceTo(int other_steps) const {
     RolloutRun other(system, options);
     return other.Run(input, other_steps) == RolloutEnd::kDone ? Difference(*run, other)
@@ -337,7 +337,7 @@ class HybridSimulator::Impl {
     return "";
   }
 
-  // Of the coincidences of a motion that succeeded, whether the derivative is one-sided.
+  // Returns whether the derivative is one-sided, for each coincidence of a motion that succeeded.
   const std::vector<char>& OneSided() {
     if (done && one_sided.size() != run->tape().coincidences.size()) {
       TiedEvents tied(system, options);
@@ -384,7 +384,7 @@ class HybridSimulator::Impl {
   std::optional<double> error;      // of it, where it is known
   std::string unresolved;           // of a rollout with twice as many steps: a guard that they do not resolve
   MotionDerivatives derivatives;
-  // Of the last rollout, once asked for.
+  // Results about the last rollout, once they have been asked for.
   std::vector<char> one_sided;
   std::vector<HybridTie> ties;
 };

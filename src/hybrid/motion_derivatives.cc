@@ -39,7 +39,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   HybridGradient gradient;
   gradient.control.assign(static_cast<std::size_t>(input.num_intervals) * num_controls, 0.0);
   gradient.parameters.assign(num_parameters, 0.0);
-  // Of state and time at the end of the entry that is looked at.
+  // Cotangents of state and time at the end of the entry at hand.
   std::vector<double> x(system_.state_size(tape.final_mode));
   if (!cotangent.final_state.empty()) AddTo(&x, cotangent.final_state);
   double t = 0;

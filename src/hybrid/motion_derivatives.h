@@ -29,13 +29,13 @@ class MotionDerivatives {
                          const HybridCotangent& cotangent);
   HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
                                 const std::vector<HybridEvent>& events);
-  // Of each coincidence of the tape, whether the derivative is another one on another side: changes of the motion in
+  // Returns for each coincidence of the tape whether the derivative differs on another side: changes of the motion in
   // some directions of the input are compared with those that its events lead to if their order follows the change.
   std::vector<char> FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied);
   // Sets the spread of the tie of a coincidence.
   void Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence, TiedEvents* tied,
                HybridTie* tie) const;
-  // As HybridSimulator::IntervalSensitivities.
+  // Returns the value of HybridSimulator::IntervalSensitivities().
   std::vector<HybridSensitivity> Intervals(const HybridInput& input, const MotionTape& tape);
 
   // Which derivative of the system's functions along the motion is the first that is not finite, with function, mode,

@@ -1,4 +1,4 @@
-// What happened in a rollout, in order: enough to differentiate it.
+// The record of a rollout, in the order of time, from which it can be differentiated.
 #pragma once
 
 #include <cstddef>

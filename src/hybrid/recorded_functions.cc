@@ -347,7 +347,7 @@ class RecordedFunction::Builder {
     }
   }
 
-  // Of any node: those before it are found first.
+  // Returns the derivative of a node; those of the nodes before it are found first.
   const Derivative& DerivativeOf(int at) {
     if (const auto found = derivatives_.find(at); found != derivatives_.end()) return found->second;
     const Node node = nodes_[at];
@@ -378,7 +378,7 @@ class RecordedFunction::Builder {
     return derivatives_[at] = std::move(result);
   }
 
-  // Of what the outputs and the entries need; these name nodes.
+  // Returns a tape of the nodes that the outputs and the entries, which name nodes, depend on.
   Tape Flatten(std::vector<Tape::Entry> entries) const {
     std::vector<char> needed(nodes_.size());
     for (const int output : outputs_) needed[output] = 1;
@@ -446,7 +446,7 @@ class RecordedFunction::Evaluation {
   Evaluation(const Evaluation&) = delete;
   Evaluation& operator=(const Evaluation&) = delete;
 
-  // Of a flow, at another state and time, which come first. The state: n numbers, or an array of them.
+  // Evaluates a flow at another state and time, which come first. The state: n numbers, or an array of them.
   template <typename State>
   void Run(const State& x, int n, double t, double* outputs) {
     if constexpr (std::is_array_v<State>) {

@@ -85,7 +85,7 @@ struct ExpressionGraph {
   std::vector<int> outputs = {};  // nodes
 };
 
-// As "found x, expected y"; empty if nothing is.
+// Checks a graph: "found x, expected y", empty if it is valid.
 std::string WhatIsWrongWith(const ExpressionGraph& graph);
 
 // The flow along the zeros of k numbers, by Filippov's convention: the combination of the flows beside them, in which
@@ -111,7 +111,7 @@ class RecordedFunction {
   void Evaluate(std::span<const Part> inputs, double* outputs) const;
   // And the derivatives of the outputs by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
-  // The same with the parts of a cost function: any of `jacobians` may be null.
+  // Linearizes with the parts of a cost function: any of `jacobians` may be null.
   void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
 
   class Evaluation;
@@ -129,7 +129,7 @@ class RecordedFunction {
     std::vector<double> constants;
     std::vector<Instruction> instructions;
     std::vector<int> outputs;  // slots
-    // Of the outputs by the inputs, where they are not always zero.
+    // The derivatives of the outputs by the inputs, where these are not always zero.
     struct Entry {
       int row, column, slot;
     };

@@ -142,7 +142,7 @@ class RecordedSwitches::Piece {
     if (std::find(used.begin(), used.end(), number) == used.end()) used.push_back(number);
   }
 
-  // Of a condition, 0 or 1 if the sides say so.
+  // Returns the value of a condition, 0 or 1, if the sides determine it.
   int Truth(int node) {
     int& truth = truth_[node];
     if (truth != kUnknown) return truth;
@@ -235,7 +235,7 @@ RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> 
                 : node.operation == kAbs       ? side * at(node.a)
                                                : side;
   }
-  // Those on which the functions depend, and on which the numbers of these do.
+  // Collects the switches on which the functions depend, and on which the numbers of these switches depend.
   Piece piece(*this, known);
   for (const std::vector<int>& outputs : outputs_) {
     for (const int output : outputs) piece.Needed(output);

@@ -61,7 +61,7 @@ class RecordedSwitches {
   using Node = ExpressionGraph::Node;
   int Add(const Node& node);
   int SwitchOf(int node, bool is_floor);
-  // Of a comparison of a and b: whose number times *sign is b - a.
+  // Returns the switch of a comparison of a and b, whose number times *sign is b - a.
   int Compare(int a, int b, int* sign);
   bool IsZero(int node) const { return nodes_[node].operation == Operation::kConstant && nodes_[node].value == 0; }
   // A number with which inputs of functions begin that are integer parts.

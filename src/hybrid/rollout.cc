@@ -666,7 +666,7 @@ bool RolloutRun::ResolvesGuards() const {
          (tape_.num_nodes >= kResolvedSteps && unresolved_.steps * kPlaces <= tape_.num_nodes);
 }
 
-// Of the armed guards in a step; those that graze are noted, and disarmed where they end at zero.
+// Returns the earliest event of the armed guards in a step; guards that graze are noted, and disarmed if they end at 0.
 RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
   Due earliest;
   for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {

@@ -29,7 +29,7 @@ class RolloutRun {
   // guards, which takes an evaluation of all guards for each step.
   RolloutEnd Run(const HybridInput& input, int steps_per_interval, bool compare_guards = false);
 
-  // Of the last run.
+  // Results of the last run.
   const MotionTape& tape() const { return tape_; }
   const std::vector<HybridEvent>& events() const { return events_; }
   const std::vector<HybridEvent>& switches() const { return switches_; }

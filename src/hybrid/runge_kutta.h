@@ -41,7 +41,7 @@ void WithSize(int size, const Function& function) {
   function(std::integral_constant<int, 0>());
 }
 
-// As EvaluateStep and LinearizeStep of runge_kutta_step.h, of a state of `size` numbers. `scratch` has room for the
+// EvaluateStep() and LinearizeStep() of runge_kutta_step.h for a state of `size` numbers. `scratch` has room for the
 // slopes of all stages and a state. Where the size is small, the flow gets the state as an array of that size.
 template <typename Flow>
 void EvaluateStep(int size, const FlowStep& step, const Flow& flow, const double* slope, double* scratch, double* after,

@@ -62,7 +62,7 @@ class Blocks {
   }
 
   double* coordinate(std::size_t u) { return &values_[u]; }
-  // Of the `number`-th free disc.
+  // Returns the initial state of the `number`-th free disc.
   double* initial(std::size_t segment, std::size_t number) {
     return &values_[point_.coordinates.size() + 4 * (segment * problem_.free_bodies.size() + number)];
   }
@@ -199,7 +199,7 @@ ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t nu
   return options;
 }
 
-// What is learned stays near its start where the data say nothing of it.
+// Adds a prior, which keeps learned parameters near their start if the data do not determine them.
 void AddPrior(const FitProblem& problem, Blocks* blocks, ceres::Problem* ceres_problem) {
   const std::optional<LearnedStart> learned = LearnedStartOf(*problem.options);
   if (!learned) return;

@@ -8,7 +8,7 @@
 
 namespace saltus {
 
-// What a fit is about; outlives it.
+// The data of a fit, which must outlive it.
 struct FitProblem {
   Contact contact;
   Scene scene;  // of known parameters
@@ -39,7 +39,7 @@ struct FitProblem {
   std::optional<EventFunctions> EventsAt(const std::vector<double>& coordinates) const;
 };
 
-// What a fit changes.
+// The variables of a fit.
 struct FitPoint {
   std::vector<double> coordinates;  // of the unknowns (unknowns.h)
   std::vector<Segment> segments;    // with their initial states
@@ -56,7 +56,7 @@ struct FitResult {
   std::vector<MotionAtSamples> motion;  // of each segment, at the end, with derivatives
 };
 
-// What is learned, of whichever kind: where its parameters begin, and how far they may go.
+// The parameters that are learned, of whichever kind: their start, and the spread about it.
 struct LearnedStart {
   std::vector<double> parameters;
   double spread = 1;

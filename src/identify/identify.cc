@@ -297,7 +297,7 @@ class Identification {
     return "";
   }
 
-  // Those that any recording has; with segments, every disc that moves.
+  // Finds the discs that any recording has; with segments, every disc that moves.
   void FindFreeBodies() {
     if (!options_.initial_states) return;
     std::set<int> measured;
@@ -448,7 +448,7 @@ class Identification {
     return sequence;
   }
 
-  // Of few samples, no first part shows where a motion begins. Many starts are compared by how far they miss all
+  // With few samples, no first part shows where a motion begins. Many starts are compared by how far they miss all
   // samples, and the best ones are fitted.
   std::vector<FitPoint> ScreenStarts() {
     std::map<std::size_t, std::vector<std::pair<double, FitPoint>>> starts;  // by the number of contacts

@@ -75,7 +75,7 @@ class Sweep {
  private:
   using Simulators = std::vector<std::unique_ptr<Simulator>>;
 
-  // Of what is learned, one for every few of its parameters that derivatives are wanted of.
+  // Returns contact models with the learned parameters, one for every few of those that derivatives are needed of.
   static std::vector<Contact> ContactsOf(const Contact& contact, const MotionRequest& request, bool with_derivatives) {
     if (request.law == nullptr && request.events == nullptr) return {contact};
     std::vector<Contact> contacts;
@@ -109,7 +109,7 @@ class Sweep {
       if (request_.events != nullptr && impact.candidate.plane) out->impacts.push_back(impact);
     }
   }
-  // Of approach and of sliding.
+  // Returns the speeds of approach and of sliding.
   Vec2d SpeedsOf(const ImpactState& impact) const {
     const bool plane = impact.candidate.plane;
     const Separation<double> apart =
@@ -118,7 +118,7 @@ class Sweep {
     const Vec2d w = plane ? impact.velocity[0] : Vec2d(impact.velocity[0] - impact.velocity[1]);
     return {std::max(0.0, -Dot(apart.normal, w)), std::abs(Dot(Perpendicular(apart.normal), w))};
   }
-  // Of disc i, flying from x_ on for a time.
+  // Returns position and velocity of disc i after flying from x_ for a time.
   std::pair<Vec2d, Vec2d> StateAfter(int i, double time) const {
     const double* x = &x_[i * size()];
     const Vec2d p(x[0], x[1]), v(x[2], x[3]);
@@ -158,7 +158,7 @@ class Sweep {
     free_ = first.front().free;
   }
 
-  // What unknowns do as forces on every disc and as accelerations of those that fly.
+  // Finds the effect of the unknowns as forces on every disc, and as accelerations of those that fly.
   void FindPushes() {
     const int num_bodies = scene_.num_bodies();
     force_ = MatrixXd::Zero(2 * num_bodies, request_.num_columns());

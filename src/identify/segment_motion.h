@@ -21,7 +21,7 @@ struct Segment {
   std::vector<double> initial;  // B x 4, of the scene or of the data
 };
 
-// What is measured, and what it depends on.
+// The measurements, and the parameters that they depend on.
 struct MotionRequest {
   const std::vector<Sample>* samples = nullptr;
   std::vector<Unknown> unknowns;
@@ -38,7 +38,7 @@ struct ImpactState {
   Vec2d position[2], velocity[2];  // of its discs; with a plane, of the first
 };
 
-// Of one segment.
+// The motion of one segment at its samples.
 struct MotionAtSamples {
   bool ok = false;
   std::string reason;

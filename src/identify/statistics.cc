@@ -294,7 +294,7 @@ Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double 
     (is_outlier ? outer : inner)
         .Add(EvaluateLoss(problem, loss_scale, squared), squared, static_cast<int>(residual.size()));
   });
-  // What is learned has a prior, and takes no number of the samples.
+  // Learned parameters have a prior, and so take no degrees of freedom of the samples.
   const auto learned = static_cast<double>(problem.unknowns.size()) - problem.num_plain;
   const int left = inner.entries - fit.num_fitted;
   Confidence confidence;

@@ -50,7 +50,7 @@ struct Openness {
 };
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale);
 
-// What the residuals say of the confidence in what was fitted.
+// The confidence in the fitted values, from the residuals.
 //
 // Huber's (1973) covariance of M-estimators takes the mean of the loss's slope over all samples. With few of them it
 // matters which ones are outliers, as these say nothing where they are. So means are taken over the samples up to

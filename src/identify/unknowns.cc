@@ -10,7 +10,7 @@ namespace {
 
 using Kind = Unknown::Kind;
 
-// Of restitution: how near a start may be to 0 or 1. Of what is positive: how small it may be.
+// The least distance of a start from 0 or 1 for restitution; the least value of a positive parameter.
 constexpr double kInside = 1e-3;
 
 bool IsPositive(Kind kind) {

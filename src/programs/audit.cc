@@ -36,7 +36,7 @@ namespace {
 void AddAudits(const std::vector<std::string>& names, bool black_boxes, int threads, const AuditOptions& options,
                Progress* progress, const std::function<ModelAudit(int i, const AuditOptions& options)>& audit,
                AuditReport* report) {
-  // What is known of one that has no gradient: why.
+  // Returns the audit of a model without a gradient, with the reason.
   const auto without_gradient = [names, black_boxes](std::size_t i, const std::string& reason) {
     ModelAudit none;
     none.gradient.contact = names[i];

@@ -789,7 +789,7 @@ Panel PerturbedFlowPanel(const Scene& scene, const Contact& contact, const Conta
   return panel;
 }
 
-// What each wrong model says of the first contact that makes it so, with the step in the replay.
+// Adds the cause of the first wrong contact of each wrong model, with its step in the replay.
 void AddWrongSteps(const Request& request, const AuditReport& audit, Page* page) {
   std::vector<Page::Moment> moments;
   Figure flows;

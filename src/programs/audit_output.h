@@ -20,7 +20,7 @@ Table GradientTable(const Request& request, const AuditReport& report);
 // Verdicts, and for wrong models the first wrong step and why. Toned.
 Table VerdictTable(const AuditReport& report);
 
-// What final states tell of black boxes, one row each.
+// Returns the findings from final states of black boxes, one row each.
 Table BlackBoxTable(const AuditReport& report);
 
 // Plateaus of the width sweep, one row an entry and model.
@@ -45,7 +45,7 @@ struct PerturbedFlows {
   PerturbedFlow model, exact;  // from the same state, under the same forces
 };
 
-// Of the scene's own initial state and control. Nothing in either if the rollout fails, or the steps of `event` do.
+// Perturbs the scene's initial state under its control. Both flows are empty if the rollout, or that of `event`, fails.
 PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error);
 
 class Page;

@@ -41,7 +41,7 @@ class BodiesReader final : internal::SceneReader {
   HybridTask Read(const YAML::Node& root);
 
  private:
-  // Of length 1.
+  // Reads a direction and returns it with length 1.
   Point2D ReadDirection(const Value& value) {
     const Vec2d vector = ReadVector(value);
     if (!(vector.norm() > 0)) FailExpected(value, "a vector of another length than zero");

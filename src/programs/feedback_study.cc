@@ -50,7 +50,7 @@ Eigen::MatrixXd Diagonal(const std::vector<double>& deviations) {
   return of.cwiseAbs2().asDiagonal();
 }
 
-// What both kinds of problems are studied by.
+// The data by which both kinds of problems are studied.
 struct Study {
   const FeedbackOptions& options;
   int threads;
@@ -127,7 +127,7 @@ Noise NoiseOf(const Scene& scene, const FeedbackOptions& options, int body_size)
     }
     return Diagonal(deviations);
   };
-  // Of forces, and torques divided by radii (simulator.h).
+  // The deviations of forces, and of torques divided by radii (simulator.h).
   std::vector<double> controls(2 * scene.control.bodies.size(), DeviationOf(options, "force"));
   for (const int body : scene.control.turned) {
     controls.push_back(DeviationOf(options, "torque") / scene.bodies[body].radius);

@@ -1,4 +1,4 @@
-// What --feedback reports of a solution: the regulator along it, the covariance of its errors in open and in closed
+// The study of --feedback about a solution: the regulator along it, the covariance of its errors in open and in closed
 // loop, and simulated runs with noise beside both.
 #pragma once
 
@@ -43,7 +43,7 @@ struct FeedbackStudy {
   std::optional<Loop> closed;  // nothing without controls
 };
 
-// Of the exact motion of a scene under a control, on the intervals of the control.
+// Studies the exact motion of a scene under a control, on the intervals of the control.
 FeedbackStudy StudyFeedback(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads);
 FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& input, const FeedbackOptions& options,
@@ -57,7 +57,7 @@ using NamedStudies = std::vector<std::pair<std::string, const FeedbackStudy*>>;
 Table FeedbackTable(const NamedStudies& studies);
 // Table and warnings on standard output, with `name` before the caption.
 void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies);
-// What the table shows, in a sentence without its full stop.
+// Returns the caption of the table, a sentence without its full stop.
 std::string FeedbackCaption(const FeedbackOptions& options);
 // The warnings of the studies.
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies);

@@ -1,4 +1,4 @@
-// What is known of a problem of a hybrid system, as JSON: the system, its motion from the guess, gradients and
+// The document of a problem of a hybrid system, as JSON: the system, its motion from the guess, gradients and
 // solutions. The programs print it, their pages show it, and Python reads it.
 #pragma once
 
@@ -12,7 +12,7 @@ namespace saltus {
 // {"modes": [{"name", "states", "guards"}], "controls": [name, ...], "parameters": [name, ...]}
 Json HybridSystemToJson(const HybridSystem& system);
 
-// What determines a motion: {"mode", "initial", "parameters", "duration", "intervals", "control"}.
+// Returns the input of a motion: {"mode", "initial", "parameters", "duration", "intervals", "control"}.
 Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 
 // The simulator's last rollout: {"mode", "final", "events": [{"time", "mode", "guard", "next_mode", "rate"}],

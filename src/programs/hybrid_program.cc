@@ -44,7 +44,7 @@ struct HybridRequest : HybridTask {
   ProgressMode progress = ProgressMode::kAuto;
 };
 
-// What --set changes, by name.
+// Returns the numbers that --set can change, by name.
 std::vector<std::pair<std::string, double*>> PlacesOf(HybridProblem* problem) {
   const HybridSystem& system = problem->system;
   HybridInput& guess = problem->guess;
@@ -145,7 +145,7 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());
 }
 
-// What is drawn of a motion at each of its samples.
+// Adds the drawing of a motion at each of its samples.
 void AddFrames(const HybridRequest& request, const std::vector<double>& parameters, Json* motion) {
   if (!request.extras.draw || !motion->contains("times")) return;
   Json frames = Json::array();
@@ -283,7 +283,7 @@ Table RunsTable(const std::vector<SolveReport>& reports) {
   return table;
 }
 
-// What was optimised but for the control, of each solver.
+// Returns the optimised variables of each solver, without the control.
 Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>& reports) {
   std::vector<Column> columns = ColumnsOf("variable; guess:10");
   std::vector<HybridInput> solutions;

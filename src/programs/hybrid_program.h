@@ -39,7 +39,7 @@ class HybridDrawing {
   std::vector<std::array<double, 3>> circles_;
 };
 
-// What a program's system has beside its functions; empty if it has none.
+// The functions of a program's system beside those of the motion; empty if it has none.
 struct HybridExtras {
   std::function<void(int mode, double t, const double* x, const double* p, HybridDrawing* drawing)> draw;
   std::shared_ptr<HybridScheme> scheme;
@@ -60,7 +60,7 @@ HybridExtras ExtrasOf(const S& system) {
   return extras;
 }
 
-// What a program works on.
+// The problem of a program, and its functions for drawings and schemes.
 struct HybridTask {
   HybridProblem problem;
   HybridExtras extras = {};
@@ -70,7 +70,7 @@ struct HybridTask {
 // `read` is called once flags are read; it may throw InputError.
 int RunHybridProgram(int argc, char** argv, const Program& program, const std::function<HybridTask()>& read);
 
-// Of one problem. Precondition: problem.system is that of `system`.
+// Runs the program of one problem. Precondition: problem.system is that of `system`.
 template <typename S>
 int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem& problem) {
   const Program program = HybridProblemProgram(argv[0]);

@@ -37,7 +37,7 @@ const IdentifyReport* ExactFit(const Identified& identified) {
   return nullptr;
 }
 
-// What an estimate is more than that of the exact fit; nothing if one of the two is not determined.
+// Returns the difference of an estimate from that of the exact fit; std::nullopt if one of them is not determined.
 std::optional<double> Bias(const IdentifyReport* exact, const IdentifyReport& report, std::size_t parameter) {
   if (exact == nullptr || exact == &report || report.estimates.size() <= parameter) return std::nullopt;
   const Estimate &reference = exact->estimates[parameter], &estimate = report.estimates[parameter];

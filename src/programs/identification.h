@@ -1,4 +1,4 @@
-// What identification is given, as text and files, and its results as tables, JSON and a page.
+// The input of identification, as text and files, and its results as tables, JSON and a page.
 #pragma once
 
 #include <optional>

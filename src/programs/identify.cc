@@ -141,7 +141,7 @@ int ExitCodeOf(const Identified& identified) {
   return failed > 0 || identified.reports.size() < identified.contacts.size() ? kAnswerFailed : kDone;
 }
 
-// What is fitted, without fits.
+// Reads the recordings and the scene to be fitted, without fits.
 Identified ReadAll(const Request& request) {
   Identified identified;
   identified.recordings = ReadRecordings(request.scene);

@@ -14,7 +14,7 @@ namespace saltus {
 // `expected`, such as "a JSON object".
 Json ParseJson(const std::string& text, const std::string& where, const std::string& expected);
 
-// What readers of such files share: they say where a file is wrong.
+// The base of readers of such files; their errors name the place in the file.
 class InputReader {
  public:
   // Errors begin with `where`.

@@ -56,7 +56,7 @@ Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
   return intervals;
 }
 
-// Of a black box nothing is known.
+// Whether the derivative of a contact model is biased, which is not known for black boxes.
 bool IsBiased(const std::string& contact) {
   return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
 }

@@ -38,7 +38,7 @@ Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int o
 Json RotationsToJson(const Scene& scene, const std::vector<double>& initial, int entry);
 // [[ [x, y] per controlled disc ] per control interval]; [] without control. Of discs that are turned [x, y, torque].
 Json ControlToJson(const Scene& scene, const std::vector<double>& control);
-// The same of derivatives by a control.
+// Converts derivatives by a control, in its layout.
 Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient);
 Json EventsToJson(const std::vector<Event>& events);
 // Adds "ambiguous": [{ "time", "bodies" }, ...] and "loss_spread": [lowest, highest], where there are ambiguous ties.
@@ -61,12 +61,12 @@ std::string BiasedName(const Surrogate& surrogate);
 // "direct", "direct (smoothed_zeroth, biased)", or "ncp:kappa_grad=1e-4 (biased)", whose options bias the derivative.
 std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate);
 
-// What a file of a surrogate's results has in its name: "", or "_smoothed_zeroth_biased".
+// Returns the part of a file name for a surrogate's results: "", or "_smoothed_zeroth_biased".
 std::string FileSuffix(const std::optional<Surrogate>& surrogate);
 
 // Adds the keys surrogate, biased and, of a smoothed one, smoothing; none without a surrogate.
 void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item);
-// The same, and the key biased of a model whose options bias the derivative.
+// Adds these keys, and the key biased for a model whose options bias the derivative.
 void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item);
 
 // A boolean as "yes" or "no", finite numbers and text as they are, of a list or an object its size; else empty.

@@ -351,7 +351,7 @@ class ExactMotion {
       const double time = events[i].touch.time, instant = start_ + way.step() * h + time;
       while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
       if (time - now > kOneInstant * h) {
-        // What is left for the end of the flight (time_grid.h) happens with the next one.
+        // The remainder at the end of the flight (time_grid.h) is added to the next flight.
         before = flight_.Fly(before, way.force(), time - now);
         recorder_.Add(instant, before, size_);
         now = time;

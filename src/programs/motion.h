@@ -21,7 +21,7 @@ struct TouchSpan {
 struct Motion {
   std::vector<double> times;   // s, never falling; where velocities jump the instant stands twice, before and after
   std::vector<double> states;  // times.size() x B x 4
-  // Of scenes with discs that spin, angle and angular velocity: times.size() x B x 2; else empty.
+  // In scenes with discs that spin, angle and angular velocity: times.size() x B x 2; else empty.
   std::vector<double> rotations = {};
   // Between two times accelerations are constant: positions are the cubic that states at both ends determine.
   bool arcs = false;

@@ -27,7 +27,7 @@ constexpr size_t kMostNames = 4;
 
 std::atomic<bool> interrupt_said{false};  // once is enough, whatever else is left out
 
-// What the threads share with whom waits for them, and keep when that one has left.
+// Data that the threads share with the one that waits for them; they keep it when that one has left.
 struct Board {
   struct Entry {
     std::string name, note;

@@ -14,7 +14,7 @@
 
 namespace saltus {
 
-// What a job calls to say, for a person, what it is at.
+// Called by a job to report, for people, its present work.
 using SayNote = std::function<void(const std::string& note)>;
 using Job = std::function<void(int index, const SayNote& say)>;
 
@@ -34,8 +34,8 @@ struct JobsEnd {
 // go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
-// The same for jobs that use what does go away: if they do not come back, the process ends here, with the exit code of
-// a failed answer, whatever another job has thrown. Throws what a job has thrown. True if all are done.
+// Runs jobs that use data of the caller: if they do not return, the process ends here, with the exit code of a failed
+// answer, whatever another job has thrown. Throws what a job has thrown. Returns true if all are done.
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 template <typename Result>

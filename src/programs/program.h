@@ -1,4 +1,4 @@
-// What all programs share: flags, the scene they describe, exit codes, memory, pages.
+// The common parts of all programs: flags, the scene they describe, exit codes, memory, pages.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,7 @@
 
 namespace saltus {
 
-// What is said when memory runs out.
+// The message when memory runs out.
 inline constexpr char kMemoryRanOut[] = "memory ran out";
 
 // RunMain holds some memory back. The first allocation that fails gives it back and throws std::bad_alloc, so that
@@ -72,7 +72,7 @@ struct InputError : std::runtime_error {
 // The name of no solver, --solver=none.
 inline constexpr char kNoSolver[] = "none";
 
-// What --feedback asks for.
+// The options of --feedback.
 struct FeedbackOptions {
   // The regulator minimizes the integral of state |dx|^2 + control |du|^2, plus final |dx|^2 at the end, in SI units.
   double state = 10, control = 1e-3, final = 10;
@@ -84,7 +84,7 @@ struct FeedbackOptions {
   std::uint64_t seed = 1;
 };
 
-// What the common flags ask for.
+// The options of the common flags.
 struct Request {
   Scene scene;
   std::vector<std::string> contacts;
@@ -132,7 +132,7 @@ void DoAll(const std::vector<std::function<void()>>& parts);
 // list and returns false: the program is done.
 bool ReadRequest(const ProgramDefaults& defaults, Request* request);
 
-// What flags say in place of the scene. Throws InputError if that is impossible.
+// Replaces parts of the scene by the values of flags. Throws InputError if that is impossible.
 void ApplySceneFlags(Scene* scene);
 
 // The parts of ReadRequest, for programs without a scene.

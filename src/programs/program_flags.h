@@ -34,12 +34,12 @@ Program HybridProblemProgram(const std::string& path);
 // Without values: "scene", "json".
 std::vector<std::string> FlagNames(const Program& program);
 
-// What -h and --help print, in lines of at most `width` columns: the program's own flags, with what gflags knows of
-// them.
+// Returns the text of -h and --help, in lines of at most `width` columns: the program's flags, with their types and
+// defaults from gflags.
 std::string HelpText(const Program& program, size_t width);
 
-// What is wrong with a flag that was found on the command line, whether gflags knows it or not: no program has it, or
-// others than this. Empty if the program takes it, and for those of glog and gflags. `name` is without dashes.
+// Returns the error of a flag on the command line, whether gflags has it or not: no program has it, or only others than
+// this one. Empty if the program takes it, and for flags of glog and gflags. `name` is without dashes.
 std::string WhyNoFlagOf(const Program& program, std::string_view name);
 
 }  // namespace saltus

@@ -25,21 +25,21 @@ using Remarks = std::vector<Remark>;
 // [{"kind", "text"}, ...]
 Json RemarksToJson(const Remarks& remarks);
 
-// Of a motion that was simulated exactly, or could not be.
+// Remarks on a motion that was simulated exactly, or could not be.
 Remarks RemarksOn(const ExactRun& exact);
 // Whether the last rollout of a simulator has ties or unresolved steps, so that there may be remarks on it. Cheap.
 bool MayHaveRemarks(const Simulator& simulator);
-// Of the last rollout of a simulator, from an initial state (simulator.h) under its control: ties are simulated in
-// other orders, which takes as many rollouts, and only those that change the motion are reported. Empty for models that
-// resolve no events.
+// Remarks on the last rollout of a simulator, from an initial state (simulator.h) under its control: ties are simulated
+// in other orders, which takes as many rollouts, and only those that change the motion are reported. Empty for models
+// that resolve no events.
 Remarks RemarksOn(const Simulator& simulator, const std::vector<double>& initial, const std::vector<double>& control,
                   const StopRequest& stop = nullptr);
-// Of a loss and its gradient. Precondition: gradient.ok().
+// Remarks on a loss and its gradient. Precondition: gradient.ok().
 Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient);
-// Of a run of a solver, or of a simulation.
+// Remarks on a run of a solver, or on a simulation.
 Remarks RemarksOn(const SolvedRun& run);
-// Of the last motion of a hybrid system, which succeeded, and, if it is known, of its integration error, which should
-// be at most `tolerance`, but for rounding.
+// Remarks on the last motion of a hybrid system, which succeeded, and on its integration error, if that is known: it
+// should be at most `tolerance`, up to rounding.
 Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error = std::nullopt,
                   double tolerance = 0);
 

@@ -27,7 +27,7 @@ namespace {
 constexpr size_t kState = 4;
 constexpr size_t kTurning = 6;  // with angle and angular velocity
 
-// Of such a model the exact motion is its own.
+// Whether the motion of a contact model is the exact motion.
 bool IsExact(const std::string& contact) {
   const ModelTraits* model = FindContactModel(contact);
   return model != nullptr && model->event_driven;

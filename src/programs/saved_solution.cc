@@ -130,7 +130,7 @@ class SolutionReader : InputReader {
     SetAngularVelocities(spins->get<std::vector<double>>());
   }
 
-  // Of `initial_state`, which begins as the scene's: entry 1 of each rotation.
+  // Sets entry 1 of each rotation of `initial_state`, which begins as the scene's.
   void SetAngularVelocities(const std::vector<double>& numbers) {
     if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
     const size_t moves = 4 * scene_.bodies.size();

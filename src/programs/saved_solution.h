@@ -20,7 +20,7 @@ struct SavedSolution {
 // are not those of the scene.
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene);
 
-// The same of JSON that is not in a file; `name` begins messages.
+// Parses JSON that is not in a file; messages begin with `name`.
 SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene);
 
 // Takes over the velocities or positions that the scene leaves free. Throws InputError if the others are not those of

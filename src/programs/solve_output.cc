@@ -36,7 +36,7 @@ bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_d
 
 using enum Certificate::Verdict;
 
-// Of a control at which the loss does not change to first order.
+// Says what a stationary control means: the loss does not change to first order.
 std::string MeaningOfStationary(const Certificate& certificate) {
   if (certificate.initial) return "to first order no change of what is optimized lowers the loss";
   const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
@@ -54,8 +54,8 @@ std::string MeaningOfStationary(const Certificate& certificate) {
   return "";
 }
 
-// What the conditions of the certificate are off by, relative: under its verdict, the worst of them. Nothing if there
-// is nothing to certify.
+// Returns the relative residual of the certificate: the worst one under its verdict, std::nullopt if there is nothing
+// to certify.
 std::optional<double> ResidualOf(const Certificate& certificate) {
   switch (certificate.verdict) {
     case kStationaryOnGrid:
@@ -80,7 +80,7 @@ std::optional<double> ResidualOf(const Certificate& certificate) {
 
 bool HasCurvature(const Certificate& certificate) { return certificate.IsStationary() && certificate.curvature; }
 
-// What the verdict says of the control, in a sentence or two.
+// Explains the verdict about the control, in a sentence or two.
 std::string MeaningOf(const Certificate& certificate) {
   switch (certificate.verdict) {
     case kNotStationary:
@@ -162,7 +162,7 @@ Json StateToJson(const double* x, const double* rotations, size_t bodies) {
   return state;
 }
 
-// Of numbers in the shape of an initial state.
+// Converts numbers in the layout of an initial state.
 Json StateToJson(const std::vector<double>& x, size_t bodies) {
   return StateToJson(x.data(), x.size() > kState * bodies ? &x[kState * bodies] : nullptr, bodies);
 }
@@ -196,7 +196,7 @@ std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {
   return nodes;
 }
 
-// Of the run's own model at the nodes of its control, and of exact dynamics.
+// The motion of the run's contact model at the nodes of its control, and that of exact dynamics.
 struct Motions {
   Motion own, exact;
 };
@@ -532,7 +532,7 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
                       "from impact to impact.");
 }
 
-// Of the impacts of a certified run: times, speeds, and what the conditions of the minimum principle give.
+// Adds the impacts of a certified run: times, speeds, and the multipliers and residuals of the minimum principle.
 void AddImpacts(const Scene& scene, const std::vector<const SolvedRun*>& runs, Page* page) {
   if (runs.empty() || !runs[0]->certificate || runs[0]->certificate->impacts.empty()) return;
   page->AddTable(TableOf(Json::array({CertificateToJson(scene, *runs[0]->certificate)}),
@@ -725,8 +725,8 @@ RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Pre
   return outcome;
 }
 
-// The same of the exact model, from its motion with time-stepping fallbacks. Nothing if the loss is not a function of
-// the final state and of a control with equal steps.
+// Returns the rollout of the exact model, from its motion with time-stepping fallbacks. Returns std::nullopt if the
+// loss is not a function of the final state and of a control with equal steps.
 std::optional<RolloutOutcome> OutcomeOf(const ExactRun& exact, const Scene& scene, const SolveReport& report) {
   const Objective& objective = scene.objective;
   const std::size_t numbers = InitialControl(scene, scene.steps).size();

@@ -56,7 +56,7 @@ Table CertificateTable(const SolvedRuns& solved);
 // Whether any row of that table has a curvature.
 bool HasCurvatures(const SolvedRuns& solved);
 
-// Those of the runs that have one, by the label of the run.
+// Returns the feedback studies of the runs that have one, by the label of the run.
 NamedStudies StudiesOf(const SolvedRuns& solved);
 
 // Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.

@@ -8,7 +8,7 @@
 
 namespace saltus {
 
-// What is wrong with its sizes and numbers for the scene; empty if nothing is.
+// Checks the sizes and numbers of a guess for the scene; returns an error, empty if it is valid.
 std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene);
 
 // The lengths of its intervals, and their sum.

@@ -52,7 +52,7 @@ namespace {
 
 constexpr int kLeastShare = 200;  // iterations that a solver may take, if so many are left; else half of these
 
-// What to do about a solve that has ended without an optimum; empty if it has one or was interrupted.
+// Returns the remedy for a solve that has ended without an optimum; empty if it has one or was interrupted.
 std::string RemedyFor(const SolveReport& report) {
   switch (report.termination) {
     case Termination::kIterationLimit:

@@ -56,7 +56,7 @@ Termination Judge(const CeresOutcome& outcome) {
   return outcome.type == ceres::NO_CONVERGENCE ? Termination::kIterationLimit : Termination::kNoProgress;
 }
 
-// What Ceres says of itself is about its own thresholds.
+// Describes how a solve ended. Reports of Ceres are not used, as they refer to its internal thresholds.
 std::string Describe(Termination termination, const CeresOutcome& outcome) {
   switch (termination) {
     case Termination::kConverged:

@@ -1,6 +1,6 @@
-// What solvers by single shooting do around their algorithm: bind the model to the scene, take the time, collect
-// losses, ask the callback, write the report; and what those by Ceres share: tolerances, the callback, and what it
-// means that Ceres has stopped.
+// The frame of solvers by single shooting: it binds the model to the scene, takes the time, collects losses, asks the
+// callback, writes the report; and common parts of those by Ceres: tolerances, the callback, and the meaning of its
+// termination.
 #pragma once
 
 #include <ceres/iteration_callback.h>
@@ -46,7 +46,7 @@ class ShootingRun {
                      std::optional<double> final_loss = {});
 
  protected:
-  // What is to be said of the motion from z, where a run has ended so; empty if nothing is.
+  // Returns a remark on the motion from z, where a run has ended so; empty if there is none.
   virtual std::string RemarkOn(std::span<const double> z, Termination termination) = 0;
 
   const SolverOptions& options_;
@@ -58,7 +58,7 @@ class ShootingRun {
   int num_estimates_ = 0;
 };
 
-// The same for a scene.
+// The frame of a solve of a scene.
 class SolveRun final : public ShootingRun {
  public:
   // Preconditions as those of MakeSimulator.

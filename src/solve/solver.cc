@@ -73,7 +73,7 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
   return "";
 }
 
-// What only a solver with constraints and states on the way can take.
+// Returns the parts of a scene that require a solver with constraints and states along the motion, as a reason.
 std::string WhyNotPlain(const Scene& scene) {
   const std::string found = BeyondTerminalCost(scene);
   return found.empty() ? "" : "the scene has " + found + ", which ceres_phases takes";

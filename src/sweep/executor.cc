@@ -244,7 +244,7 @@ Status RunPoints(const SweepStudy& study, const std::vector<int64_t>& points, Sw
                  SweepStore* store, Progress* progress) {
   std::map<int64_t, Clock::time_point> at_work;
   for (size_t next = 0; next < points.size() || executor->HasBusy();) {
-    // What workers have answered by then is stored after an interrupt, too.
+    // Points that workers have finished by then are stored after an interrupt, too.
     const bool interrupted = InterruptGuard::Interrupted();
     for (; !interrupted && next < points.size() && executor->HasRoom(); ++next) {
       executor->Start(points[next]);

@@ -1,5 +1,5 @@
-// What computes the points of a sweep (worker processes of this machine, or those and the ranks of a cluster), and the
-// loop that hands points to it and stores what comes back.
+// The executors of the points of a sweep (worker processes of this machine, or those and the ranks of a cluster), and
+// the loop that hands points to them and stores the results.
 #pragma once
 
 #include <sys/types.h>
@@ -141,7 +141,7 @@ class SweepCluster {
 // The job that mpirun started, or nothing if this program was started by itself. Throws InputError if it was built
 // without MPI and started by mpirun. Precondition: called at most once.
 std::unique_ptr<SweepCluster> JoinCluster();
-// The same of a job that is known to be one; only if this was built with MPI (mpi_cluster.cc).
+// Joins the cluster of an MPI job; only if this was built with MPI (mpi_cluster.cc).
 std::unique_ptr<SweepCluster> JoinMpi();
 
 // One of several parts of a study: the points whose number leaves the remainder index - 1 when divided by count.

@@ -118,7 +118,7 @@ class Results {
   std::vector<std::string> varied_;
 };
 
-// What a curve or a map belongs to.
+// The contact model and solver that a curve or a map belongs to.
 struct Method {
   std::string contact, solver;
   auto operator<=>(const Method&) const = default;
@@ -313,7 +313,7 @@ class ColourScale {
     return RampColour(span > 0 ? (At(value) - At(extent_.least)) / span : 0.0);
   }
 
-  // What the legend shows, from the largest value down.
+  // Returns the entries of the legend, from the largest value down.
   std::vector<Series> Levels() const {
     std::vector<Series> levels;
     for (int i = kLevels; i-- > 0;) {

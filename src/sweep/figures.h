@@ -1,4 +1,4 @@
-// What a sweep shows at a glance. Which figures there are follows from which numbers were varied.
+// The figures of a sweep. Which figures there are follows from which numbers were varied.
 #pragma once
 
 #include <string>

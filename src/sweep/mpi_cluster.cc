@@ -101,7 +101,7 @@ int64_t UnpackPoint(const std::string& bytes) {
   return point;
 }
 
-// What a rank says of itself: how many points at a time, and of which study.
+// Returns the greeting of a rank: how many points it takes at a time, and of which study.
 std::string Hello(const SweepStudy& study, int workers) {
   return PackPoint(workers) + PackPoint(static_cast<int64_t>(std::hash<std::string>()(study.Description())));
 }
@@ -347,7 +347,7 @@ void MpiCluster::Send(int rank, int tag, std::string bytes) {
 
 void MpiCluster::SayAlive(int rank) {
   ForgetSent();
-  // What has not been taken yet will do.
+  // A message that has not been taken yet serves as a sign of life too.
   const bool waits = std::ranges::find(outgoing_, rank, &Outgoing::rank) != outgoing_.end();
   if (!waits) Send(rank, kAlive, "");
 }

@@ -1,4 +1,4 @@
-// What a sweep can vary: every numeric flag of the programs, some numbers of the scene, the contact model, the solver
+// The options of a sweep: every numeric flag of the programs, some numbers of the scene, the contact model, the solver
 // and the precision; or the scene itself, by the seed of a control problem (scene/control_problems.h).
 //
 // Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,

@@ -18,7 +18,7 @@ int64_t CountStatus(const std::vector<StoredPoint>& points, PointStatus status) 
   return std::ranges::count_if(points, [&](const StoredPoint& point) { return point.result.status == status; });
 }
 
-// What is text in no row is a column of numbers.
+// Whether a column has text in some row; other columns have numbers.
 bool IsTextColumn(const std::vector<StoredPoint>& points, size_t column) {
   return std::ranges::any_of(points, [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
 }
@@ -137,7 +137,7 @@ namespace {
 constexpr double kSame = 1e-6;   // relative, of losses
 constexpr double kZero = 1e-12;  // a loss so small is none
 
-// What the points of one solver and kind have in common.
+// The counts over the points of one solver and kind.
 struct Tally {
   int problems = 0, solved = 0, worse = 0, without = 0;
   std::vector<double> seconds;

@@ -88,8 +88,8 @@ void AppendFeedback(const Json& feedback, SweepRow* row) {
   }
 }
 
-// Of a solution, in one thread: points are computed in several processes. A reason why there is none is added to an
-// empty remark.
+// Appends the feedback study of a solution, in one thread: points are computed in several processes. A reason why there
+// is none is added to an empty remark.
 void AppendFeedback(const Request& request, const Scene& scene, const std::vector<double>& initial,
                     const std::vector<double>& control, const std::vector<double>& durations, SweepRow* row,
                     std::string* remark) {

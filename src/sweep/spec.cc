@@ -215,7 +215,7 @@ class SpecParser {
     const bool whole = FindSweepOption(block->options[0], scene_) == SweepOptionKind::kInteger;
     for (int i = 0; i < count; ++i) {
       const double t = count > 1 ? i / (count - 1.0) : 0.0;
-      // What rounding makes of a power of ten within a logarithmic range is that power again.
+      // Powers of ten within a logarithmic range are exact in spite of rounding.
       double value = RoundedTo(15, log ? first * std::pow(last / first, t) : first + t * (last - first));
       if (i > 0 && i + 1 == count) value = last;  // not what rounding makes of it
       if (whole) value = std::round(value);

@@ -37,7 +37,7 @@ std::vector<std::string> Lines(const std::string& text) {
   return lines;
 }
 
-// As the flag --sequence has it.
+// Returns the sequence as a value of the flag --sequence.
 std::string SequenceText(const Request& request) {
   if (request.options.sequence) return ContactSequenceToString(request.scene, *request.options.sequence);
   return request.options.search ? "auto" : "fixed";
@@ -49,7 +49,7 @@ std::string ValueAt(const Json& document, const std::string& pointer) {
   return document.contains(place) ? document[place].dump() : "nothing";
 }
 
-// Of a simulator nothing is known.
+// Whether the derivative of a contact is biased, which is not known for simulators.
 bool IsBiasedContact(const std::string& contact) {
   return FindSimulator(contact) == nullptr && HasBiasedDerivative(contact);
 }

@@ -28,8 +28,8 @@ struct PointResult {
   bool operator==(const PointResult&) const = default;
 };
 
-// As bytes (CBOR, RFC 8949), to send between processes; every double keeps its bits. Precondition of the latter: bytes
-// that the former made.
+// Converts results to bytes (CBOR, RFC 8949), to send between processes; every double keeps its bits. Precondition of
+// the latter: bytes that the former made.
 std::string Encode(const PointResult& result);
 PointResult DecodePointResult(const std::string& bytes);
 
@@ -60,7 +60,7 @@ class SweepStudy {
   // The values of options() at a point. Precondition, here and below: 0 <= point < size().
   SweepRow Values(int64_t point) const;
 
-  // What to compute at a point: one contact model and, if solving, one solver. Throws InputError, with key and
+  // Returns the task at a point: one contact model and, if solving, one solver. Throws InputError, with key and
   // expectation, if the values make no valid scene or are impossible for a solver.
   Request At(int64_t point) const;
 

@@ -63,7 +63,7 @@ void CheckFlags() {
   if (FLAGS_merge && !FLAGS_shard.empty()) throw InputError("--merge takes all shards, expected no --shard with it");
 }
 
-// What must be true of a store for the sweep to go on: whatever is wrong is for the user to put right.
+// Throws InputError if the store cannot be used: the user has to correct the reason before the sweep can go on.
 template <typename T>
 T OrInputError(StatusOr<T> result) {
   if (!result.ok()) throw InputError(result.status().message());

@@ -133,7 +133,7 @@ bool Holds(const ContactProblem& problem, const std::string& status, const Tried
   return true;
 }
 
-// What a contact may be, the possibility that shall be named first if several are one.
+// Returns the possible states of a contact; the first one is named if several satisfy the conditions.
 std::string PossibilitiesOf(const ContactProblem& problem, int contact) {
   if (!problem.has_friction[contact]) return "no";
   if (problem.sliding[contact] != 0) return problem.sliding[contact] > 0 ? "+o" : "-o";

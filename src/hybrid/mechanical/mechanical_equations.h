@@ -49,7 +49,7 @@ class MassMatrix {
   Eigen::Matrix<double, Eigen::Dynamic, Right::ColsAtCompileTime> Solve(const Eigen::MatrixBase<Right>& right) const {
     if (!is_diagonal_) return cholesky_.solve(right);
     Eigen::Matrix<double, Eigen::Dynamic, Right::ColsAtCompileTime> solution = right;
-    // As the factorization does it, to the last bit.
+    // These are the operations of the factorization, in its order, so that the bits are the same.
     if constexpr (Right::ColsAtCompileTime == 1) {
       solution.array() = solution.array() / roots_.array() / roots_.array();
     } else {
@@ -144,8 +144,8 @@ class MechanicalEquations {
   };
   Derivative AccelerationDerivative(const System& system, const std::vector<ClosedContact>& closed, const Seeds& seeds,
                                     const Eigen::VectorXd& a, const Eigen::VectorXd& force) const;
-  // The same of an impact, M (v+ - v) = F f + known impulses with G v+ = -E G v. Closed contacts without a restitution
-  // in it have e = 0.
+  // Solves the equations of an impact, M (v+ - v) = F f + known impulses with G v+ = -E G v. Closed contacts without a
+  // restitution in it have e = 0.
   struct KnownImpulse {
     int contact = 0;
     Jet normal;
@@ -168,7 +168,7 @@ class MechanicalEquations {
  private:
   // Whether M depends on q or p.
   bool MassVaries(const Point& at) const;
-  // What the rows of a contact depend on, as indices in [q p].
+  // Returns the coordinates and parameters that the rows of a contact depend on, as indices in [q p].
   std::vector<int> ReadsOf(int contact, const Point& at) const;
   // Whether the seeds of any of these, of the coordinates and parameters, are not zero.
   bool Vary(std::span<const int> reads, const Seeds& seeds) const;
@@ -182,7 +182,7 @@ class MechanicalEquations {
   // Calls use(first, width, q, p) for each pass over the coordinates, of which those from `first` on have the seeds.
   template <typename Use>
   void ForEachPass(const Point& at, const Use& use) const;
-  // Of the functions from here on that return or change Jets, the derivatives alone count.
+  // The functions below return or change Jets of which only the derivatives are used.
   // Adds M a.
   template <typename S>
   void AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const;

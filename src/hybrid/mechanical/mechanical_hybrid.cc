@@ -442,7 +442,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     impact.impulse += solutions[0].force;
     impact.v_plus = Moved(impact.contacts, impact.impulse, at);
   }
-  // What closes.
+  // Finds the contacts that close.
   impact.next = mode.status;
   const Eigen::VectorXd after = impact.After();
   Closing closing;
@@ -583,7 +583,7 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
       jet.v = motion.derivatives[pass].force.row(static_cast<Eigen::Index>(row)).transpose();
     return jet;
   };
-  // Of the rows of the contact.
+  // Rows of the contact among those of the closed ones.
   std::size_t normal = 0, tangential = mode.closed.size();
   for (std::size_t i = 0; i < mode.closed.size(); ++i) {
     if (mode.closed[i].contact == contact) {
@@ -869,7 +869,7 @@ MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
                                                            const MechanicalEquations::Seeds& seeds,
                                                            const Point& at) const {
   const bool poisson = impact.v_compressed.size() > 0;
-  // Of one stage: contacts whose impulses are unknown in it, with these, and what is known.
+  // One stage of an impact: the contacts with unknown impulses, these impulses, and the known ones.
   struct Stage {
     std::vector<ClosedContact> closed;
     std::vector<char> has_restitution;
@@ -1006,7 +1006,7 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
   return boundary;
 }
 
-// Of resets, the contact of the guard alone changes; of jumps of the control, one closed contact.
+// A reset changes the contact of the guard alone; a jump of the control changes one closed contact.
 std::vector<int> MechanicalHybrid::NextModes(int mode, int guard, const double* p) const {
   const Mode of = ModeAt(mode);
   std::vector<int> next;

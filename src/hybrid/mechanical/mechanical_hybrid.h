@@ -51,7 +51,7 @@ class MechanicalHybrid final : public HybridFunctions {
   // Whether it is a status of contacts of this system.
   bool IsStatus(const std::string& status) const;
 
-  // What an impact does. It happens in stages, each of which is linear: one, or of Poisson's law two.
+  // The result of an impact. It has stages, each of which is linear: one, or two with Poisson's law.
   struct Impact {
     std::string why;            // there is none; the rest is empty
     std::vector<int> contacts;  // that take part
@@ -65,7 +65,7 @@ class MechanicalHybrid final : public HybridFunctions {
     std::vector<char> rebounds;  // of these: v_n+ > 0, as its restitution is
     bool ends_bouncing = false;
     std::string next;  // status of all contacts after it
-    // Of Poisson's law: what compression has left.
+    // With Poisson's law: the state after compression.
     std::string compressed;
     Eigen::VectorXd compression, v_compressed;
 
@@ -159,8 +159,8 @@ class MechanicalHybrid final : public HybridFunctions {
   }
   // W and the velocities or accelerations of contacts, as in ContactProblem.
   ContactProblem ProblemOf(const std::vector<int>& contacts, const Point& at) const;
-  // Of contacts that hit: their own; none; none, and all contacts that take part are held closed, and at rest where
-  // they are slow.
+  // The restitution of contacts that hit: the given one; none; or none, and all contacts that take part are held
+  // closed, and at rest where they are slow.
   enum class Restitution { kOwn, kNone, kNoneAndHeld };
   Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;

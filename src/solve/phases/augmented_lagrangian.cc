@@ -310,8 +310,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
     const double most = LargestWeight();
-    // Of two inequalities that are nearly the same, as at a touch on the node between two steps, one has all of the
-    // multiplier of both in the end. It would get there by their difference times the weight in each solve.
+    // Two inequalities that are nearly the same, as at a touch on the node between two steps, end with the multiplier
+    // of both on one of them. Each solve would move it there by their difference times the weight only.
     const bool nearly = result.violation > options.tolerance && result.violation <= kNearlyMet;
     const bool stalled = weights_.inequality >= most && result.violation > kStalled * open_before;
     if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers();

@@ -25,8 +25,8 @@
 
 namespace saltus {
 
-// What the rows of a function are, in this order: equalities, inequalities, costs that are values, and then costs that
-// are squares of rows.
+// The roles of the rows of a function, in this order: equalities, inequalities, costs that are values, and then costs
+// that are squares of rows.
 struct RowRoles {
   int equalities = 0;
   int inequalities = 0;

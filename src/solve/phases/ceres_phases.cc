@@ -18,7 +18,7 @@ using Algorithm = AugmentedLagrangian::Algorithm;
 constexpr double kSameTime = 1e-6;  // of the horizon
 constexpr double kNoLoss = 1e-9;    // relative: of the loss, that the last digits may cost
 
-// Of a real motion: impacts and the instants of via terms, and how many steps lie between.
+// The phases of a motion: its impacts and the instants of via terms, and the number of steps between them.
 struct Phases {
   std::vector<PhaseCut> cuts;
   std::vector<int> steps;

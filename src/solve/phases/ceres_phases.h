@@ -23,7 +23,7 @@ std::string WhyNotInteriorPoint(const SolveRequest& request);
 // That under exact contact, of the request that `run` is of, from its motion.
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);
 
-// What it cannot take; empty if it can.
+// Returns the reason why the solver does not support a request; empty if it does.
 std::string WhyNotPhases(const SolveRequest& request);
 
 }  // namespace saltus

@@ -114,7 +114,7 @@ class HybridPhaseRun::Transcriber {
   }
 
  private:
-  // Of systems whose modes depend on the control, nodes are on the sides of the events where they belong.
+  // Moves nodes to the sides of the events where they belong, for systems whose modes depend on the control.
   void DelayNodes(const HybridTranscription& transcription, HybridMotion* motion) const {
     const std::vector<double> times = transcription.CutTimes();
     if (!run_.problem_.system.functions().CreatesModes()) return;
@@ -175,7 +175,7 @@ std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
                 "distinct times only");
 }
 
-// Of the last motion.
+// Finds the scales of the last motion.
 void HybridPhaseRun::FindScales() {
   const HybridSystem& system = problem_.system;
   const HybridSimulator& simulator = shooting_->simulator();

@@ -59,7 +59,7 @@ class HybridPhaseRun final : public SequenceRun {
   // Why there is nothing to start from, as a report; otherwise nothing.
   std::optional<SolveReport> WhyNotStart();
 
-  // What the motion depends on.
+  // Returns the input on which the motion depends.
   HybridInput InputOf(const HybridMotion& motion) const;
   void Simulate(HybridMotion* motion) const;
   double ViolationOf(const HybridMotion& motion) const;

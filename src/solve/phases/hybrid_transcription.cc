@@ -15,9 +15,9 @@ using Matrix = RungeKutta::Matrix;
 
 constexpr double kGain = 1e-14;        // of the last solve: certificates ask for conditions of first order to 1e-6
 constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
-// Of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep every iterate
-// near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5 on the ball
-// of hybrid iLQR).
+// The weight of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep
+// every iterate near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5
+// on the ball of hybrid iLQR).
 constexpr double kFirstWeight = 10;
 constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
 constexpr double kCostOfViolation = 1e-3;  // of other costs, where only violations count
@@ -329,7 +329,7 @@ class LengthRow final : public Rows {
   double size_;
 };
 
-// Of the components of a block, in the order of the bounds.
+// Returns the bounds of the components of a block, in the order of the bounds.
 std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const std::vector<double>& min,
                                        const std::vector<double>& max) {
   std::vector<BoundRows::Bound> bounds;

@@ -126,8 +126,8 @@ class TranscribedPlan {
 
  private:
   static constexpr int kMostIterations = 400;  // of one solve
-  // Of the scale of gaps: by so much gaps stay open that must not close, and the earlier of events at the same time
-  // come early, until rounding does not decide any more what the roll-out does.
+  // Relative to the scale of gaps: gaps that must not close stay open by so much, and the earlier of events at the same
+  // time come early by so much, until rounding no longer decides the roll-out.
   static constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
 
   void GoOnFrom(const PlanAttempt& attempt) {

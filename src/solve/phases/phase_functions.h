@@ -10,7 +10,7 @@
 
 namespace saltus {
 
-// Of blocks whose number is known as the program runs.
+// Makes a cost function with a number of blocks that is known as the program runs.
 template <typename Function>
 std::unique_ptr<ceres::CostFunction> Dynamic(Function function, int rows, std::span<const int> block_sizes) {
   constexpr int kStride = 4;  // derivatives in one pass
@@ -21,7 +21,7 @@ std::unique_ptr<ceres::CostFunction> Dynamic(Function function, int rows, std::s
   return cost;
 }
 
-// Of Function::kRows rows and these blocks.
+// Makes a cost function of Function::kRows rows and these blocks.
 template <int... kBlocks, typename Function>
 std::unique_ptr<ceres::CostFunction> Sized(Function function) {
   constexpr int kRows = Function::kRows;

@@ -1,4 +1,4 @@
-// What a solve along a given sequence of events is asked for, where it begins and what it finds; whatever the system.
+// The task of a solve along a given sequence of events, its start and its result, for any kind of system.
 //
 // Solvers along sequences of events (phase_attempt.h, sequence_mending.h, search/phase_search.h) know a problem as a
 // run, a class Run with
@@ -25,7 +25,7 @@
 
 namespace saltus {
 
-// What happens in which order.
+// The events of a motion in their order.
 template <typename Event>
 struct PlanOf {
   std::vector<std::optional<Event>> cuts;   // between phases: an event; none: an instant that an objective names
@@ -55,7 +55,7 @@ struct PlanStartOf {
   Motion trial;               // a real motion, or one that a solve stood at when it left its sequence
 };
 
-// What a solve along a plan finds.
+// The result of a solve along a plan.
 template <typename Motion>
 struct PlanAttemptOf {
   bool valid = false;          // all else is filled

@@ -127,7 +127,7 @@ void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, dou
 
 void PhaseRotations::CopyInitial(std::vector<double>* initial) const {
   for (size_t i = 0; i < scene_.bodies.size(); ++i) {
-    // What is held keeps every bit.
+    // A rotation that is held keeps every bit.
     const bool is_free = initial_[i] >= 0 && IsFree(static_cast<int>(i));
     if (is_free) (*initial)[4 * scene_.bodies.size() + kSpin * i + 1] = At(initial_[i])[1] / scene_.bodies[i].radius;
   }

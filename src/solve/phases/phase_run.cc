@@ -17,7 +17,7 @@ namespace {
 constexpr double kMissWeight = 1e3;   // of hard constraints beside the loss, in natural units
 constexpr double kNearBorder = 1e-2;  // of the sliding velocity between slip and stick
 
-// Of a plan without its first impacts.
+// Returns the name of a plan without its first impacts.
 std::string NameFrom(const Scene& scene, const PhasePlan& plan, size_t first) {
   const ContactSequence sequence = plan.Sequence();
   std::string text = ContactSequenceToString(scene, {sequence.begin() + first, sequence.end()});
@@ -77,8 +77,8 @@ double ViolationOf(const Scene& scene, const Trial& trial) {
   return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
 }
 
-// The same, or the largest distance of the control from its bounds, if that is more; 0 if the scene and the user state
-// no constraints, whatever the motion.
+// Returns the largest violation, that of the bounds of the control included; 0 if the scene and the user state no
+// constraints, whatever the motion.
 double ViolationOfAll(const Scene& scene, const Trial& trial) {
   const bool any = scene.objective.HasConstraints() || !scene.no_contact.empty() || trial.own.violation > 0;
   double largest = any ? ViolationOf(scene, trial) : 0;

@@ -29,8 +29,8 @@ class DiscMotions {
   bool IsRealized(const Trial& trial, const ContactSequence& sequence, const std::vector<double>& times) const {
     return HasEvents(trial.exact, sequence, times, scene_->duration);
   }
-  // What is left of hard terms in the scene's units or of a user's constraints; infinite if the trial has not run, or
-  // what must not touch has.
+  // Returns the violation of hard terms in the scene's units, or of a user's constraints; infinite if the trial has not
+  // run, or if a pair that must not touch has.
   double ViolationOf(const Trial& trial) const;
   // The exact model moves an impact that is a little after a node there.
   double NodeMargin(const Trial& trial) const;

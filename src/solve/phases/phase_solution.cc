@@ -213,7 +213,7 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
 }
 
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
-  // Of the control, in the mean over time; or a force that moves a disc by its radius.
+  // The size of the control, in the mean over time; at least a force that moves a disc by its radius.
   double size = 0;
   const size_t width = scene.control_width();
   for (size_t i = 0; i < trial.control.size(); ++i) {

@@ -1,5 +1,5 @@
-// What the solvers on event phases share: where they start, one solve along a sequence, and whether its result is what
-// really happens.
+// Common parts of the solvers on event phases: their starts, one solve along a sequence, and the check that its result
+// is a motion in simulation.
 #pragma once
 
 #include <optional>
@@ -74,8 +74,8 @@ struct PhaseSolution {
 // no use. The last steps, to a zero of the costate conditions (hmp.h), may change the loss by the part `loss_change`.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
-// The same sequence with intervals moved from phases to those beside them, as long as that lowers the loss by the part
-// `least_gain` of it. What is optimal stays so. Precondition: best is valid, and best.trial.exact.ok.
+// Returns the solution with intervals moved from phases to those beside them, as long as that lowers the loss by the
+// part `least_gain` of it. An optimum stays one. Precondition: best is valid, and best.trial.exact.ok.
 PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
                           double least_gain);
 

@@ -324,7 +324,7 @@ void PhaseTranscription::AddBounds() {
   }
 }
 
-// What the objective asks of the nodes, and the final time.
+// Adds the terms of the objective that depend on nodes, and those of the final time.
 void PhaseTranscription::AddTerms() {
   const auto aim = [&](const auto& term, int node) {
     const double scale = term.hard ? 1.0 : std::sqrt(term.weight);

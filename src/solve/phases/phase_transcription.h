@@ -52,17 +52,17 @@ class PhaseTranscription {
 
   // The times of the cuts, and the final time.
   std::vector<double> CutTimes() const;
-  // Of the cuts: the normal velocity just before an impact, negative if closing; 0 of instants.
+  // Returns the normal velocity just before the impact at each cut, negative if closing; 0 for instants.
   std::vector<double> CutSpeeds();
   double Duration() const { return times_.back(); }
-  // As of a simulator.
+  // Returns the initial state, in the layout of a simulator's.
   std::vector<double> InitialState() const;
   // One row a step, and the steps' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
 
  private:
   using Node = std::array<double, 4>;
-  // Of the two sides of an impact; -1 of one that does not move.
+  // The nodes of the two sides of an impact; -1 for a side that does not move.
   struct ImpactNodes {
     std::array<int, 2> before = {-1, -1}, after = {-1, -1};
     std::array<int, 2> rotation_before = {-1, -1}, rotation_after = {-1, -1};  // -1: does not spin

@@ -42,7 +42,7 @@ inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one s
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
 inline constexpr double kGrazes = 1e-4;       // of the scale of speeds, at which an event wants to be none
 
-// What is tried first.
+// The order in which tasks are tried.
 enum class Rank { kBetterMotion, kIndicated, kTie, kHold };
 
 }  // namespace mending
@@ -202,7 +202,7 @@ class SequenceUpdate {
     return false;
   }
 
-  // What to go on with after a solve, best first.
+  // Returns the tasks that follow a solve, best first.
   std::vector<Task> Moves(const Task& task, const PlanAttempt& attempt, bool left) const {
     std::vector<Task> moves;
     const Trial& trial = attempt.trial;

@@ -1,5 +1,5 @@
-// What every solver along sequences of events does around its algorithm: time, collect losses, ask the callback, write
-// the report.
+// The frame of every solver along sequences of events: it takes the time, collects losses, asks the callback, and
+// writes the report.
 #pragma once
 
 #include <algorithm>
@@ -37,7 +37,7 @@ class SequenceRun {
 
  protected:
   SolveReport Refuse(Termination termination, std::string reason) const;
-  // Of a run that ends with a loss; all but the motion and what it misses.
+  // Sets the report of a run that ends with a loss, except for the motion and its violations.
   void FinishReport(double loss, Termination termination, std::string reason);
 
   const SolverOptions& options_;

@@ -19,7 +19,7 @@ constexpr int kMostDoublings = 12;  // of a control, until it moves what sticks
 using Sequence = std::vector<ModeEvent>;
 using Finding = FindingOf<HybridMotion>;
 
-// What is searched, for SequenceSearch.
+// The problem of a search, for SequenceSearch.
 class HybridSearch {
  public:
   using Run = HybridPhaseRun;
@@ -177,7 +177,7 @@ class HybridSearch {
     return Distinct(events);
   }
 
-  // Of modes that the guess meets, and of those that events lead to from there.
+  // Returns the events of modes that the guess meets, and of those that events lead to from there.
   Sequence EventsOfCreatedModes(Sequence events) const {
     const HybridFunctions& functions = problem_.system.functions();
     std::vector<int> modes = {problem_.guess.mode};
@@ -206,7 +206,7 @@ class HybridSearch {
     return distinct;
   }
 
-  // Of each control: within its bounds, or what changes the state by its size within the duration.
+  // Returns the size of each control: within its bounds, or the one that changes the state by its size in the duration.
   std::vector<double> ControlSizes() const {
     const HybridProblem& problem = run_.problem();
     const HybridInput& guess = problem.guess;

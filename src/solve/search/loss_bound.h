@@ -27,9 +27,9 @@ class LossBound {
   // Precondition: WhyNotEventPhases is empty.
   explicit LossBound(const Scene& scene);
 
-  // Of all motions.
+  // The bound for all motions.
   double lowest() const { return lowest_; }
-  // Of those along a sequence: of those without an impact of a pushed disc, or of those with this first one.
+  // The bound for motions along a sequence: those without an impact of a pushed disc, or those with this first one.
   double Along(const ContactSequence& sequence) const;
 
  private:

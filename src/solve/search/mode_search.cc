@@ -241,7 +241,7 @@ class ModeSearch : LimitedSearch {
     return true;
   }
 
-  // What is solved next: the moves of mending come first, then what they do not reach.
+  // Returns the next task: first those of updates of sequences, then those that updates do not reach.
   std::optional<SearchTask> Next() {
     if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
     if (auto mend = MendBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
@@ -320,7 +320,7 @@ class ModeSearch : LimitedSearch {
     WorkOff([&] { return std::exchange(mend, std::nullopt); });
   }
 
-  // What a solve has found, and that nothing has cut it short.
+  // The result of a solve, and whether nothing has cut it short.
   struct Outcome {
     SearchFinding finding;
     bool whole = false;
@@ -506,7 +506,7 @@ class ModeSearch : LimitedSearch {
     return best_is_optimum ? Termination::kConverged : Termination::kNoProgress;
   }
 
-  // What is known of the best optimum.
+  // Sets the certificate of the best optimum.
   void Certify() {
     if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
     certificate_->sequences_searched = searched_.sequences;

@@ -38,7 +38,7 @@ namespace saltus {
 // way (phase_search.h). Precondition: WhyNotModeSearch is empty.
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options);
 
-// What it cannot take; empty if it can.
+// Returns the reason why the solver does not support a request; empty if it does.
 std::string WhyNotModeSearch(const SolveRequest& request);
 
 }  // namespace saltus

@@ -20,7 +20,7 @@ namespace {
 
 using Finding = FindingOf<Trial>;
 
-// Of ceres_phases.
+// Constants of random starts, for searches by ceres_phases.
 constexpr int kStarts = 8;  // at random
 constexpr int kIntervalsOfStarts = 60;
 constexpr double kPromising = 1.3;  // times the loss of an optimum, that of a start which may lead to a better one
@@ -43,7 +43,7 @@ Scene Relaxed(Scene scene) {
   return scene;
 }
 
-// What is searched, for SequenceSearch.
+// The problem of a search, for SequenceSearch.
 class DiscSearch {
  public:
   using Run = PhaseRun;

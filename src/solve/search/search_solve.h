@@ -1,5 +1,5 @@
-// What a search over collision sequences does many times: a solve from somewhere, and a look at what is next to the
-// motion it finds. Each is a function of its task alone, so that several run at the same time.
+// The repeated parts of a search over collision sequences: a solve from some start, and the sequences next to the
+// motion that it finds. Each is a function of its task alone, so that several run at the same time.
 #pragma once
 
 #include <limits>
@@ -29,13 +29,13 @@ struct SearchTask {
   double most_work = std::numeric_limits<double>::infinity();  // as SearchOptions::work; cuts its iterations
 };
 
-// Of one gradient or Jacobian, as SearchOptions::work: by a rollout; along so many impacts in closed arcs; with a cost
-// for every step.
+// The work of one gradient or Jacobian, in the unit of SearchOptions::work: by a rollout; along so many impacts in
+// closed arcs; with a cost for every step.
 double WorkByRollout(const Scene& scene);
 double WorkByArcs(const Scene& scene, size_t impacts);
 double WorkBySteps(const Scene& scene);
 
-// What a solve has found.
+// The result of a solve.
 struct SearchFinding {
   Trial trial;           // the motion, if trial.exact.ok
   bool optimal = false;  // it is an optimum, and really happens

@@ -75,11 +75,11 @@ inline int IterationsWithin(double most_work, double each, int iterations) {
 
 inline constexpr double kSameOptimum = 1e-6;  // relative, between losses along one sequence
 
-// What all searches share: their limits, which are `iterations` solves, SearchOptions and an interrupt, and their
-// optima.
+// Common parts of all searches: their limits, which are `iterations` solves, SearchOptions and an interrupt; and the
+// optima that they have found.
 class LimitedSearch {
  protected:
-  // What a limit ends.
+  // The limits that end a search.
   enum class End { kInterrupt, kTime, kWork, kIterations };
 
   explicit LimitedSearch(const SolverOptions& options) : options_(options), interrupt_(options.stop) {
@@ -108,7 +108,7 @@ class LimitedSearch {
     searched_.complete = false;
     if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
   }
-  // What limits have kept it from, to be read after a reason; the search is over.
+  // Returns the parts that limits have prevented, to be read after a reason; the search is over.
   std::string LeaveAtEnd() {
     static constexpr const char* kLimits[] = {"", "the limit of time", "the limit of work", "the limit of iterations"};
     if (end_) Leave(kLimits[static_cast<int>(*end_)]);
@@ -120,7 +120,7 @@ class LimitedSearch {
     return std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " + std::to_string(best_loss);
   }
 
-  // The same optimum of a sequence, where it is found again.
+  // Returns the known optimum of the sequence that is the same as `found`, null if there is none.
   LocalOptimum* KnownAs(const LocalOptimum& found) {
     const auto known = std::ranges::find_if(optima_, [&](const LocalOptimum& other) {
       return other.sequence == found.sequence &&
@@ -181,7 +181,7 @@ class SequenceSearch : LimitedSearch {
   using Start = SearchStartOf<typename Problem::Run>;
   using Finding = FindingOf<Trial>;
 
-  // What is solved next, and the work that it may take (SearchOptions::work).
+  // The next start to solve from, and the work that the solve may take (SearchOptions::work).
   struct Draw {
     const Start* start;
     double most_work;
@@ -217,7 +217,7 @@ class SequenceSearch : LimitedSearch {
     searched_.work += found.work;
     if (!found.best) return;
     starts->push_back({*found.best, false});
-    // Those that are dearer without constraints already are no use, where these only make them dearer.
+    // Sequences whose loss without constraints is higher are of no use, as constraints only raise it.
     const bool prunes = best_ && found.is_bound && MeetsConstraints(best_->trial);
     for (auto& [loss, sequence] : found.others) {
       if (along->size() == sequence_search::kMostRelaxedOptima || (prunes && !(loss < BestLoss()))) break;

@@ -82,7 +82,7 @@ class HybridRun final : public ShootingRun {
   ShootingFunction& function() override { return shooting_; }
 
  private:
-  // What is not smooth there. Also records the error of the integration.
+  // Reports where the loss is not smooth. Also records the error of the integration.
   std::string RemarkOn(std::span<const double> z, Termination termination) override {
     double loss = 0;
     if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
@@ -182,7 +182,7 @@ bool HasNoEvents(const HybridSystem& system) {
   return true;
 }
 
-// What no small change of the control changes in a solution, though the loss depends on it.
+// The parts of a solution that no small change of the control changes, though the loss depends on them.
 struct OutOfReach {
   bool motion = false;              // all of it, as where contacts stick
   std::vector<std::string> states;  // at the end

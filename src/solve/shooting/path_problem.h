@@ -43,7 +43,7 @@ class PathProblem {
                                   const std::vector<ceres::IterationCallback*>& callbacks);
 
   const std::vector<double>& z() const { return z_; }
-  // Of the last rollout.
+  // Returns the loss of the last rollout.
   double loss() const;
 
   struct LinearGaps {

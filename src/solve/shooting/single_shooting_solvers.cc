@@ -28,7 +28,7 @@ bool AllFinite(std::span<const double> values) {
   return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
-// Of `count` variables from number `first` on.
+// Updates `count` variables from number `first` on.
 template <typename S>
 void Update(double learning_rate, const std::vector<double>& gradient, size_t first, size_t count,
             std::vector<double>* z) {
@@ -119,7 +119,7 @@ SolveReport Fail(ShootingRun* run, const char* what, int iteration, const std::v
       z, Termination::kFailed, std::string(what) + " not finite at iteration " + std::to_string(iteration));
 }
 
-// What estimates the gradient in the place of the model's adjoint, if asked for.
+// Returns the estimator that replaces the gradient of the model's adjoint, if asked for.
 std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request, const SolverOptions& options) {
   if (!options.surrogate || !options.surrogate->smooths()) return std::nullopt;
   std::optional<SmoothedGradient> smoothed;

@@ -14,13 +14,13 @@ class Problem;
 
 namespace saltus {
 
-// What an iteration of gradient descent does.
+// The rule of an iteration of gradient descent.
 struct DescentRule {
   // The update, within bounds.
   std::function<void(const std::vector<double>& gradient, std::vector<double>* z)> step;
   // Moves an initial guess into its bounds.
   std::function<void(std::vector<double>* z)> move_within;
-  // What stands in for the gradient; none: the function's own. False if it is not finite.
+  // An estimate that replaces the gradient; none: the function's own. Returns false if it is not finite.
   std::function<bool(const std::vector<double>& z, int iteration, std::vector<double>* gradient,
                      std::vector<double>* standard_error)>
       estimate = nullptr;
