@@ -17,10 +17,11 @@ run(${WORK}/installed/consumer ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/own_contact ${SOURCE_TREE}/problems/two_balls.yaml)
 run(${WORK}/installed/values)
 # What pages show that their programs print, but for a loss that is rounding.
-foreach(page hybrid-systems-cpp own-costs)
+foreach(path how-to/hybrid-systems-cpp how-to/own-costs tutorials/contact-model-in-cpp tutorials/mechanical-system)
+  get_filename_component(page ${path} NAME)
   execute_process(COMMAND ${WORK}/installed/${page} ${SOURCE_TREE}/problems/two_balls.yaml
                   OUTPUT_VARIABLE printed COMMAND_ERROR_IS_FATAL ANY)
-  file(READ ${SOURCE_TREE}/docs/how-to/${page}.md text)
+  file(READ ${SOURCE_TREE}/docs/${path}.md text)
   string(REGEX REPLACE "^.*\n```\n\n```\n([^`]*)```\n.*$" "\\1" shown "${text}")
   string(REGEX REPLACE "loss = [0-9.]+e-2[0-9]" "loss = 0" printed "${printed}")
   string(REGEX REPLACE "loss = [0-9.]+e-2[0-9]" "loss = 0" shown "${shown}")
