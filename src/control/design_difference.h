@@ -11,8 +11,8 @@ namespace saltus {
 
 // A vector as a function of the values of Scene::design; empty where it is not defined.
 using FunctionOfDesign = std::function<std::vector<double>(const std::vector<double>& values)>;
-// Its derivative by the i-th value at `values`, by differences of fourth order: to both sides, or where it has no value
-// there, to one; empty if it has values on neither. Precondition: the scene is in natural units.
+// Returns its derivative by the i-th value at `values`, by differences of fourth order: central, or one-sided where it
+// has no value on one side; empty if it has none on either. Precondition: the scene is in natural units.
 std::vector<double> DifferenceByDesign(const Scene& scene, std::vector<double> values, std::size_t i,
                                        const FunctionOfDesign& function);
 

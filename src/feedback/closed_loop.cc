@@ -237,7 +237,7 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
     }
   }
   RungeKutta integrator(system.functions());
-  // From a state and time over the nodes in turn, which are in order of time or against it.
+  // Extends the motion from a state and time over the nodes in turn, which are in order of time or against it.
   const auto extend = [&](int mode, std::span<const double> x0, double t, int interval, int from, int to) {
     std::vector<Eigen::VectorXd> states;
     Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(x0.data(), x0.size()), next(x.size());

@@ -1,4 +1,12 @@
 // Lower bounds of the loss over all controls whose first relevant impacts are those of a box (see global_bound.h).
+//
+// With L the loss, c(u; theta) the conditions at impacts with parameters theta (that discs touch, and approach), and
+// multipliers z of which those of approaches are not negative, weak duality gives for every control u that meets them
+//
+//   L(u) >= D(z; theta) = min over all u' of L(u') + z . c(u'; theta).
+//
+// D is a concave quadratic function of z, as L is a convex quadratic function of the control and c is linear in it. The
+// bound of a box is the lower end of D in interval arithmetic over theta, at multipliers that are best in its middle.
 #pragma once
 
 #include <memory>
@@ -19,7 +27,7 @@ struct ImpactBox {
   bool open = false;              // any relevant impacts of any pairs follow the last one; otherwise none
   bool free_normal = false;       // of the last impact, which then is one of two discs, and open
 
-  // By impact: the pair may touch again, any number of times, until one of its discs is in another impact of the
+  // For each impact: the pair may touch again, any number of times, until one of its discs is in another impact of the
   // sequence.
   std::vector<char> repeated;
 

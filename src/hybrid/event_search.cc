@@ -304,7 +304,7 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     if (After(step, slope, guard, found.s).rate < 0) return {Found::What::kEvent, found.s};
     return {Found::What::kEvent, FirstBelow(step, slope, guard, found.s, noise)};
   }
-  // It must rise above zero first.
+  // The guard must rise above zero first.
   const double closing = FirstClosing(cubic, h, /*ignore_start=*/true);
   if (end.value > 0) {
     if (closing == kNever || closing <= 0) return {};
@@ -319,11 +319,11 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
   if (FindAbove(step, slope, guard, closes ? closing : h, &above)) {
     return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
   }
-  // It rises by less than rounding.
+  // The guard rises by less than rounding.
   if (closes && begin.rate > 0 && step.t + closing > step.t && After(step, slope, guard, closing).rate < 0) {
     return {Found::What::kEvent, closing};
   }
-  // It does not reach zero, as it began below by rounding.
+  // The guard does not reach zero, as it began below by rounding.
   if (!(begin.rate > 0) || !(end.value < 0) || !functions_.WaitsBehind(step.mode, guard)) return {};
   const double noise = 2 * std::abs(begin.value) + kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
   if (!(end.value < -noise)) return {};

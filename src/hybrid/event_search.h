@@ -31,8 +31,8 @@ class EventSearch {
   void Enter(const FlowStep& step);
   Standing Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now, double elapsed);
 
-  // By how much the value of a guard may be wrong where it has the rate `rate`: by rounding alone, and with the error
-  // of an integration over the time `elapsed`. Neither depends on the duration of the motion.
+  // The errors that the value of a guard with the rate `rate` may have: by rounding alone, and with the error of an
+  // integration over the time `elapsed`. Neither depends on the duration of the motion.
   struct Window {
     double rounding = 0, integrated = 0;
   };

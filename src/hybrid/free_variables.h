@@ -13,7 +13,8 @@ struct FreeVariable {
   int index = 0;            // among the numbers of this kind
   double min = 0, max = 0;  // infinite where there is no bound
 
-  // This number of an input, a gradient or a motion. Precondition: `of` has a duration if this is one.
+  // Returns the variable's number in an input, a gradient or a motion. Precondition: `of` has a duration if this is
+  // one.
   template <typename Numbers>
   auto& In(Numbers& of) const {
     if constexpr (requires { of.duration; }) {

@@ -802,8 +802,8 @@ void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scr
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
 }
 
-// By the derivatives that are not always zero. The stages follow each other in the evaluation of the flow alone; its
-// derivatives are then evaluated at all of them together, each operation in a loop over the stages.
+// Pulls back by the derivatives that are not always zero. The stages follow each other in the evaluation of the flow
+// only; its derivatives are then evaluated at all of them together, each operation in a loop over the stages.
 bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const {
   const Evaluated& mode = this->at(step.mode);
   if (mode.fly != nullptr) return false;

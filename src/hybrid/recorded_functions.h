@@ -109,7 +109,7 @@ class RecordedFunction {
     int size;
   };
   void Evaluate(std::span<const Part> inputs, double* outputs) const;
-  // And the derivatives of the outputs by the inputs: row-major, of the first `columns` inputs.
+  // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
   void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;

@@ -45,7 +45,7 @@ class RecordedSwitches {
   bool OnlyFirstFunctionJumps(const Sides& sides) const;
   // Along k numbers: the first function below zero of all of them, above zero of each one alone, and the numbers.
   ExpressionGraph Beside(const Sides& sides) const;
-  // By how much the changes of the first function at these numbers, two at a time, do not add up.
+  // Returns the mixed second differences of the first function at these numbers, two at a time.
   ExpressionGraph MixedChanges(const Sides& sides) const;
   // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part
   // below (by = -1) or above (by = 1), or where the sign changes. On a sign of zero it is the number itself.

@@ -548,7 +548,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
   return true;
 }
 
-// From at_ to a time of the grid, through all events on the way.
+// Moves from at_ to a time of the grid, through all events in between.
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {

@@ -1,4 +1,10 @@
-// The motion of a hybrid system, recorded on a tape.
+// The motion of a hybrid system, recorded on a tape. In mode m, with state x, parameters p and control u,
+//
+//   x' = f_m(t, x, p, u)
+//   x+ = r_g(t, x-, p), and a new mode, when a guard g_m(t, x, p, u) of the mode falls through zero.
+//
+// The flow is integrated by a Runge-Kutta method of order 8 (runge_kutta.h), in equal steps of the control intervals. A
+// step ends at an event that happens within it (event_search.h), and the next one begins with the state after it.
 #pragma once
 
 #include <optional>
@@ -34,7 +40,7 @@ class RolloutRun {
   const std::vector<HybridEvent>& events() const { return events_; }
   const std::vector<HybridEvent>& switches() const { return switches_; }
   const std::vector<HybridGrazing>& grazings() const { return grazings_; }
-  // Without their spreads.
+  // The ties, without their spreads.
   const std::vector<HybridTie>& ties() const { return ties_; }
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }

@@ -46,8 +46,8 @@ class TiedEvents {
     std::vector<double> x;
     Eigen::VectorXd change, size;  // of x, at the time of the events, continued in the mode after them
   };
-  // Nothing if there is no such change: a guard that leaves zero with a rate of zero, an event without end, a reset or
-  // a jump that leads to no mode.
+  // Returns std::nullopt if there is no such change: a guard that leaves zero with a rate of zero, an event without
+  // end, a reset or a jump that leads to no mode.
   std::optional<Outcome> Follow(const Start& start, Direction direction);
 
   // Whether two states are the same but for the error of an integration.

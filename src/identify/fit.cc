@@ -114,7 +114,7 @@ class Motions final : public ceres::EvaluationCallback {
   int evaluations() const { return evaluations_; }
 
  private:
-  // Else a parameter of which the data say nothing yet may go anywhere.
+  // Whether the unknowns are near their start. A parameter that the data do not determine could go anywhere.
   bool IsNearStart() const {
     for (std::size_t u = 0; u < start_.size(); ++u) {
       if (HasBounds(problem_.unknowns[u]) && !(std::abs(point_.coordinates[u] - start_[u]) < kFarthest)) return false;

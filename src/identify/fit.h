@@ -1,4 +1,10 @@
-// One fit by Ceres, from one start.
+// One fit by Ceres, from one start: the minimum over the unknowns theta and the initial states x_s of the segments s of
+//
+//   1/2 sum over samples i of rho(|r_i|^2)  +  1/2 sum over learned parameters j of ((theta_j - start_j) / spread)^2
+//   r_i = (p(t_i; theta, x_s) - p_i) / sigma_i, and if velocities are measured (v(t_i; theta, x_s) - v_i) / sigma_v,i
+//
+// with rho the loss of IdentifyOptions. Residuals and Jacobians come from the simulated motion and its sensitivities
+// (segment_motion.h), so a model with wrong derivatives ends at wrong parameters.
 #pragma once
 
 #include <string>
@@ -34,7 +40,7 @@ struct FitProblem {
     return (*recordings)[segment.recording].samples[segment.first + i];
   }
   Scene SceneAt(const std::vector<double>& coordinates) const;
-  // Nothing if none is learned.
+  // Return the learned law and events at these coordinates, std::nullopt if none is learned.
   std::optional<ImpactLaw> LawAt(const std::vector<double>& coordinates) const;
   std::optional<EventFunctions> EventsAt(const std::vector<double>& coordinates) const;
 };

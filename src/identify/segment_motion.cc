@@ -185,7 +185,7 @@ class Sweep {
     }
   }
 
-  // By each of the simulators, whose derivatives are the same but for those by parameters of a law.
+  // Linearizes by each of the simulators, whose derivatives differ only in those by parameters of a law.
   void Linearize(const Simulators& simulators, int k, std::vector<StepLinearization>* linear) {
     std::vector<double> force(2 * scene_.num_bodies());
     simulator_->GetState(k, x_);

@@ -8,12 +8,12 @@ namespace saltus {
 // Whether its coordinate is another than its value.
 bool HasBounds(const Unknown& unknown);
 
-// From a coordinate without bounds to the parameter: logistic for restitution, exponential for what is positive, the
-// identity for the rest.
+// Converts a coordinate without bounds to the parameter: logistic for restitution, exponential for positive parameters,
+// the identity for the rest.
 double FromCoordinate(const Unknown& unknown, double coordinate);
 // The bound of an unknown that is nearest to a value.
 double BoundNear(const Unknown& unknown, double value);
-// To a coordinate at the bound nearest to it as exactly as matters; one whose bound no motion has stays where it is.
+// Moves a coordinate to the bound nearest to it; one whose bound no motion has stays where it is.
 void MoveToBound(const Unknown& unknown, double* coordinate);
 
 // d parameter / d coordinate there.

@@ -46,7 +46,7 @@ class CostateShooting {
     Flying<double> start;
   };
 
-  // `moving_end`: the final time is unknown. Preconditions: WhyNot() is empty, effort > 0.
+  // `moving_end`: the final time is unknown. Preconditions: ReasonNotSupported() is empty, effort > 0.
   CostateShooting(const Scene& scene, std::vector<Candidate> sequence, bool moving_end);
 
   // Returns the reason why the method does not apply to a scene; empty if it does.

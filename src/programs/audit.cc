@@ -236,7 +236,7 @@ int AuditMain(int argc, char** argv) {
     Request request;
     if (!ReadRequest({}, &request)) return kDone;
     const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
-    // By themselves, unless contact models are asked for too.
+    // Simulators are audited alone unless contact models are asked for too.
     if (!simulators.empty() && !IsGiven("contact")) request.contacts.clear();
     if (!simulators.empty() && request.options.surrogate) {
       throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");

@@ -664,7 +664,7 @@ Place PlaceOf(const Scene& scene, const ContactError& error, const std::vector<d
   return place;
 }
 
-// From state x at step `begin` to step `end`.
+// Simulates the perturbed flow from state x at step `begin` to step `end`.
 PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Place& place, int begin, int end) {
   const int size = simulator.body_size();
   std::vector<double> tangent(x.size(), 0.0), next(x.size()), force(simulator.force_size()), none(force.size(), 0.0);

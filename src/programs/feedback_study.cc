@@ -60,7 +60,7 @@ struct Study {
   std::vector<Eigen::MatrixXd> Q = {};  // that of each mode, or one
   std::function<std::unique_ptr<Plant>()> make_plant = nullptr;
   std::function<double(const ClosedLoopRun&)> loss = nullptr;  // none: there are no losses
-  // To first order; only if there is a loss.
+  // The expected loss to first order; set only if there is a loss.
   std::function<double(const Covariance&, const Regulator*)> expected_loss = nullptr;
 };
 

@@ -21,7 +21,7 @@ namespace saltus {
 // impossible numbers, and numbers without --feedback.
 std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>& states,
                                                  const std::vector<std::string>& controls);
-// That of a scene: position (m), velocity (m/s), angle (rad), angular_velocity (rad/s), force (N), torque (N m).
+// The options of a scene: position (m), velocity (m/s), angle (rad), angular_velocity (rad/s), force (N), torque (N m).
 std::optional<FeedbackOptions> SceneFeedbackFromFlags();
 
 struct FeedbackStudy {

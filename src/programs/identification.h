@@ -34,11 +34,11 @@ std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path
 struct KnownLaw {
   std::vector<double> speed, restitution;
 
-  // By straight lines between the points; nothing outside of them.
+  // Interpolates linearly between the points; std::nullopt outside of them.
   std::optional<double> At(double at) const;
 };
 
-// From CSV with the columns speed and restitution. Throws InputError that names the line: numbers that are not finite,
+// Reads CSV with the columns speed and restitution. Throws InputError that names the line: numbers that are not finite,
 // speeds that do not rise, restitution outside of [0, 1], fewer than two rows.
 KnownLaw ReadKnownLaw(const std::string& path);
 

@@ -35,7 +35,7 @@ Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   return item;
 }
 
-// From rows (control_rows.h), of which a long horizon has millions.
+// Converts rows (control_rows.h), of which a long horizon has millions.
 Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
   const std::vector<int>& turned = scene.control.turned;
   const size_t columns = ControlColumns(scene), width = columns * scene.num_controlled();

@@ -48,11 +48,11 @@ struct MotionOptions {
   StopRequest stop = nullptr;  // where it asks for the end, the motion ends early, and its failure is kStopped
 };
 
-// Under `contact`, which takes the mean of the control over each of its steps; its steps are those of the scene.
+// Simulates under `contact`, which takes the mean of the control over each of its steps; its steps are the scene's.
 Motion SimulateMotion(const Scene& scene, const Contact& contact, const MotionInput& input,
                       const MotionOptions& options = {});
 
-// Under exact dynamics, on the intervals of the control, with each impact's instant.
+// Simulates under exact dynamics, on the intervals of the control, with each impact's instant.
 Motion SimulateExactMotion(const Scene& scene, const MotionInput& input, const MotionOptions& options = {});
 
 // The states at the nodes of the control's intervals alone: without the instants in between, and of an instant that

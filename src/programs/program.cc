@@ -365,7 +365,7 @@ std::vector<std::string> files_given;
 // A program started with a standard stream closed would get its number for the first file it opens, and print into it.
 void OccupyStandardStreams() {
   for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
-    // Not to be written to: what is printed is lost, and has to be seen to be.
+    // The stream gets a descriptor that cannot be written to, so that lost output is noticed.
     if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) (void)open("/dev/null", O_RDONLY);
   }
 }

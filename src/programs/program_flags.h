@@ -28,10 +28,10 @@ const std::vector<Program>& AllPrograms();
 const Program& FindProgram(std::string_view name);
 // The program of the problem of that name.
 Program ProblemProgram(const std::string& name);
-// That of a hybrid system, of whose main this is the first argument.
+// Returns the program of a hybrid system, of whose main `path` is the first argument.
 Program HybridProblemProgram(const std::string& path);
 
-// Without values: "scene", "json".
+// Returns the names of the flags, without values: "scene", "json".
 std::vector<std::string> FlagNames(const Program& program);
 
 // Returns the text of -h and --help, in lines of at most `width` columns: the program's flags, with their types and

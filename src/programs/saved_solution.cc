@@ -75,7 +75,7 @@ class SolutionReader : InputReader {
     return numbers;
   }
 
-  // From rows; also what is wrong with them.
+  // Sets the control from rows, and checks them.
   void SetControl(const std::vector<double>& rows) {
     if (const std::string why = WhyNoControl(scene_, rows); !why.empty()) {
       throw InputError(where() + ": control: " + why);

@@ -14,7 +14,7 @@ namespace saltus {
 // Discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);
 
-// So many states fit into a page: about 3 MB.
+// The most numbers of states that fit into a page: about 3 MB.
 inline constexpr std::size_t kMostReplayNumbers = std::size_t{1} << 21;
 
 // The scene's walls, their parts in the order of WallPartsOf(). Precondition: ValidateStructure(scene) finds nothing.

@@ -262,7 +262,7 @@ void AddInitial(const std::string& prefix, const std::vector<double>& initial, i
   (*arrays)[prefix + "rotation"] = {{bodies, kSpin}, std::vector<double>(moves, initial.end())};
 }
 
-// Without what the motions are, only the solution.
+// Returns the arrays of a run; if `motions` is null, those of the solution only.
 NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* motions) {
   const SolveReport& report = run.report;
   const int64_t bodies = request.scene.num_bodies();
@@ -697,7 +697,7 @@ struct RolloutOutcome {
   std::vector<double> end;     // final state, in the shape of an initial state; empty if it has to be found otherwise
 };
 
-// By equal steps that last as long as the control.
+// Rolls out under a contact model by equal steps that last as long as the control.
 RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Precision precision,
                                  const SolveReport& report) {
   double price_of_time = 0;

@@ -285,7 +285,7 @@ bool BroadPhase::MayCount(int i, int p) const {
   const Vec2d& x = now_[i].p;
   const bool in_front = Separate<double>(x, part.wall).distance >= 0;
   if (!options_.all_parts) return in_front && part.extent.Covers(x);
-  // From behind it is reached around an end only.
+  // A disc behind the wall can reach it around an end only.
   return in_front || !part.extent.Covers(x, -reach_[i]);
 }
 

@@ -15,8 +15,8 @@ std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene);
 std::vector<double> LengthsOf(const ControlGuess& guess, const Scene& scene);
 double DurationOf(const ControlGuess& guess, const Scene& scene);
 
-// Its mean over each of `steps` equal parts of its duration, steps x width numbers (Scene::control_width()): the same
-// impulse in each. Forces that are constant over a part are kept bit by bit.
+// Returns the mean of a guess over each of `steps` equal parts of its duration, steps x width numbers
+// (Scene::control_width()): the same impulse in each. Forces that are constant over a part are kept bit by bit.
 std::vector<double> MeanOverSteps(const ControlGuess& guess, int width, int steps);
 
 }  // namespace saltus

@@ -48,8 +48,8 @@ struct ContinuousOptimum {
   double Residual() const;  // the largest of all conditions, as a part of the scale
 };
 
-// From a control whose certificate is stationary, in natural units. Returns std::nullopt if Newton's method leaves the
-// motions along its impacts.
+// Finds the optimum from a control whose certificate is stationary, in natural units. Returns std::nullopt if Newton's
+// method leaves the motions along its impacts.
 std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const SolveReport& start,
                                                        int most_iterations);
 

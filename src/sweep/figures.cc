@@ -263,7 +263,7 @@ SweepFigure GradientErrorFigure(const Results& results) {
   const std::map<Method, Curve> curves = BestOf<Curve>(results, dt, "relative_error", std::greater<>());
   Panel panel = CurvePanel(curves, "time step (s)", "relative error of the gradient");
   panel.x.log = panel.y.log = true;
-  // By what else a row was computed with.
+  // The curves of refinement, by the method and the other options of their rows.
   std::map<Method, std::map<std::vector<std::string>, Curve>> refinements;
   for (size_t row = 0; row < results.size(); ++row) {
     const double error = results.Number(row, "relative_error");
@@ -358,7 +358,7 @@ Panel MapPanel(const Method& method, const Map& map, const MapAxis& x, const Map
   return panel;
 }
 
-// Nothing if the two were not varied independently (at least half of all pairs are there), or all failed.
+// Returns std::nullopt if the two were not varied independently (fewer than half of all pairs), or all points failed.
 std::optional<SweepFigure> MapFigure(const Results& results, const std::string& option_x, const std::string& option_y) {
   const MapAxis x(results, option_x), y(results, option_y);
   const LossColumn loss = LossColumns(results.study()).back();

@@ -66,7 +66,7 @@ struct Message {
 class Silence {
  public:
   void Heard() { length_ = Clock::duration::zero(); }
-  // To be called over and over.
+  // Returns the length of the silence. Must be called again and again.
   Clock::duration Length() {
     const Clock::time_point now = Clock::now();
     length_ += std::min<Clock::duration>(now - std::exchange(looked_, now), kMostBetweenLooks);
@@ -248,7 +248,7 @@ class ClusterExecutor : public SweepExecutor {
   }
 
   void LeaveOut(int rank, const std::string& why) {
-    // Nothing is asked of it or expected from it.
+    // The rank is asked for nothing any more.
     ranks_[rank] = Rank();
     std::cerr << "rank " << rank << " is left out: " << why << std::endl;
   }
@@ -326,8 +326,8 @@ MpiCluster::~MpiCluster() {
     AwaitDismissal();
   }
   if (complete_) MPI_Finalize();
-  // Else messages to those who are gone may be under way for ever: MPI keeps what is not its own until the process
-  // ends.
+  // The messages are not freed if some are still under way to ranks that are gone: MPI needs their memory until the
+  // process ends.
   if (!complete_) new std::list<Outgoing>(std::move(outgoing_));
 }
 

@@ -39,7 +39,7 @@ Json RunProgram(const std::string& arguments, double seconds);
 
 enum class SweepOptionKind { kReal, kInteger, kWord };
 
-// Nothing if a sweep over `scene` has no such option.
+// Returns the kind of an option, std::nullopt if a sweep over `scene` has no such option.
 std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Scene& scene);
 
 // The options that do not depend on the scene.

@@ -222,7 +222,7 @@ void AddSimulators(const std::vector<std::string>& arguments, Request* request) 
 
 // Whether each point is to have a scene of its own, which is asked before there is any.
 bool SweepsSeeds(const std::string& text) {
-  // By hand: std::regex needs stack for every character.
+  // The parser is written by hand, because std::regex needs stack for every character.
   constexpr std::string_view kSpace = " \t\n\v\f\r", kBefore = ";&(, \t\n\v\f\r", kAfter = "=,)";
   const std::string_view seed = kSeedOption;
   for (size_t at = text.find(seed); at != std::string::npos; at = text.find(seed, at + 1)) {

@@ -105,9 +105,9 @@ const char* MotionToString(BlackBoxFindings::Motion motion);  // "converges", "d
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
-  // That of the refinement; without a reference that of the width sweep; kBiased of a surrogate; kNotApplicable where
-  // the reference is of another world than the model. kAmbiguous if the exact gradient is; then there are no error and
-  // no studies but the width sweep.
+  // The verdict of the refinement; without a reference that of the width sweep; kBiased of a surrogate; kNotApplicable
+  // where the reference is of another world than the model. kAmbiguous if the exact gradient is; then there are no
+  // error and no studies but the width sweep.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // if the refinement calls it wrong, unless not asked for

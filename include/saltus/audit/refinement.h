@@ -113,9 +113,9 @@ struct Conditioning {
   // Relative change of the exact gradient by the initial state, per relative change of that state in its last bits; the
   // largest of a few.
   double condition = 0;
-  // By how much the exact gradient differs from itself, relative, computed with other numbers of steps, which change
-  // nothing but the rounding, and from the other initial states; the largest of a few. A refinement whose errors may be
-  // rounding measures it with its own numbers of steps too.
+  // The relative difference of exact gradients, computed with other numbers of steps, which change nothing but the
+  // rounding, and from the other initial states; the largest of a few. A refinement whose errors may be rounding
+  // measures it with its own numbers of steps too.
   double rounding = 0;
 
   // Decimal digits of the exact gradient that rounding takes, of the 16 of double precision.
@@ -131,9 +131,9 @@ struct RefinementStudy {
   std::string reason;  // why there is none: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;
   std::vector<QuantityStudy> quantities;  // those that the scene has
-  // That of position and velocity together, the worse of the two. The control can only make it wrong: every model that
-  // integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter, nor does a
-  // quantity of which no entry is judged. kOneSided where none of position and velocity is.
+  // The verdict of position and velocity together, the worse of the two. The control can only make it wrong: every
+  // model that integrates forces by an Euler step is merely consistent there, impacts or not. Parameters do not enter,
+  // nor does a quantity of which no entry is judged. kOneSided where none of position and velocity is.
   Verdict verdict = Verdict::kUnknown;
   std::optional<Conditioning> conditioning;  // of the exact gradient, measured where a quantity is not right
 

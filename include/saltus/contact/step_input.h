@@ -202,7 +202,7 @@ Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const Pos
   return Separate<T>(position(c.a), position(c.b));
 }
 
-// By what way along the tangent a candidate's normal turns by one radian, at this distance of the two, m: positive
+// The way along the tangent by which a candidate's normal turns by one radian, at this distance of the two, m: positive
 // around what is convex, negative within an arc; 0 at a line, where it does not turn.
 template <typename T>
 T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance) {

@@ -18,7 +18,7 @@ int ControlColumns(const Scene& scene);
 // Returns the error in such rows, with the number of the interval and the disc; empty if there is none.
 std::string WhyNoControl(const Scene& scene, std::span<const double> rows);
 
-// From one to the other and back. Preconditions: the scene is valid, a whole number of intervals.
+// Convert a control to rows and back. Preconditions: the scene is valid, a whole number of intervals.
 std::vector<double> RowsOfControl(const Scene& scene, std::span<const double> control);
 std::vector<double> ControlOfRows(const Scene& scene, std::span<const double> rows);
 

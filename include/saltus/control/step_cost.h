@@ -19,7 +19,7 @@ class StepCost final : public ceres::CostFunction {
   // Several costs, in several threads, may share a simulator.
   explicit StepCost(std::shared_ptr<const Simulator> simulator);
 
-  // False, so that Ceres rejects the point, if the step or its linearization are not finite, or the simulator stopped.
+  // Returns false, so that Ceres rejects the point, if step or linearization are not finite, or the simulator stopped.
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:

@@ -94,7 +94,7 @@ class Plant {
  public:
   virtual ~Plant() = default;
   virtual void Start(const Eigen::VectorXd& x) = 0;
-  // Through interval k under a constant control. False if there is no motion.
+  // Advances through interval k under a constant control. Returns false if there is no motion.
   virtual bool Advance(int k, std::span<const double> u) = 0;
 
   int mode() const { return mode_; }

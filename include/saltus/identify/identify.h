@@ -66,7 +66,7 @@ struct Estimate {
   Unknown unknown;
   std::string name;
   double start = 0;  // in the scene
-  // None of these if it is not determined.
+  // The numbers of an estimate, which have no meaning if it is not determined.
   double value = 0;
   double standard_error = 0;
   double low = 0, high = 0;  // 95 % confidence, within the bounds
@@ -104,8 +104,8 @@ struct LawPoint {
 struct LearnedLaw {
   ImpactLaw law;
   int impacts = 0;
-  // From the slowest to the fastest impact of the motion, at the sliding speed that is the median of theirs. The errors
-  // are standard errors, of what recordings and prior leave open.
+  // The law from the slowest to the fastest impact of the motion, at the sliding speed that is the median of theirs.
+  // The errors are standard errors, of what recordings and prior leave open.
   std::vector<LawPoint> curve;
 };
 

@@ -30,7 +30,7 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
 // "restitution", "mass.ball", "gravity.y", "position.post.x", "offset.wall". Precondition: it is one of the scene's.
 std::string NameOf(const SceneParameter& parameter, const Scene& scene);
 
-// Its value, in the scene's units; 0 for a parameter of a law, and for the force on a disc that is not controlled.
+// Returns its value, in the scene's units; 0 for a parameter of a law, and for the force on an uncontrolled disc.
 double ValueOf(const SceneParameter& parameter, const Scene& scene);
 // Does nothing for a parameter of a law.
 void SetValue(const SceneParameter& parameter, double value, Scene* scene);

@@ -23,7 +23,7 @@ struct WallExtent {
     Vec2d normal = Vec2d::Zero();  // |normal| = 1
     double offset = 0;             // m
     bool open = false;
-    // By how much x satisfies it, m.
+    // Returns by how much x satisfies the bound, m.
     double Inside(const Vec2d& x) const { return Dot(normal, x) - offset; }
   };
   bool endless = true;             // it counts everywhere

@@ -38,8 +38,8 @@ struct OneSided {
 const char* QuantityToString(OneSided::Quantity quantity);
 const char* SideToString(OneSided::Side side);
 
-// By the scene's initial state, under the first of its forces; by bodies, positions first. Of the loss of the scene:
-// with restitution 1 it depends on whether there is a velocity in it. Precondition: the scene is valid.
+// Returns the one-sided derivatives by the scene's initial state, under the first of its forces; by bodies, positions
+// first. With restitution 1 it depends on whether the loss has a velocity in it. Precondition: the scene is valid.
 std::vector<OneSided> OneSidedDerivatives(const Scene& scene);
 
 }  // namespace saltus

@@ -1,4 +1,4 @@
-// From a contact model, by its name or a user's own, to a simulator.
+// The registry of contact models: makes a simulator from a model's name, or from a user's own model.
 #pragma once
 
 #include <concepts>
@@ -41,7 +41,7 @@ class Contact {
   Contact(const Name& name) : name_(std::string_view(name)) {}
   explicit Contact(std::shared_ptr<const ContactEntry> own) : own_(std::move(own)), name_(own_->traits.name) {}
 
-  // Its name, and the options that were set.
+  // The name of the model, and the options that were set.
   const std::string& name() const { return name_; }
   // Returns this contact model with one more option, such as "kappa=1e-6".
   Contact With(std::string_view option) const;

@@ -62,8 +62,8 @@ struct ParameterGradient {
   std::vector<double> mass;     // B; 0 for fixed discs; at the moment of inertia that the disc has
   std::vector<Vec2d> force;     // B; with respect to a constant force on the disc; 0 for fixed discs
   std::vector<double> inertia;  // B, if the scene has discs that spin; 0 for the others
-  // By Scene::design, in its order: total derivatives, as the mass or radius of a solid disc changes its moment of
-  // inertia too.
+  // The derivatives by Scene::design, in its order: total ones, as the mass or radius of a solid disc changes its
+  // moment of inertia too.
   std::vector<double> design;
 };
 

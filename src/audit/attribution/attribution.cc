@@ -698,7 +698,7 @@ Attribution AttributeError(const Contact& contact, const Scene& given, const Att
   const std::string after = " compared in " + ToText(options.seconds, 3) + " s";
   if (!own.limit.empty()) own.limit += after;
   if (!own.ok() || own.contacts.empty()) return own;
-  // Not quite a multiple, so that an impact on a grid node is not on one again.
+  // The number of steps is no exact multiple, so that an impact on a grid node is not on a node of the refined grid.
   Scene refined = scene;
   refined.steps = std::clamp(kClearSteps / scene.steps, kRefinement, kMostRefinement) * scene.steps +
                   CHECK_NOTNULL(FindContactModel(contact))->grid_steps;

@@ -49,7 +49,7 @@ double SmallestLimit(const ForceLimits& limits, const Eigen::VectorXd& force) {
   return limits.rows.rows() == 0 ? 0.0 : (limits.rows * force + limits.constants).minCoeff();
 }
 
-// Nothing if there are none.
+// Returns the forces of contacts with this status, std::nullopt if there are none.
 std::optional<TriedForces> ForcesOf(const ContactProblem& problem, const std::string& status) {
   const int k = problem.size();
   // Unknowns are normal forces of closed contacts and tangential ones of those that stick, with a row that vanishes

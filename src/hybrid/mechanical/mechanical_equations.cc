@@ -358,7 +358,7 @@ void MechanicalEquations::SubtractForces(const System& system, const std::vector
   }
 }
 
-// From M da - F df = -momentum and G da = -rows.
+// Solves M da - F df = -momentum and G da = -rows for the derivatives of accelerations and forces.
 MechanicalEquations::Derivative MechanicalEquations::Solve(const System& system, const Jets& momentum,
                                                            const Jets& rows) const {
   Derivative out;

@@ -327,7 +327,7 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
     for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
       if (slow[i]) closes = plastic.next[impact.contacts[i]] != 'o';
     }
-    // None is left that parts too slowly.
+    // No contact is left that separates too slowly.
     const Eigen::VectorXd then = plastic.After();
     for (std::size_t i = 0; closes && restitution == Restitution::kNone && i < plastic.contacts.size(); ++i) {
       const double speed = then[2 * static_cast<Eigen::Index>(i)];

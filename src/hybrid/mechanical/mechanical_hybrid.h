@@ -1,4 +1,10 @@
 // A mechanical system with contacts as a hybrid system whose modes are created as a motion meets them.
+//
+// A mode is the status of all contacts (open, closed, sliding, sticking). Its flow is q' = v, M v' = h + F f under the
+// contact forces f that keep closed contacts closed (mechanical_equations.h); its guards are the gaps of open contacts
+// and, of closed ones, the normal force, the sliding speed and the distance of the force from the friction cone. The
+// next status is a solution of a complementarity problem (contact_problem.h) in accelerations, at an impact in
+// velocities.
 #pragma once
 
 #include <deque>
@@ -110,7 +116,7 @@ class MechanicalHybrid final : public HybridFunctions {
   // The contacts at x that have a gap of zero and neither approach nor part. `why`: of a contact that penetrates.
   Closing Touching(const Point& at, std::string* why) const;
 
-  // Without a control (null) where none is known, as of a guard of open contacts: zeros.
+  // Returns a point; `u` is null where no control is known, as for the guard of an open contact, and then zeros.
   Point PointAt(double t, const double* x, const double* u, const double* p) const {
     return {t, x, x + equations_.n(), u != nullptr ? u : no_control_.data(), p};
   }

@@ -98,7 +98,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   int num_equalities() const { return roles_.equalities; }
   void ClearMultipliers() { std::fill(multipliers_.begin(), multipliers_.end(), 0.0); }
   int num_constraints() const { return roles_.equalities + roles_.inequalities; }
-  // That of an inequality is not negative.
+  // Sets a multiplier; that of an inequality is not negative.
   void SetMultiplier(int row, double multiplier) {
     multipliers_[row] = row < roles_.equalities ? multiplier : std::max(0.0, multiplier);
   }

@@ -91,7 +91,7 @@ class AugmentedLagrangian {
   // For constant blocks and bounds.
   ceres::Problem& problem() { return problem_; }
 
-  // From where the parameter blocks stand; leaves them at the best point.
+  // Minimises from the present parameter blocks, and leaves them at the best point.
   Summary Minimize(const Options& options);
 
  private:

@@ -24,7 +24,7 @@ struct Phases {
   std::vector<int> steps;
 };
 
-// Nothing if some of these come at the same time, or at the final one.
+// Returns std::nullopt if two of the events coincide or if one coincides with the final time.
 std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
   Phases phases;
   for (size_t k = 0; k < trial.exact.events.size(); ++k) {
@@ -79,7 +79,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
   return found ? last : attempt;
 }
 
-// From the optimum under exact flight along its impacts, which stay exact, to that with steps of the contact model.
+// Continues from the optimum under exact flight along its impacts, which stay exact, to that with steps of the model.
 SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm,
                             SolveReport exact) {
   exact.certificate = {};

@@ -144,7 +144,7 @@ class TranscribedPlan {
     return false;
   }
 
-  // False if the start has no motion.
+  // Solves with a margin. Returns false if the start has no motion.
   bool Solve(double margin, const MayGoOn& may_go_on, PlanAttempt* attempt) {
     std::vector<double> overlaps(plan_.cuts.size());
     int ties = 0;  // the earlier of events at the same time come earlier

@@ -22,7 +22,7 @@ class PhaseRotations {
 
   // A disc takes part; nothing if it cannot spin.
   void Add(int body);
-  // Its next impact, where `times` says that it is: it turns until then. Returns the node just before; -1 if it does
+  // Turns a disc until its next impact, at times[time]. Returns the node just before the impact; -1 if the disc does
   // not spin.
   int TurnTo(int body, int time, std::span<const double> times);
   // Equal steps from one time to another.

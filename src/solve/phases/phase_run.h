@@ -49,7 +49,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   static constexpr double kUneven = 2;  // a step so many times the mean one is too long
 
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
-  // From a motion in place of the initial guess.
+  // Begins with a motion in place of the initial guess.
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start);
 
   const Scene& scene() const { return scene_; }
@@ -85,7 +85,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
 
   // Whether the conditions of the certificate are those of this problem.
   bool HasCertificate() const;
-  // That of the last control is kept: an optimum is certified by the solve that found it, for saddles and in the end.
+  // The certificate of the last control is kept: an optimum is certified by its solve, for saddles, and in the end.
   const Certificate& Certify(const Trial& trial);
   std::vector<Trial> LeaveSaddle(const Trial& trial, const Curvature& curvature) const {
     return saltus::LeaveSaddle(scene_, trial, curvature);

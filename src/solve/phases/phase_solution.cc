@@ -251,7 +251,7 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
   PhaseSolution solution;
   solution.sequence = sequence;
   std::vector<int> intervals = DistributeIntervals(scene, sequence, guess.times);
-  // Once more if the phases have become so much longer or shorter that the intervals are ill distributed.
+  // A second round distributes the intervals anew if the lengths of phases have changed much.
   for (int round = 0; round < 2; ++round) {
     if (intervals.empty()) return solution;
     if (!SolveOn(scene, intervals, round == 0 ? &guess : nullptr, options, loss_change, &solution)) return solution;

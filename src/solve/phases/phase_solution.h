@@ -54,8 +54,8 @@ struct PhaseGuess {
   std::vector<EventPhases::State> before;  // just before each
   EventPhases::State end;
 };
-// From a flight along a sequence of its own: impacts that both have, in order, are kept. A new one is put where its
-// pair comes nearest between its neighbours, and a pushed disc is given a velocity towards the other.
+// Makes a guess from a flight along another sequence: impacts that both have, in order, are kept. A new one is put
+// where its pair comes nearest between its neighbours, and a pushed disc is given a velocity towards the other.
 PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequence& sequence);
 
 // The outcome of a solve along a sequence.

@@ -460,9 +460,9 @@ class SequenceUpdate {
   bool interrupted_ = false;
 };
 
-// From the sequence that the options ask for, or that of the initial guess; a sequence that is given is not left, but
-// for that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has
-// its plan, and says in `reason` which sequences were passed.
+// Solves from the sequence that the options ask for, or that of the initial guess; a given sequence is left only for
+// that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has its
+// plan, and lists in `reason` the sequences that were passed.
 template <typename Run>
 SolveReport SolveMending(Run* run, const TryPlanOf<Run>& try_plan) {
   return SequenceUpdate<Run>(run, try_plan).Solve();

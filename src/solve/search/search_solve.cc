@@ -68,7 +68,7 @@ SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
   return finding;
 }
 
-// By arcs, which are cheap; where they find no optimum, by the transcription with a cost for every step.
+// Solves by arcs, which are cheap; where they find no optimum, by the transcription with a cost for every step.
 SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   const Trial& from = *task.from;
   SolverOptions own;

@@ -68,7 +68,7 @@ struct RelaxedOptima {
 inline std::string BestOf(size_t optima) {
   return optima == 1 ? "the only optimum found" : "best of " + std::to_string(optima) + " optima";
 }
-// So many iterations, or as many as the work allows if each takes `each`, at least one.
+// Returns `iterations`, or as many as the work allows if each takes `each`, at least one.
 inline int IterationsWithin(double most_work, double each, int iterations) {
   return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
 }

@@ -46,7 +46,7 @@ struct TaskLine {
     std::list<Entry> entries;  // in the order in which they are looked at
     bool closed = false;
   };
-  // They end with what they are at.
+  // Helper threads, which end after their present task.
   struct Helpers {
     Shared* shared;
     std::vector<std::thread> threads = {};

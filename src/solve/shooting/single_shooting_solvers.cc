@@ -276,7 +276,7 @@ class ShootingCost final : public ceres::CostFunction {
     evaluated_ = true;
   }
 
-  // False if they are not finite.
+  // Returns false if the Jacobians are not finite.
   bool EvaluateJacobians(double** jacobians) const {
     shooting_->ResidualJacobian(jacobian_.data());
     ++num_jacobians_;

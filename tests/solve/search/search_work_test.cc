@@ -68,7 +68,7 @@ TEST(SearchWork, MoreWorkIsNoWorseAndWithoutALimitNoneIsNamed) {
 
 // A ball that bounces 37 times in a box: arcs leave its optimum off the condition of the Hamiltonian, and a solve that
 // ends nearer by, with the same loss, does not. Each solve takes long, and the search ends by itself, as it has found
-// nothing better in most of its work.
+// no improvement in most of its work.
 TEST(SearchWork, TheBestOptimumMeetsItsConditionsWhereSolvesTakeLong) {
   Scene scene;
   scene.name = "box_37_bounces";
