@@ -103,7 +103,7 @@ class ScenePlant final : public Plant {
 // The states of a branch of an event at the nodes first, ..., last, under the control of an interval.
 using BranchStates = std::function<std::vector<Eigen::VectorXd>(int event, int interval, int first, int last)>;
 
-// Events that share a disc that moves, and all events of a hybrid system, cannot change places.
+// Whether two events cannot change places: those that share a moving disc, and all events of a hybrid system.
 bool Ordered(const Plan& plan, int event, int other) {
   if (plan.discs.empty()) return true;
   return std::ranges::any_of(plan.discs[event], [&](int disc) {
@@ -138,7 +138,7 @@ void AddBranches(Plan* plan, const std::function<bool(int event)>& on_node, cons
 
 enum Occurrence : char { kNotYet, kHappened, kNotCounted };
 
-// Which of the planned events have happened, as of node k; nothing if others have, or in another order.
+// Returns the planned events that have happened up to node k; std::nullopt if others have, or in another order.
 std::optional<std::vector<Occurrence>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
   std::vector<Occurrence> happened(plan.events.size(), kNotYet);
   // Counts only the first of the events with which a contact comes to last, and none while it lasts.
@@ -275,7 +275,7 @@ Plan MakePlan(const Simulator& motion, std::span<const double> control) {
 
 namespace {
 
-// Events, phases and contacts that last.
+// Adds events, phases and sustained contacts.
 void AddEvents(const SceneIntervals& motion, const std::vector<SceneEvent>& events, Plan* plan) {
   auto event = events.begin();
   for (int k = 0; k < motion.size(); ++k) {
@@ -345,7 +345,7 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
     if (size == 4 + kSpin) (*x)[size * body + 4] += (backwards ? -1 : 1) * motion[k].length * (*x)[size * body + 5];
   };
   const bool flies = simulator.FreeFlightOver(simulator.step()).has_value();
-  // Over `nodes` nodes from `from` on, forwards or backwards, beginning with the state at the node before.
+  // Extends the motion over `nodes` nodes from `from` on, forwards or backwards, from the state at the node before.
   const auto extend = [&](int event, int interval, int from, int nodes, bool backwards) {
     std::vector<Eigen::VectorXd> states;
     if (!flies) return states;
@@ -444,7 +444,7 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
     const ClosedLoopRun run = RunWith(plan, gains, roots, SeedOf(options.seed, sample), plants[thread].get());
     outcomes[sample] = {run.ok, run.as_planned, run.ok && loss ? loss(run) : 0.0, run.final_state};
   });
-  // Sums in the order of the samples, so that they do not depend on threads.
+  // The sums are in the order of the samples, so that they do not depend on threads.
   const Eigen::VectorXd& planned = plan.states.back();
   const Eigen::Index n = planned.size();
   MonteCarlo out;

@@ -18,7 +18,7 @@ namespace {
 constexpr double kLeastProbability = 1e-12;  // of a risk that is listed
 constexpr double kSameDeviation = 1e-7;      // of the deviations of two times: that of their difference
 
-// That a normal number with this mean and standard deviation is below zero.
+// Returns the probability that a normal number with this mean and standard deviation is below zero.
 double ProbabilityBelowZero(double mean, double deviation) {
   if (!(deviation > 0)) return mean < 0 ? 1 : 0;
   return 0.5 * std::erfc(mean / (deviation * std::numbers::sqrt2));

@@ -17,7 +17,7 @@
 namespace saltus {
 namespace {
 
-// F P F^T.
+// Returns F P F^T.
 Eigen::MatrixXd Transported(const Eigen::MatrixXd& F, const Eigen::MatrixXd& P) {
   return MultiplyByTransposed(Multiply(F, P), F);
 }
@@ -131,7 +131,7 @@ class SceneMotion final : public internal::FilterMotion {
  private:
   int BodySize(const Eigen::VectorXd& x) const { return static_cast<int>(x.size()) / scene_.num_bodies(); }
 
-  // Free flight for a time that may be negative.
+  // Returns the state after free flight for a time that may be negative.
   Eigen::VectorXd Flown(Eigen::VectorXd x, std::span<const double> row, double time) const {
     const int size = BodySize(x);
     std::vector<Vec2d> acceleration(scene_.num_bodies(), scene_.gravity);
@@ -158,7 +158,7 @@ class SceneMotion final : public internal::FilterMotion {
     return FindOverlap(scene).has_value();
   }
 
-  // How long ago discs that overlap touched, s; 0 if none overlap, or if they did not touch within kLongest.
+  // Returns how long ago overlapping discs touched, s; 0 if none overlap, or if they did not touch within kLongest.
   double TimeSinceTouch(const Eigen::VectorXd& x, std::span<const double> row) const {
     constexpr double kLongest = 1, kRounding = 1e-15;
     if (!Overlaps(x)) return 0;

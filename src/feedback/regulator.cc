@@ -93,7 +93,7 @@ std::string NameOf(const HybridSystem& system, int mode, int guard) {
   return "guard '" + system.GuardName(mode, guard) + "' in mode '" + system.ModeName(mode) + "'";
 }
 
-// Guards of a motion at times within its control intervals, and how they change with the state and the control there.
+// The guards of a motion at times within its control intervals, and their derivatives by state and control there.
 class GuardsWithin {
  public:
   GuardsWithin(const HybridSimulator& motion, const HybridInput& input, const std::vector<HybridTie>& ties)
@@ -144,7 +144,7 @@ class GuardsWithin {
                                   : &input_.control[static_cast<std::size_t>(k) * system_.num_controls()];
   }
 
-  // Minima between the steps of the interval, of guards that fall and rise in one mode without an event in between.
+  // Adds minima between the steps of the interval, of guards that fall and rise in one mode without an event.
   void AddLeastOnes(int k, LinearInterval* interval) {
     std::vector<GuardValue> before, now;
     std::vector<double> slope;
@@ -240,7 +240,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
     const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
     interval.A = end.leftCols(n);
     interval.B = end.rightCols(num_controls);
-    // Guards that the interval does not end by an event, and whether they do is a question of the noise.
+    // These guards do not end the interval by an event in the plan, but with noise they may.
     std::vector<char> fires(system.num_guards(interval.mode));
     const std::size_t first = event;
     for (const std::vector<double>& time : by.times) {

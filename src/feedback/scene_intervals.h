@@ -40,7 +40,7 @@ class SceneIntervals {
   std::string Rollout(std::vector<double> initial, std::span<const double> control);
   // A simulator of one step from the beginning of interval k, which is shorter. Precondition: the model is exact.
   std::unique_ptr<Simulator> MakeStep(int k, double length) const;
-  // After a rollout: the state at the beginning of interval k, or at the end for k = size().
+  // Returns, after a rollout, the state at the beginning of interval k, or at the end for k = size().
   std::vector<double> State(int k) const;
   const std::vector<std::unique_ptr<Simulator>>& simulators() const { return own_; }
   // Returns the touches of interval k, in order of time.

@@ -105,7 +105,7 @@ class BranchAndBound {
     return 2 * kLargestTau;
   }
 
-  // True if halving the box is not expected to exclude it.
+  // Whether halving the box is not expected to exclude it.
   bool IsStuck(const Node& node) const {
     if (node.split < 0) return true;
     if (!(node.at_middle < kNear * out_.upper)) return false;
@@ -115,7 +115,7 @@ class BranchAndBound {
     return true;
   }
 
-  // True if every impact decides about the loss.
+  // Whether every impact decides about the loss.
   bool IsRelevant(const ContactSequence& sequence) const {
     std::vector<bool> relevant = aimed_;
     for (auto pair = sequence.rbegin(); pair != sequence.rend(); ++pair) {
@@ -130,8 +130,8 @@ class BranchAndBound {
     return is_a ? !scene_.bodies[pair.a].fixed : !pair.plane && !scene_.bodies[pair.b].fixed;
   }
 
-  // True if a pair may touch again before one of its discs touches another one: it needs a force, or gravity towards
-  // what does not move. Otherwise it parts in straight lines.
+  // Whether a pair may touch again before one of its discs touches another one: it needs a force, or gravity towards a
+  // side that does not move. Otherwise the two separate in straight lines.
   bool MayRepeat(const Candidate& pair) const {
     for (const bool is_a : {true, false}) {
       if (Moves(pair, is_a) && pushed_[is_a ? pair.a : pair.b]) return true;
@@ -139,7 +139,7 @@ class BranchAndBound {
     return !(Moves(pair, true) && Moves(pair, false)) && scene_.gravity != Vec2d::Zero();
   }
 
-  // True if no disc of the pair touches another one since its last impact: then the pair repeats that one.
+  // Whether no disc of the pair touches another one since its last impact: then the pair repeats that one.
   bool IsRepetition(const ContactSequence& sequence, const Candidate& pair) const {
     for (auto last = sequence.rbegin(); last != sequence.rend(); ++last) {
       if (*last == pair) return true;
@@ -178,7 +178,7 @@ class BranchAndBound {
     return true;
   }
 
-  // No further relevant impact, or one of another pair.
+  // Continues with no further relevant impact, or with one of another pair.
   void Continue(const Node& node) {
     if (IsRelevant(node.box.sequence)) {
       Node closed = node;
@@ -244,7 +244,7 @@ class BranchAndBound {
     Bound(std::move(upper));
   }
 
-  // Cuts off what is not in the order of time. Returns false if nothing remains.
+  // Cuts off the part of a box that is not in the order of time. Returns false if nothing remains.
   static bool Order(ImpactBox* box) {
     const int impacts = static_cast<int>(box->sequence.size());
     for (int i = 1; i < impacts; ++i) {

@@ -241,7 +241,7 @@ struct Linear {
   }
 };
 
-// dual += factor, factor * a and factor * a^2.
+// Add factor, factor * a and factor * a^2 to the dual function.
 void AddConstant(double factor, Quadratic* dual) { dual->constant += factor; }
 void Add(double factor, const Linear& a, Quadratic* dual) { dual->linear += factor * a.by; }
 void AddSquare(double factor, const Linear& a, Quadratic* dual) {

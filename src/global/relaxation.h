@@ -31,9 +31,9 @@ struct ImpactBox {
   // sequence.
   std::vector<char> repeated;
 
-  // Before which impact the repetitions of impact i end; the number of impacts if they go on to the end.
+  // Returns before which impact the repetitions of impact i end; the number of impacts if they go on to the end.
   int EndOfRepetition(int i) const;
-  // True if the normal of impact i is free: then it has no second parameter.
+  // Whether the normal of impact i is free: then it has no second parameter.
   bool IsFree(int i) const { return free_normal && i + 1 == static_cast<int>(sequence.size()); }
   // Where the time of impact i stands among the parameters.
   int TimeIndex(int i) const;

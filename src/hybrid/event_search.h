@@ -65,7 +65,7 @@ class EventSearch {
   Found FindSinking(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
                     const GuardValue& end, double elapsed);
 
-  // Before a motion with other controls or parameters.
+  // Removes the derivatives kept, before a motion with other controls or parameters.
   void Forget() { kept_.clear(); }
 
  private:

@@ -12,7 +12,7 @@
 namespace saltus {
 namespace {
 
-// sqrt(weight) (x_i - target), of a state of a size that is known as the program runs.
+// The residual sqrt(weight) (x_i - target), of a state of a size that is known as the program runs.
 struct Miss {
   int component;
   double target, root;
@@ -24,7 +24,7 @@ struct Miss {
   }
 };
 
-// sqrt(weight h) u.
+// The residual sqrt(weight h) u.
 struct Effort {
   int size;
   double weight;

@@ -71,7 +71,7 @@ class HybridSimulator::Impl {
     for (auto event = events.begin(); event != end.in1; ++event) {
       difference = std::max(difference, std::abs(event->time - (of_other++)->time) / input.duration);
     }
-    // Relative to the largest value of a component in the final mode.
+    // The difference is relative to the largest value of a component in the final mode.
     const int mode = one.tape().final_mode, n = system.state_size(mode);
     const double *at = &one.tape().numbers[one.tape().final_state],
                  *to = &other.tape().numbers[other.tape().final_state];

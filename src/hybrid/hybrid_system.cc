@@ -5,7 +5,7 @@
 namespace saltus {
 namespace {
 
-// Name number `index`, or `otherwise` if there are no names.
+// Returns name number `index`, or `otherwise` if there are no names.
 std::string NameOr(const std::vector<std::string>& names, int index, const std::string& otherwise) {
   return names.empty() ? otherwise : names[index];
 }

@@ -234,7 +234,7 @@ bool MotionDerivatives::IsOneSided(const HybridInput& input, const MotionTape& t
   const int end_mode = ends ? tape.final_mode : tape.entries[coincidence.end].mode;
   const double* end_state = &tape.numbers[ends ? tape.final_state : tape.entries[coincidence.end].x];
   const int end_size = system_.state_size(end_mode);
-  // Changes are those at one time, of a motion continued under the control before a jump, or after it.
+  // The changes compared are those at one time, of a motion continued under the control before a jump, or after it.
   const double* u = input.control.data() + static_cast<std::ptrdiff_t>(first.interval) * num_controls;
   const bool jumps = coincidence.jump > 0, jumped = jumps && first.interval == coincidence.jump;
   const double* const before_jump = jumped ? u - num_controls : u;

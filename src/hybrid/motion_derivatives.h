@@ -38,8 +38,8 @@ class MotionDerivatives {
   // Returns the value of HybridSimulator::IntervalSensitivities().
   std::vector<HybridSensitivity> Intervals(const HybridInput& input, const MotionTape& tape);
 
-  // Which derivative of the system's functions along the motion is the first that is not finite, with function, mode,
-  // time and variables; or that derivatives overflow, if all are finite.
+  // Says which derivative of the system's functions along the motion is the first that is not finite, with function,
+  // mode, time and variables; or that derivatives overflow, if all are finite.
   std::string WhyNotFinite(const HybridInput& input, const MotionTape& tape);
 
  private:

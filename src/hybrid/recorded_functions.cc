@@ -164,7 +164,7 @@ class RecordedFunction::Builder {
         rates[i][k] = Make(kSubtract, rates[i][k], rate);
       }
     }
-    // Gauss's elimination, which finds the weights of the flows above.
+    // Gauss elimination finds the weights of the flows above.
     for (int i = 0; i < k; ++i) {
       for (int row = 0; row < k; ++row) {
         if (row == i) continue;

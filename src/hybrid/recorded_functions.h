@@ -71,7 +71,7 @@ double Apply(Operation operation, double a, double b, double c);
 std::string_view NameOf(Operation operation);
 // The operation of a name in lower case without "k" ("add", "less_equal" ...); false if there is none.
 bool FindOperation(std::string_view name, Operation* operation);
-// How many operands it has; those that it does not have are -1.
+// Returns the number of operands; those that an operation does not have are -1.
 int NumOperands(Operation operation);
 
 struct ExpressionGraph {

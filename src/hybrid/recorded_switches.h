@@ -18,7 +18,7 @@ namespace saltus {
 
 class RecordedSwitches {
  public:
-  // Several functions, whose inputs are [x t ...], the first inputs of one list: those of the first function.
+  // Takes several functions whose inputs [x t ...] are the first inputs of one list, that of the first function.
   RecordedSwitches(const std::vector<const ExpressionGraph*>& functions, int num_states);
 
   int count() const { return static_cast<int>(switches_.size()); }
@@ -43,7 +43,7 @@ class RecordedSwitches {
   ExpressionGraph Function(int function, const Sides& sides) const;
   // Whether no function but the first, and no number of a switch, depends on a switch along which the motion slides.
   bool OnlyFirstFunctionJumps(const Sides& sides) const;
-  // Along k numbers: the first function below zero of all of them, above zero of each one alone, and the numbers.
+  // Returns the first function below zero of all of k numbers and above zero of each one alone, and the numbers.
   ExpressionGraph Beside(const Sides& sides) const;
   // Returns the mixed second differences of the first function at these numbers, two at a time.
   ExpressionGraph MixedChanges(const Sides& sides) const;

@@ -480,9 +480,9 @@ bool RolloutRun::Enter(Entry entry) {
   }
 }
 
-// Why the events of this time go on without end: the guard has had one with the state that is reached again, or, if the
-// system names a mode to go on in, one after which it is left at zero with a rate of zero; or it has had too many.
-// Empty if they may end.
+// Says why the events of this time go on without end: the guard has had one with the state that is reached again, or,
+// if the system names a mode to go on in, one after which it is left at zero with a rate of zero; or it has had too
+// many. Empty if they may end.
 std::string RolloutRun::WhyRepeats(int guard, EventSearch::Standing standing) const {
   int count = 0;
   for (std::size_t i = events_.size(); i-- > 0 && events_[i].time == at_.t;) {
@@ -626,8 +626,8 @@ bool RolloutRun::StaysOnEquations() {
 // The point within a step is at another part of each, as a guard may have the period of the steps. The state there is
 // the cubic through states and slopes at the ends, as accurate as the guard's own.
 void RolloutRun::CompareGuards(const FlowStep& step) {
-  // The guards of closed contacts are as smooth as their flow, but for the split of forces that are not unique, which
-  // may jump.
+  // The guards of closed contacts are as smooth as their flow, except for the split of forces that are not unique,
+  // which may jump.
   if (!(step.h > 0) || functions_.Projects(step.mode)) return;
   constexpr double kGolden = 0.6180339887498949;
   double whole = 0;

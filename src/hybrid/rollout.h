@@ -49,8 +49,8 @@ class RolloutRun {
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
 
-  // Steps within which a guard is not the cubic through its values and rates at their ends, where that might hide an
-  // event. `what`: which guard, and where.
+  // The steps within which a guard is not the cubic through its values and rates at their ends, where that might hide
+  // an event. `what`: which guard, and where.
   struct Unresolved {
     int steps = 0;
     std::string what;

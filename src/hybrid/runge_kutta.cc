@@ -95,7 +95,7 @@ bool RungeKutta::IsFinite(int* stage, int* component, int* column) const {
   const auto not_finite = [](double number) { return !std::isfinite(number); };
   const auto end = jacobians_.begin() + static_cast<std::ptrdiff_t>(flies_ ? 1 : kStages) * size_ * columns;
   if (const auto found = std::find_if(jacobians_.begin(), end, not_finite); found != end) {
-    // Beside the infinite derivative by one variable Jets have none by the others.
+    // A Jet with an infinite derivative by one variable has none by the others.
     const auto row = found - (found - jacobians_.begin()) % columns;
     const auto infinite = std::find_if(row, row + columns, [](double number) { return std::isinf(number); });
     const auto place = static_cast<int>((infinite == row + columns ? found : infinite) - jacobians_.begin());

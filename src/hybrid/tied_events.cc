@@ -129,13 +129,13 @@ void TiedEvents::Compare(const Start& start, HybridTie* tie) {
   if (count > kMostTied) {
     const int orders = std::clamp(kMostTransitions / static_cast<int>(count), 2, kMostOrders);
     for (int order = 0; order < orders; ++order) {
-      // 0: the first of those that are left; 1: the last; more: at first one that many places later.
+      // Order 0 takes the first of those that are left, 1 the last; higher ones at first one that many places later.
       int shift = order > 1 ? order - 1 : 0;
       compare(order == 0, [&](int n) { return order == 1 ? n - 1 : std::exchange(shift, 0) % n; });
     }
     return;
   }
-  // Choices, in the order of an odometer.
+  // The choices count up in the order of an odometer.
   std::vector<int> choices, numbers;
   for (int order = 0; order < kMostOrders; ++order) {
     numbers.clear();

@@ -50,7 +50,7 @@ class TiedEvents {
   // end, a reset or a jump that leads to no mode.
   std::optional<Outcome> Follow(const Start& start, Direction direction);
 
-  // Whether two states are the same but for the error of an integration.
+  // Whether two states are the same except for the error of an integration.
   static bool SameStates(const double* a, const double* b, int size);
 
  private:
@@ -64,7 +64,7 @@ class TiedEvents {
   // the same state, or one after which it is at zero with a rate of zero. -1 if it has not, or the system names none.
   int ModeAtRest(const FlowStep& at, const Candidate& candidate) const;
   bool Bounces(const FlowStep& at, int guard, const Direction& direction, double now, int rest);
-  // Guards that are at zero or behind on entry into a mode; false if one is not finite.
+  // Finds guards that are at zero or behind on entry into a mode; returns false if one is not finite.
   bool FindCandidates(const FlowStep& at, const double* slope, double elapsed);
   // The state and mode after one order of the events; choose(n) is which of n guards comes next.
   bool Order(const Start& start, const std::function<int(int)>& choose, int* mode, std::vector<double>* x);

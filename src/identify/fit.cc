@@ -172,7 +172,7 @@ class SampleCost final : public ceres::CostFunction {
   const int s_, i_;
 };
 
-// After each iteration: says so, and stops if that is asked for.
+// Reports each iteration, and stops if that is asked for.
 class IterationReport final : public ceres::IterationCallback {
  public:
   explicit IterationReport(const IdentifyOptions& options) : options_(options) {}
@@ -211,7 +211,7 @@ void AddPrior(const FitProblem& problem, Blocks* blocks, ceres::Problem* ceres_p
   }
 }
 
-// Unknowns that are not held, and initial states; of a disc with fewer than four numbers, as many as these.
+// Returns the number of unknowns that are not held, and of initial states; at most the numbers measured of a disc.
 int NumFitted(const FitProblem& problem, const FitPoint& point, const std::vector<bool>& held) {
   auto count = static_cast<int>(problem.unknowns.size() - std::ranges::count(held, true));
   for (const Segment& segment : point.segments) {

@@ -75,12 +75,12 @@ inline constexpr double kNoGain = 1e-12;
 FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double loss_scale,
                        const std::vector<bool>& held = {}, double gain = kNoGain);
 
-// Standardised residual of a sample: of its position, then of its velocity if it was measured.
+// Returns the standardised residual of a sample: of its position, then of its velocity if it was measured.
 Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state);
-// 1 / sigma of each of its entries.
+// Returns 1 / sigma of each of its entries.
 Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample);
 
-// rho, rho' and rho'' at a squared residual.
+// The loss rho, rho' and rho'' at a squared residual.
 struct LossAt {
   double rho[3];
 };

@@ -53,7 +53,7 @@ double RadicalInverse(int i, int base) {
 constexpr int kFewest = 4, kMost = 12;  // samples that a line goes through
 constexpr double kNoise = 1e-4;         // of the scene's length: misses below it are no reason for a shorter line
 
-// y = at + slope x by the medians of Theil and Sen; and the median of what it misses.
+// The line y = at + slope x by the medians of Theil and Sen, and the median of its residuals.
 struct Line {
   double at = 0, slope = 0, miss = 0;
 };
@@ -139,7 +139,7 @@ void FitTrack(const Track& track, double noise, LineKind kind, const Vec2d& scen
   }
 }
 
-// Pairs that overlap part along their normal, half each.
+// Moves overlapping pairs apart along their normal, each disc by half the overlap.
 void MoveApart(const Scene& scene, std::vector<double>* initial) {
   const double slack = 1e-9 * NaturalUnits(scene).length;
   const auto at = [&](int i) { return Eigen::Map<Vec2d>(&(*initial)[4 * i]); };
@@ -179,8 +179,8 @@ std::vector<Segment> CutIntoSegments(const std::vector<Recording>& recordings, d
   return segments;
 }
 
-// Initial states of `free_bodies` by lines through their first samples, less what gravity and forces do, whatever a few
-// outliers say; those of the others are the scene's. Discs that overlap are moved apart. In the scene's units.
+// Returns initial states of `free_bodies` by lines through their first samples, less the effect of gravity and forces,
+// robust to a few outliers; those of the others are the scene's. Overlapping discs are moved apart. In scene units.
 std::vector<double> InitialFromData(const Scene& scene, const std::vector<Sample>& samples, const Segment& segment,
                                     const std::vector<int>& free_bodies, LineKind kind) {
   std::vector<double> initial = InitialState(scene);
@@ -561,7 +561,7 @@ class Identification {
     return best;
   }
 
-  // Whether the motion passes by the samples but for outliers.
+  // Whether the motion passes by the samples except for outliers.
   bool IsClose(const FitResult& fit) const {
     const double misfit = MisfitOf(problem_, fit);
     return states_sigma_ ? misfit < kFits : problem_.sigma * misfit < kMostWaves * ExtentOf(problem_, fit);
@@ -571,7 +571,7 @@ class Identification {
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
   // says how much noise they have.
   bool HasResiduals() const { return NumbersLeft() > 0; }
-  // Measured numbers less unknown ones.
+  // Returns the number of measured numbers less that of unknown ones.
   int NumbersLeft() const {
     std::size_t measured = 0;
     for (const Recording& recording : recordings_) {
@@ -636,7 +636,7 @@ class Identification {
     return fit;
   }
 
-  // Why the samples are too few to tell the error of a fit; empty if they are not.
+  // Returns the reason why the samples are too few to determine the error of a fit; empty if they are not.
   std::string WhyTooFew(const FitResult& fit) const {
     const int left = NumbersLeft();
     if (!HasResiduals() || left >= kManyLeft) return "";
@@ -719,8 +719,8 @@ class Identification {
     return names;
   }
 
-  // Why no parameters explain the samples; empty if these may. Without a stated sigma, adds remarks on what the
-  // residuals tell.
+  // Returns the reason why no parameters explain the samples; empty if these may. Without a stated sigma, adds remarks
+  // on the residuals.
   std::string ContradictionOf(const FitResult& fit) {
     if (states_sigma_) {
       // Errors of the model are systematic, those of single samples come at any time.

@@ -28,7 +28,7 @@ Scene SceneOf(const Scene& scene, double horizon, int grid_steps) {
   return segment;
 }
 
-// Flight over n steps: [p v a] to [p v a].
+// Returns the flight over n steps, as a matrix from [p v a] to [p v a].
 Eigen::Matrix3d Power(const StepLinearization::FreeFlight& f, int n) {
   Eigen::Matrix3d step, power = Eigen::Matrix3d::Identity();
   step << f.pp, f.pv, f.pa, f.vp, f.vv, f.va, 0, 0, 1;

@@ -32,7 +32,7 @@ struct MotionRequest {
   int num_columns() const { return static_cast<int>(unknowns.size() + 4 * free_bodies.size()); }
 };
 
-// Before an impact.
+// The state of a pair before an impact.
 struct ImpactState {
   Candidate candidate;
   Vec2d position[2], velocity[2];  // of its discs; with a plane, of the first

@@ -18,7 +18,7 @@ namespace {
 constexpr double kOpen = 0.5;
 // The share of a parameter in such directions from which on it is not determined either.
 constexpr double kShare = 0.04;
-// Standard deviations by which a mean square may exceed that of noise.
+// The number of standard deviations by which a mean square may exceed that of noise.
 constexpr double kMostMeanSquare = 2.5;
 // The degrees of freedom that a stated sigma is worth.
 constexpr double kStated = 20;
@@ -41,8 +41,8 @@ Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, co
   return all;
 }
 
-// The information on the unknowns but for a law's, and the gradient of the cost by them, what a law's and the initial
-// states take of both left out. Per change that matters.
+// The information on the unknowns other than a law's, and the gradient of the cost by them, after elimination of the
+// law's unknowns and the initial states. Per change that matters.
 struct Information {
   Eigen::MatrixXd matrix;
   Eigen::VectorXd gradient;
@@ -72,7 +72,7 @@ Information InformationOnUnknowns(const FitProblem& problem, const FitResult& fi
   return {all.topLeftCorner(plain, plain), all.col(plain).head(plain)};
 }
 
-// How near to a bound an unknown is at it, in changes that matter.
+// The distance from a bound within which an unknown is at it, in changes that matter.
 constexpr double kAtBound = 1e-9;
 
 // Whether the samples push an unknown, which is to change by `step`, to its bound or beyond.
@@ -319,7 +319,7 @@ Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double 
 }
 
 double StudentQuantile(double degrees) {
-  // Abramowitz and Stegun, 26.7.5.
+  // The formula 26.7.5 of Abramowitz and Stegun for quantiles of Student's t.
   const double z = 1.959963985, z2 = z * z, n = degrees;
   const double g1 = z * (z2 + 1) / 4;
   const double g2 = z * ((5 * z2 + 16) * z2 + 3) / 96;

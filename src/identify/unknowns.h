@@ -16,7 +16,7 @@ double BoundNear(const Unknown& unknown, double value);
 // Moves a coordinate to the bound nearest to it; one whose bound no motion has stays where it is.
 void MoveToBound(const Unknown& unknown, double* coordinate);
 
-// d parameter / d coordinate there.
+// Returns d parameter / d coordinate at a coordinate.
 double SlopeAt(const Unknown& unknown, double coordinate);
 // The coordinate of a value; of one at a bound, a little inside.
 double ToCoordinate(const Unknown& unknown, double value);

@@ -13,13 +13,13 @@ namespace saltus {
 AuditReport RunAudit(const Request& request, bool needs_reference = false,
                      const std::vector<SimulatorCommand>& simulators = {});
 Json AuditToJson(const Request& request, const AuditReport& report);
-// Gradients and verdicts as tables on stdout, in colour on a terminal.
+// Prints gradients and verdicts as tables on stdout, in colour on a terminal.
 void PrintAuditTable(const Request& request, const AuditReport& report);
 // Whether the model cannot take the scene, or has no such surrogate; else a gradient that is not ok has failed.
 bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene);
 bool IsNotApplicable(const ModelAudit& audit, const Scene& scene);
-// Wrong input if the only model asked for cannot take the scene; failed if a rollout was not finite, or if models are
-// missing.
+// Returns "wrong input" if the only model asked for cannot simulate the scene; "failed" if a rollout was not finite, or
+// if models are missing.
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators = 0);
 
 }  // namespace saltus

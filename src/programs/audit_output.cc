@@ -200,11 +200,11 @@ namespace {
 
 constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
 
-// Room for all keys that an object will have. One that has to grow copies what it holds, its keys being constant: of a
-// long horizon, gradients of millions of numbers.
+// Reserves room for all keys that an object will have. One that has to grow copies its contents, as its keys are
+// constant: for a long horizon, gradients of millions of numbers.
 void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
 
-// After an interrupt without a long derivative by the control, whose text alone takes a second for each million steps.
+// After an interrupt a long derivative by the control is left out: its text takes a second for each million steps.
 Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
   if (gradient.control.size() <= kMostAfterInterrupt || !InterruptGuard::Interrupted()) {
     return GradientToJson(scene, gradient);
@@ -470,7 +470,7 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
   return table;
 }
 
-// Error by level of refinement.
+// Returns the errors by level of refinement.
 Table RefinementTable(const AuditReport& report) {
   Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
   for (const ModelAudit& audit : report.models) {
@@ -491,7 +491,7 @@ Table RefinementTable(const AuditReport& report) {
   return table;
 }
 
-// Errors of right gradients are rounding; below this line of the figure they would squeeze all others.
+// The lowest error shown. Errors of right gradients are rounding; below this line they would squeeze all others.
 constexpr double kLowestError = 1e-7;
 
 Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity quantity) {
@@ -538,8 +538,8 @@ int TellingEntry(const AuditReport& report, Quantity quantity) {
   return telling;
 }
 
-// Error against the step, log-log: one panel for each of position, velocity and control, one line a model, whose label
-// has the order by position.
+// Draws the error against the step, log-log: one panel for each of position, velocity and control, one line a model,
+// whose label has the order by position.
 Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
   Figure figure;
   figure.title = scene.name + ": error against the exact gradient (order by position)";
@@ -552,8 +552,8 @@ Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
   return figure;
 }
 
-// Slope against width: for each of position, velocity and control the entry on which differences speak most against a
-// model. Level lines are the exact values.
+// Draws slope against width: for each of position, velocity and control the entry on which differences contradict a
+// model most. Level lines are the exact values.
 Figure WidthFigure(const Scene& scene, const AuditReport& report) {
   Figure figure;
   figure.title = scene.name + ": differences of the loss, from narrower to wider than a step";

@@ -11,19 +11,19 @@
 
 namespace saltus {
 
-// Right and consistent verdicts are good, wrong ones bad.
+// Returns the tone of a verdict: right and consistent ones are good, wrong ones bad.
 Tone ToneOf(Verdict verdict);
 
-// Loss and gradient at the scene's own steps, one row a model (a second one for standard errors), the exact one first.
+// Returns loss and gradient at the scene's steps, one row a model (a second for standard errors), the exact one first.
 Table GradientTable(const Request& request, const AuditReport& report);
 
-// Verdicts, and for wrong models the first wrong step and why. Toned.
+// Returns the verdicts, toned, and for wrong models the first wrong step with its cause.
 Table VerdictTable(const AuditReport& report);
 
 // Returns the findings from final states of black boxes, one row each.
 Table BlackBoxTable(const AuditReport& report);
 
-// Plateaus of the width sweep, one row an entry and model.
+// Returns the plateaus of the width sweep, one row an entry and model.
 Table PlateauTable(const AuditReport& report);
 
 // A given gradient, entry by entry.
@@ -50,11 +50,11 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
 
 class Page;
 
-// Verdicts, gradients, errors against step and width, the motions under each model, and of each wrong model the first
-// contact that makes it so.
+// Adds verdicts, gradients, errors against step and width, the motions under each model, and for each wrong model the
+// first contact that makes it wrong.
 void AddAuditSections(const Request& request, const AuditReport& audit, Page* page);
 
-// report.html in --output_dir, if there is one. Throws OutputError.
+// Writes report.html in --output_dir, if there is one. Throws OutputError.
 void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document);
 
 }  // namespace saltus

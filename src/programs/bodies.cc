@@ -142,7 +142,7 @@ class BodiesReader final : internal::SceneReader {
     if (const Value* mu = fields.Find("friction")) rigid_.friction = ReadAtLeast(0, *mu, "a number of 0 or more");
   }
 
-  // Forces and torques of bodies in the order in which the system has them.
+  // Reads forces and torques of bodies, in the order of the system.
   void ReadControl(const Value& value, int intervals, std::vector<double>* control, HybridFree* free) {
     const Fields fields = ReadFields(value, {"bodies", "initial", "max", "max_torque"});
     const std::vector<int> pushed = ReadBodyNames(fields.Require("bodies", "a list of names of bodies"));

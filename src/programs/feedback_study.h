@@ -55,7 +55,7 @@ Json FeedbackToJson(const FeedbackStudy& study, bool states);
 using NamedStudies = std::vector<std::pair<std::string, const FeedbackStudy*>>;
 // One row for each loop of each study.
 Table FeedbackTable(const NamedStudies& studies);
-// Table and warnings on standard output, with `name` before the caption.
+// Prints table and warnings on standard output, with `name` before the caption.
 void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies);
 // Returns the caption of the table, a sentence without its full stop.
 std::string FeedbackCaption(const FeedbackOptions& options);

@@ -41,7 +41,7 @@ Json ReadObject(const std::string& path) {
   return document;
 }
 
-// Into how many intervals the control is cut, from the model that the gradient is of.
+// Reads into how many intervals the control is cut, from the model of the gradient.
 void ReadContact(const Json& contact, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
   if (!contact.is_string()) reader.Fail("contact", "a string");
   given->name = contact.get<std::string>();

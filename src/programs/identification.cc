@@ -361,7 +361,7 @@ std::vector<std::size_t> ShownFits(const Identified& identified) {
   return shown;
 }
 
-// Samples as dots, and where each fit has them as lines, which end where a segment does.
+// Draws samples as dots, and the motion of each fit as lines, which end where a segment does.
 void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
   Panel panel = ScenePanel(scene, "");
   panel.circles.clear();
@@ -596,7 +596,7 @@ class NpzReader {
     return time->shape[0];
   }
 
-  // n x width numbers; a scalar stands for n rows of one. Empty if the array is not there.
+  // Returns n x width numbers; a scalar stands for n rows of one. Empty if the array is not there.
   std::vector<double> Numbers(const std::string& name, int width, bool needed = true) const {
     const NpyArray* array = Find(name, needed);
     if (array == nullptr) return {};

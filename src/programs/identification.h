@@ -59,10 +59,10 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified);
 
 inline constexpr std::size_t kMostOutliersNamed = 20;
 
-// Parameters by contact model, and how each fit went.
+// Returns the parameters by contact model, and the result of each fit.
 Table EstimateTable(const Identified& identified);
 Table FitTable(const Json& document);
-// Remarks on fits, each behind its contact model.
+// Returns the remarks on fits, each behind its contact model.
 std::vector<std::string> FitRemarks(const Identified& identified);
 // Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
 // by `event`, or without others.
@@ -79,7 +79,7 @@ Table EventTable(const Scene& scene, const Identified& identified);
 Table OutlierTable(const Json& document);
 Table ResidualTable(const Scene& scene, const Identified& identified);
 
-// Into --output_dir, if there is one. Throws OutputError.
+// Writes the report into --output_dir, if there is one. Throws OutputError.
 void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document);
 
 }  // namespace saltus

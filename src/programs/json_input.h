@@ -22,7 +22,7 @@ class InputReader {
 
   const std::string& where() const { return where_; }
 
-  // Throws InputError: what is under `key` is not what was expected.
+  // Throws InputError: the value under `key` is not the expected one.
   [[noreturn]] void Fail(const std::string& key, const std::string& expected) const;
 
   // The numbers of an array, which fails if it has text.

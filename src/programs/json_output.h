@@ -29,7 +29,7 @@ struct nlohmann::adl_serializer<Eigen::Matrix<double, R, C, Options, MostR, Most
 
 namespace saltus {
 
-// Numbers that are not finite stand in it as they are; what prints it, or hands it to Python, makes null of them.
+// A document may have numbers that are not finite; printing it, or passing it to Python, makes null of them.
 using Json = nlohmann::ordered_json;
 
 // [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
@@ -47,7 +47,7 @@ void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>&
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 // The values of the scene's design parameters, by their names.
 Json DesignToJson(const Scene& scene, const std::vector<double>& values);
-// Entries of a gradient that exist from one side only.
+// Converts the entries of a gradient that are one-sided.
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 
 // The conditions of the minimum principle, see saltus/optimality/certificate.h.

@@ -48,7 +48,7 @@ class ExactFlight {
   // The exact model takes `scene`, which is in its natural units and outlives the object.
   explicit ExactFlight(const Scene& scene) : scene_(scene) {}
 
-  // Which discs touch anything in the flights that follow; all others must not.
+  // Sets which discs touch anything in the flights that follow; all others must not.
   void SetTouching(const std::vector<char>& touches) {
     discs_.clear();
     for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -110,8 +110,8 @@ constexpr double kOneInstant = 1e-9;  // of a step, or of the whole: what is nea
 using ContactKey = std::tuple<bool, int, int>;
 ContactKey KeyOf(const Candidate& c) { return {c.plane, c.a, c.b}; }
 
-// Momentum that disc a (or, if it is fixed, what b gives to it) gains from state x to state y beyond that of `forces`
-// over `time`.
+// Returns the momentum that disc a (or, if it is fixed, what b gives to it) gains from state x to state y beyond that
+// of `forces` over `time`.
 Vec2d ImpulseOn(const Scene& scene, const Candidate& c, std::span<const double> x, std::span<const double> y,
                 int body_size, std::span<const double> forces, double time) {
   const bool mirrored = scene.bodies[c.a].fixed && !c.plane;
@@ -148,7 +148,7 @@ class Way {
   const Simulator& simulator() const { return *simulator_; }
   int num_steps() const { return simulator_->num_steps(); }
   int step() const { return step_; }
-  // Before and after the current step, and the force on every disc during it.
+  // The states before and after the current step, and the force on every disc during it.
   std::span<const double> x() const { return x_; }
   std::span<const double> next() const { return next_; }
   std::span<const double> force() const { return force_; }
@@ -227,7 +227,7 @@ class Recorder {
   Motion* motion_;
 };
 
-// Joins what touches in steps that follow each other.
+// Joins the touches of a pair in consecutive steps.
 class TouchCollector {
  public:
   TouchCollector(Motion* motion, double margin) : motion_(motion), margin_(margin) {}
@@ -255,7 +255,7 @@ class TouchCollector {
 
 void SortTouches(Motion* motion) { std::ranges::stable_sort(motion->touches, {}, &TouchSpan::begin); }
 
-// Intervals of equal length that follow each other.
+// A group of consecutive intervals of equal length.
 struct Group {
   int first = 0, count = 0;
   double length = 0;
@@ -270,7 +270,7 @@ std::vector<Group> GroupsOf(const std::vector<double>& lengths) {
   return groups;
 }
 
-// Exact motion of a scene in its natural units.
+// The exact motion of a scene in its natural units.
 class ExactMotion {
  public:
   ExactMotion(const Scene& scene, const MotionOptions& options, size_t nodes)
@@ -326,7 +326,7 @@ class ExactMotion {
 
   using Touches = std::vector<StepTouch>::const_iterator;
 
-  // Which discs touch anything in the step of the first touch, or in the next one, into which flights may reach.
+  // Returns which discs touch anything in the step of the first touch, or in the next, into which flights may reach.
   std::vector<char> Touching(Touches touch, Touches end) const {
     std::vector<char> touching(scene_.bodies.size());
     for (const int step = touch->step; touch != end && touch->step <= step + 1; ++touch) {
@@ -376,7 +376,7 @@ class ExactMotion {
     }
   }
 
-  // Contacts that press last to the end of the step.
+  // Extends contacts with a force to the end of the step.
   void Extend(const StepTouch& at, double step_start, double h) {
     if (at.touch.kind != ContactKind::kSustained) return;
     const double begin = start_ + step_start;

@@ -146,7 +146,7 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
 
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
   const JobsEnd end = RunJobsOrAbandon(names, threads, progress, job);
-  // Before an exception takes down the frames whose objects the abandoned jobs use.
+  // The program ends before an exception destroys the objects that the abandoned jobs use.
   if (end.abandoned) EndProgram(kAnswerFailed);
   if (end.thrown) std::rethrow_exception(end.thrown);
   return end.complete;

@@ -45,8 +45,8 @@ struct JobResults {
   bool complete = false;
 };
 
-// Results of jobs: compute(i, say, keep) returns one, and may call keep() before with what is to stand if it does not
-// come back. Whatever it uses it must own. Throws what a job has thrown.
+// Runs jobs with results: compute(i, say, keep) returns one, and may call keep() before with the result that counts if
+// it does not return. It must own whatever it uses. Throws what a job has thrown.
 template <typename Result>
 JobResults<Result> ComputeAll(const std::vector<std::string>& names, int threads, Progress* progress,
                               std::function<Result(int, const SayNote&, const std::function<void(Result)>&)> compute) {

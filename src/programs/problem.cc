@@ -24,8 +24,8 @@ std::string Sequence(const LaunchSolution& launch) {
   return sequence.empty() ? "none" : sequence;
 }
 
-// Slowest first, which is the one of least effort. Empty if the scene is not of this kind (see FindLaunchSolutions) or
-// optimizes something else than velocities.
+// Returns launches, slowest first, which has the least effort. Empty if the scene is not of this kind (see
+// FindLaunchSolutions) or optimizes something else than velocities.
 std::vector<LaunchSolution> FindLaunches(const Scene& scene) {
   if (scene.optimize != Optimize::kVelocity) return {};
   return FindLaunchSolutions(scene);

@@ -9,7 +9,7 @@ namespace saltus {
 
 struct Scene;
 
-// Defaults that differ from program to program; flags given on the command line override them.
+// The defaults that differ from program to program; flags given on the command line override them.
 struct ProgramDefaults {
   std::string scene;          // file; empty if --scene must be given
   std::string solver = "gd";  // --solver

@@ -101,7 +101,7 @@ std::atomic<bool> holds{false};
 void OnNoMemory() {
   void* held = reserve.exchange(nullptr);
   std::free(held);
-  // Destructors at work may use what was held back, and must not throw.
+  // A destructor that runs during unwinding may use the memory held back, and must not throw.
   if (held != nullptr && std::uncaught_exceptions() > 0) return;
   throw std::bad_alloc();
 }

@@ -40,7 +40,7 @@ std::vector<std::string> NameList(const Entries& entries) {
   return names;
 }
 
-// Names and summaries on standard output, one entry a line.
+// Prints names and summaries on standard output, one entry a line.
 template <typename Entries>
 void PrintList(const Entries& entries) {
   for (const auto& entry : entries) {
@@ -59,7 +59,7 @@ std::vector<std::string> ReadNames(const std::string& flag, const std::string& l
                                    const std::vector<std::string>& known,
                                    const std::string& expected = "'all' or some of ");
 
-// Exit codes, as promised to scripts.
+// The exit codes, which scripts rely on.
 inline constexpr int kDone = 0;
 inline constexpr int kAnswerFailed = 1;  // it ran, but did not converge or a row did not match
 inline constexpr int kWrongInput = 2;
@@ -76,7 +76,7 @@ inline constexpr char kNoSolver[] = "none";
 struct FeedbackOptions {
   // The regulator minimizes the integral of state |dx|^2 + control |du|^2, plus final |dx|^2 at the end, in SI units.
   double state = 10, control = 1e-3, final = 10;
-  // Standard deviations of independent normal errors, by name; not yet multiplied by `scale`.
+  // The standard deviations of independent normal errors, by name; not yet multiplied by `scale`.
   std::vector<std::pair<std::string, double>> deviations;
   double scale = 1;
   std::string plant = "event";  // the contact model of the simulated runs of a scene
@@ -106,7 +106,7 @@ inline Request WithoutStates(Request request) {
   return request;
 }
 
-// Results could not be written. RunMain turns it into exit code 1.
+// Thrown if results could not be written. RunMain turns it into exit code 1.
 struct OutputError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };

@@ -7,7 +7,7 @@
 
 namespace saltus {
 
-// Flags under one heading, as "scene=FILE" or, of a switch, "json".
+// The flags under one heading, as "scene=FILE" or, for a switch, "json".
 struct FlagGroup {
   std::string title;
   std::vector<std::string> flags;

@@ -25,7 +25,7 @@ void AddFallback(int unresolved_steps, int num_steps, Remarks* remarks) {
   if (unresolved_steps > 0) remarks->push_back({"fallback", DescribeUnresolved(unresolved_steps, num_steps)});
 }
 
-// How many digits of the loss the rounding of initial state and control takes, if these are many.
+// Adds how many digits of the loss the rounding of initial state and control takes, if these are many.
 void AddLostDigits(const Scene& scene, const ModelGradient& gradient, Remarks* remarks) {
   const std::vector<double> initial = InitialState(scene);
   double amplified = 0;

@@ -224,7 +224,7 @@ class ReplayReader : InputReader {
     if (kState * motion->angles.size() != motion->states.size()) motion->angles.clear();
   }
 
-  // Velocities as the differences of positions across the neighbouring states.
+  // Sets velocities to the differences of positions across the neighbouring states.
   void DifferenceVelocities(ReplayMotion* motion) const {
     const size_t width = kState * num_discs(), rows = motion->states.size() / width;
     if (rows != motion->times.size()) return;  // refused by Add()
@@ -321,7 +321,7 @@ class ReplayReader : InputReader {
     });
   }
 
-  // Drawn only where it is said which discs it is of: in files with the whole scene.
+  // Reads the control, which is drawn only if the file has the discs that it belongs to: files with the whole scene.
   void ReadControl(const NpzArrays& arrays, ReplayMotion* motion) const {
     const auto control = arrays.find("control"), lengths = arrays.find("durations");
     if (control == arrays.end() || !scene_ || scene_->num_controlled() == 0) return;

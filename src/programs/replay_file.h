@@ -9,7 +9,7 @@
 
 namespace saltus {
 
-// Motions as read. Colours and dashes are not set.
+// The motions of a file. Colours and dashes are not set.
 struct ReplayFile {
   Replay drawn;
   std::vector<std::string> models;  // of each motion, the contact model that it is of; may be empty

@@ -11,7 +11,7 @@
 
 namespace saltus {
 
-// Discs at their start, walls and targets.
+// Draws discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);
 
 // The most numbers of states that fit into a page: about 3 MB.
@@ -23,10 +23,10 @@ void AddWalls(const Scene& scene, Replay* replay);
 // The discs, walls and targets of a scene, without motions.
 Replay ReplayOf(const Scene& scene);
 
-// How many nodes each of `motions` motions may have in a page.
+// Returns how many nodes each of `motions` motions may have in a page.
 MotionOptions ReplayOptions(const Scene& scene, std::size_t motions);
 
-// Into forces and torques, from rows (control_rows.h).
+// Splits rows (control_rows.h) into forces and torques.
 void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMotion* motion);
 
 // `input` is what the motion was simulated from: its control is drawn too. Precondition: the motion has states.

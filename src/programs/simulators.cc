@@ -70,7 +70,7 @@ std::vector<SimulatorCommand>& Kept() {
   return kept;
 }
 
-// Stays until the process ends, and with it the command.
+// Returns a black box that stays until the process ends, and with it the command.
 std::shared_ptr<BlackBox> OpenedOnce(const std::string& contact) {
   static std::mutex& mutex = *new std::mutex;
   static auto& opened = *new std::map<std::string, std::shared_ptr<BlackBox>>;

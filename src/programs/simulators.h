@@ -34,7 +34,7 @@ bool HasFailed(const std::string& contact, const Scene& scene);
 
 // With what prints each line of its standard error under its name.
 CommandOptions OptionsOf(const SimulatorCommand& simulator, int copies);
-// Asks it with so many copies, and passes on what it prints on standard error.
+// Opens a simulator with so many copies of its command, and forwards its standard error.
 std::shared_ptr<BlackBox> OpenSimulator(const SimulatorCommand& simulator, int copies);
 
 }  // namespace saltus

@@ -18,8 +18,8 @@ std::string RemarkOn(const SolvedRun& run);
 // were not begun.
 SolvedRuns SolveAll(const Request& request);
 
-// Why a run is no answer, in a few words: it did not converge, its defects are open, or it ends worse than it began.
-// Empty if it is one, and for what is not applicable.
+// Returns the reason why a run is no answer, in a few words: it did not converge, its defects are open, or it ends
+// worse than it began. Empty if it is one, and for solvers that are not applicable.
 std::string WhyNoAnswer(const SolveReport& report);
 
 Table RunTable(const SolvedRuns& solved);

@@ -214,7 +214,7 @@ Motions MotionsOf(const Request& request, const SolvedRun& run) {
   return motions;
 }
 
-// Who touched: [a, b, whether b is a plane], when, and the impulse on a.
+// Adds the touches: [a, b, whether b is a plane], their times, and the impulse on a.
 void AddTouches(const Motion& motion, const std::string& prefix, NpzArrays* arrays) {
   const int64_t rows = static_cast<int64_t>(motion.touches.size());
   std::vector<int64_t> pairs;

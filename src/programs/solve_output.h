@@ -64,10 +64,10 @@ void WriteSolutions(const Request& request, const SolvedRuns& solved);
 
 class Page;
 
-// Table of runs, certificates, replay, trajectories, controls and learning curves.
+// Adds the table of runs, certificates, replay, trajectories, controls and learning curves.
 void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page);
 
-// report.html in --output_dir, if there is one. Throws OutputError.
+// Writes report.html in --output_dir, if there is one. Throws OutputError.
 void WriteSolveReport(const Request& request, const SolvedRuns& solved);
 
 }  // namespace saltus

@@ -15,7 +15,7 @@
 // exponent is found without a logarithm, whose rounding might decide.) The origin is a multiple of 64 lengths, zero for
 // scenes around [0, 0]: subtracting it is exact, and coordinates far from the origin have lost all that can be lost.
 //
-// Contact models whose constants have units by their source are what they are. They see SI units, but for the origin;
+// Contact models whose constants have units by their source compute in SI units, with the origin of the natural ones;
 // the simulator converts (simulate/registry.h).
 #pragma once
 

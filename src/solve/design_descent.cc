@@ -211,7 +211,7 @@ class Descent {
     return gradient;
   }
 
-  // Down, among the parameters that are not held, and not too far.
+  // Returns the descent direction among the parameters that are not held, with a bounded length.
   VectorXd Direction(const Point& at, const MatrixXd& inverse) const {
     const VectorXd gradient = Projected(at);
     VectorXd direction = -(inverse * gradient);

@@ -15,7 +15,7 @@
 
 namespace saltus {
 
-// Why the descent cannot take a scene; empty if it can. It takes those of which a control is optimized.
+// Returns the reason why the descent does not support a scene; empty if it does. A control has to be optimized.
 std::string WhyNotDescent(const Scene& scene);
 
 // The request without design parameters.

@@ -1,4 +1,4 @@
-// The optimum of one disc that strikes another, on the scene's time grid, in closed form but for two numbers: see
+// The optimum of one disc that strikes another, on the scene's time grid, in closed form except for two numbers: see
 // saltus/exact/grid_optimum.h. Other solvers stall at any of the nodes around it, each of which is a local minimum.
 #pragma once
 
@@ -12,7 +12,7 @@ namespace saltus {
 // plane). kConverged means stationary in the sense of Clarke: the two one-sided gradients balance.
 SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options);
 
-// Why the closed form cannot take a request; empty if it can.
+// Returns the reason why the closed form does not support a request; empty if it does.
 std::string WhyNotGridOptimum(const SolveRequest& request);
 
 }  // namespace saltus

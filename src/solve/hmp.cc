@@ -210,7 +210,7 @@ bool WriteControl(const Scene& scene, const ContactSequence& sequence, const std
   return true;
 }
 
-// How a solve along one sequence has ended.
+// The result of a solve along one sequence.
 struct Attempt {
   Trial trial;
   double loss = 0;  // in continuous time

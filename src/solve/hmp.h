@@ -53,7 +53,7 @@ struct ContinuousOptimum {
 std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const SolveReport& start,
                                                        int most_iterations);
 
-// Why the method cannot take a request; empty if it can.
+// Returns the reason why the method does not support a request; empty if it does.
 std::string WhyNotHmp(const SolveRequest& request);
 
 // Precondition: WhyNotHmp is empty.

@@ -106,7 +106,7 @@ bool ShootingRun::Record(double loss, std::span<const double> z) {
 SolveReport ShootingRun::Finish(std::span<const double> z, Termination termination, std::string reason,
                                 std::optional<double> final_loss) {
   const ShootingFunction& shooting = function();
-  // Stopped in the middle of an iteration, an algorithm sees evaluations that fail.
+  // An algorithm that is stopped in the middle of an iteration sees evaluations that fail.
   if (shooting.stopped() && termination != Termination::kConverged) {
     termination = Termination::kInterrupted;
     reason.clear();

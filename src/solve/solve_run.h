@@ -18,10 +18,10 @@
 
 namespace saltus {
 
-// Which option is wrong for every solver, as "found x, expected y"; empty if none is.
+// Returns the error of an option that is wrong for every solver, as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const SolverOptions& options);
 
-// Around an algorithm that minimises any function by shooting.
+// The frame of an algorithm that minimises any function by shooting.
 class ShootingRun {
  public:
   // The clock of the report starts here. Both outlive it.
@@ -35,7 +35,7 @@ class ShootingRun {
   const std::vector<double>& initial_guess() const { return guess_; }
   int num_recorded() const { return static_cast<int>(report_.losses.size()); }
 
-  // Appends the loss of the next iterate z, the initial guess first. False if the callback wants to stop.
+  // Appends the loss of the next iterate z, the initial guess first. Returns false if the callback wants to stop.
   bool Record(double loss, std::span<const double> z);
 
   // Counts an estimate of the gradient, with the standard error of each component.
@@ -68,20 +68,20 @@ class SolveRun final : public ShootingRun {
   ShootingFunction& function() override { return shooting_; }
 
  private:
-  // Which discs of terminal terms lie in a pocket at the end, of a run that has converged.
+  // Names the discs of terminal terms that lie in a pocket at the end of a run that has converged.
   std::string RemarkOn(std::span<const double> z, Termination termination) override;
 
   SingleShooting shooting_;
 };
 
-// Which bounds on the control a solver keeps.
+// The bounds on the control that a solver keeps.
 struct BoundsKept {
   bool components = false, norm = false;
 };
-// Why single shooting cannot take a request; empty if it can.
+// Returns the reason why single shooting does not support a request; empty if it does.
 std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds);
 
-// Why a scene gives single shooting nothing to do; empty if it does not.
+// Returns the reason why single shooting has nothing to optimize in a scene; empty if it has.
 std::string WhyNothingToOptimize(const Scene& scene);
 
 // Tolerances so tight that in smooth problems rounding alone stops Ceres; whether that was a minimum is judged by
@@ -138,14 +138,14 @@ class RecordIteration final : public ceres::IterationCallback {
   std::optional<std::vector<double>> iterate_;
 };
 
-// How Ceres ended.
+// The termination of Ceres.
 struct CeresOutcome {
   ceres::TerminationType type;
   std::span<const ceres::IterationSummary> iterations;
   bool failure_is_stall;  // FAILURE at a later iterate means that no descent was found
 };
 
-// How a run ended, and why in words.
+// The termination of a run, and the reason in words.
 struct End {
   Termination termination;
   std::string words;
@@ -156,7 +156,7 @@ struct End {
 // until it is met.
 End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
-// Does so, and writes the report.
+// Records the end in this way, and writes the report.
 SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);
 
 // A converged run whose certificate finds no minimum becomes no_progress, with the reason of the certificate.

@@ -50,7 +50,7 @@ std::string HowItEnded(int status) {
   return "exit code " + std::to_string(WEXITSTATUS(status));
 }
 
-// Looked for instead of starting MPI and asking it: alone, a sweep needs nothing of it.
+// Whether MPI has started this process, by its environment: a sweep that runs alone does not start MPI.
 bool StartedByMpi() {
   for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"}) {
     if (std::getenv(name) != nullptr) return true;
@@ -158,7 +158,7 @@ void WorkerPool::Start(int64_t task) {
   ++busy_;
   while (send(worker->socket, &task, sizeof(task), MSG_NOSIGNAL) != sizeof(task)) {
     if (errno == EINTR) continue;
-    // Killed while it had nothing to do.
+    // The worker was killed while it was idle.
     Reap(&*worker);
     Launch(&*worker);
   }

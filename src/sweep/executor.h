@@ -17,8 +17,8 @@
 
 namespace saltus {
 
-// Processes that compute, one task at a time each. Processes rather than threads: a task that crashes, or does not end
-// in time, takes nothing with it but its process, which is replaced.
+// A pool of worker processes, each with one task at a time. A task that crashes, or does not end in time, ends its
+// process only, which is replaced; threads would take the program with them.
 class WorkerPool {
  public:
   using Clock = std::chrono::steady_clock;
@@ -121,7 +121,7 @@ class SweepCluster {
   virtual ~SweepCluster() = default;
 
   virtual int rank() const = 0;
-  // How many of the ranks share this machine.
+  // Returns how many of the ranks share this machine.
   virtual int ranks_here() const = 0;
 
   // On rank 0, before there is an executor: to be called at short intervals, lest others believe that it is gone.

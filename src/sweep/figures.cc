@@ -45,10 +45,10 @@ std::string AxisLabel(const std::string& option) {
   return option;
 }
 
-// True if a logarithmic scale shows values from `least` to `most` better.
+// Whether a logarithmic scale shows values from `least` to `most` better.
 bool WantsLog(double least, double most, double ratio) { return least > 0 && most >= ratio * least; }
 
-// True if ascending values of an option are spaced more evenly on a logarithmic scale; of two values, if they are far
+// Whether ascending values of an option are spaced more evenly on a logarithmic scale; two values, if they are far
 // apart.
 bool WantsLog(const std::vector<double>& values) {
   constexpr double kFar = 20;
@@ -83,12 +83,12 @@ class Results {
 
   size_t size() const { return rows_.size(); }
   const SweepStudy& study() const { return study_; }
-  // Numbers with more than one value.
+  // The numbers that have more than one value.
   const std::vector<std::string>& varied() const { return varied_; }
 
   bool Has(const std::string& column) const { return study_.FindColumn(column).has_value(); }
 
-  // NaN where there is none. Precondition: the column exists.
+  // Returns a number, NaN where there is none. Precondition: the column exists.
   double Number(size_t row, const std::string& column) const {
     return ToNumber((*rows_[row])[*study_.FindColumn(column)]);
   }
@@ -135,7 +135,7 @@ std::string Label(const Method& method) {
 using Curve = std::map<double, double>;                   // by x
 using Map = std::map<std::pair<size_t, size_t>, double>;  // by indices of x and y
 
-// Curves or maps of every method: the smallest number (or the largest) over all rows at the same place.
+// Returns curves or maps of every method: the smallest number (or the largest) over all rows at the same place.
 template <typename Places, typename PlaceOf, typename Better>
 std::map<Method, Places> BestOf(const Results& results, const PlaceOf& place_of, const std::string& column,
                                 const Better& better) {
@@ -302,7 +302,7 @@ std::vector<double> Edges(const std::vector<double>& values, bool log) {
   return edges;
 }
 
-// Values as colours, the same in all panels of a figure.
+// The colours of values, the same in all panels of a figure.
 class ColourScale {
  public:
   explicit ColourScale(const Extent& extent)

@@ -61,8 +61,8 @@ struct Message {
   std::string bytes;
 };
 
-// How long it has been since another rank was heard. Time in which this process did not run itself (the machine slept,
-// the job was stopped) does not count: the message may be there by now.
+// The time since another rank was heard. Time in which this process did not run itself (the machine slept, the job was
+// stopped) does not count: the message may be there by now.
 class Silence {
  public:
   void Heard() { length_ = Clock::duration::zero(); }
@@ -124,7 +124,7 @@ class MpiCluster : public SweepCluster {
   // call does anything; no message is received after it.
   void Dismiss(const std::set<int>& lost);
 
-  // Sends without waiting until it has been taken: that of a rank which is gone never is.
+  // Sends without waiting for the receiver: a rank that is gone never receives.
   void Send(int rank, int tag, std::string bytes);
   // Tells a rank that this one is there; a message to it that is under way still does so too.
   void SayAlive(int rank);
@@ -225,7 +225,7 @@ class ClusterExecutor : public SweepExecutor {
     while (const std::optional<Message> message = Receive()) {
       Rank& rank = ranks_[message->source];
       rank.heard = Clock::now();
-      // Merely slow: what it was computing has been given to others, but it can go on.
+      // The rank is merely slow: its points have been given to others, but it can go on.
       rank.lost = false;
       if (message->tag == kHello) {
         Welcome(*message);

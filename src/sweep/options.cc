@@ -191,7 +191,7 @@ Json RunProgram(const std::string& arguments, double seconds) {
   char part[4096];
   for (size_t size; (size = fread(part, 1, sizeof part, pipe)) > 0;) text.append(part, size);
   pclose(pipe);
-  // Beside the document it may say something on standard error.
+  // The program may write more than the document, on standard error.
   const size_t begin = text.find('{'), end = text.rfind('}');
   if (begin != std::string::npos && end != std::string::npos && begin < end) {
     Json document = Json::parse(text.substr(begin, end - begin + 1), nullptr, /*allow_exceptions=*/false);

@@ -32,7 +32,7 @@ struct SweepProgram {
 };
 // Keeps it for the functions below and for the points of a study. To be called once, before them.
 void KeepProgram(SweepProgram program);
-// Null if none is kept.
+// Returns the kept program, null if none is kept.
 const SweepProgram* KeptProgram();
 // The JSON that a command line of the program prints. Throws InputError with what it prints if there is none.
 Json RunProgram(const std::string& arguments, double seconds);

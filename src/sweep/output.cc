@@ -43,7 +43,7 @@ struct Reason {
   const StoredPoint* first = nullptr;
 };
 
-// Most frequent first, equally frequent ones by their first point.
+// Returns the reasons, most frequent first, equally frequent ones by their first point.
 std::vector<Reason> Reasons(const std::vector<StoredPoint>& points) {
   std::map<std::string, Reason> by_text;
   for (const StoredPoint& point : points) {

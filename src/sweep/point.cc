@@ -35,7 +35,7 @@ double PeakMemory() {
   return -1;
 }
 
-// Null in place of numbers that are not finite.
+// Appends values, with null in place of numbers that are not finite.
 void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
   for (const SweepValue& value : values) {
     const bool finite = !value.is_number_float() || std::isfinite(value.get<double>());

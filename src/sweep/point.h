@@ -31,7 +31,7 @@ std::vector<std::string> ResultColumns(const SweepStudy& study);
 // the columns "seconds" and "memory_mib" of a point that is not stopped is the same on every call.
 PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds);
 
-// Why a point was stopped after so many seconds.
+// Returns the reason of a point that was stopped after so many seconds.
 std::string TimeLimitReason(double seconds);
 
 // The row of a point of which nothing is known but why it failed.

@@ -20,7 +20,7 @@ std::optional<double> ReadNumber(std::string_view text) {
   return FromText<double>(text);
 }
 
-// Why a text is no value of an option, as "found 'x', expected y", or nothing after filling in `value`.
+// Reads the value of an option. Returns the error as "found 'x', expected y", or nothing after setting `value`.
 std::string ReadValue(const std::string& option, const std::string& text, const Scene& scene, SweepValue* value) {
   const SweepOptionKind kind = *FindSweepOption(option, scene);
   const std::string found = "found '" + text + "', expected ";
@@ -94,7 +94,7 @@ class SpecParser {
     if (!Accept(c)) Fail(std::string("'") + c + "'");
   }
 
-  // Up to the next mark; spaces at its ends are not part of it.
+  // A token up to the next mark; spaces at its ends are not part of it.
   struct Token {
     std::string text;
     size_t place = 0;

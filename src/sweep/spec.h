@@ -19,7 +19,7 @@
 
 namespace saltus {
 
-// Some options, and the values that they take together: a table with one column an option.
+// Some options, and the values that they take together: a table with one column for each option.
 struct SweepBlock {
   std::vector<std::string> options;
   std::vector<SweepRow> rows;

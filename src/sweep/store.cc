@@ -74,7 +74,7 @@ StatusOr<SweepStore> SweepStore::Open(const std::string& path, const SweepStudy&
 
 Status SweepStore::OpenDatabase(const std::string& path) {
   path_ = path;
-  // SQLite would write into whatever there is.
+  // SQLite would write into any file of that name, so that only a regular file is accepted.
   for (const char* suffix : {"", "-wal", "-journal"}) {
     if (Status status = CheckRegularFile(path + suffix); !status.ok()) return status;
   }
@@ -83,8 +83,8 @@ Status SweepStore::OpenDatabase(const std::string& path) {
   database_.reset(database);
   if (result != SQLITE_OK) return Error();
   sqlite3_busy_timeout(database, kBusyMilliseconds);
-  // Exclusive before the log is first used: the log then needs no memory shared between processes, which network file
-  // systems do not have.
+  // The lock is exclusive before the log is first used: the log then needs no memory shared between processes, which
+  // network file systems do not have.
   return Execute(
       "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; "
       "COMMIT");
@@ -108,7 +108,7 @@ Status SweepStore::CheckStudy() {
 Status SweepStore::CreateTables() {
   std::string columns;
   for (const std::string& column : study_->columns()) columns += ", " + QuoteName(column);
-  // Columns without a type keep every value as it is. All or nothing: whoever finds tables finds all of them.
+  // Columns without a type keep every value as it is. The tables are made in one transaction: all or none exist.
   const Status status =
       Execute(std::string("BEGIN IMMEDIATE; PRAGMA application_id = ") + kApplicationId +
               "; CREATE TABLE study (key TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;"

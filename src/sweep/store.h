@@ -27,7 +27,7 @@ class SweepStore {
   // the object. Errors: no access, not a store, in use by another process, of another study (with what differs).
   static StatusOr<SweepStore> Open(const std::string& path, const SweepStudy& study);
 
-  // How many points are stored.
+  // Returns the number of stored points.
   int64_t size() const;
   bool Has(int64_t point) const;
 
@@ -62,7 +62,7 @@ class SweepStore {
   Status Execute(const std::string& sql);
   Statement Prepare(const std::string& sql) const;
   Status Error() const;
-  // Throws what SQLite says, of a database that is damaged or cannot be read any more.
+  // Throws the message of SQLite if a database is damaged or cannot be read any more.
   void Expect(bool holds) const;
 
   const SweepStudy* study_;

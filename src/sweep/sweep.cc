@@ -74,7 +74,7 @@ std::string ShardName(Shard shard) {
   return "shard-" + std::to_string(shard.index) + "-of-" + std::to_string(shard.count);
 }
 
-// Results of a shard do not stand in the way of those of the whole.
+// Returns the base name of output files, which differs for shards, so that these do not replace those of the whole.
 std::string BaseName(Shard shard) { return shard.count == 1 ? "sweep" : "sweep." + ShardName(shard); }
 
 std::string ReportPath(const SweepStudy& study, const std::string& base) {
@@ -213,7 +213,7 @@ int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
   return Report(study, store, shard);
 }
 
-// Simulators by themselves, unless contact models are asked for too.
+// Adds simulators; they are swept alone unless contact models are asked for too.
 void AddSimulators(const std::vector<std::string>& arguments, Request* request) {
   const std::vector<std::string> names = KeepSimulators(ReadSimulators(arguments));
   if (!names.empty() && !IsGiven("contact")) request->contacts.clear();
@@ -233,7 +233,7 @@ bool SweepsSeeds(const std::string& text) {
   return false;
 }
 
-// Asks the program of --program for the names of what it lets set.
+// Asks the program of --program for the names of the numbers that can be set.
 void AskProgram() {
   KeepProgram({.command = FLAGS_program, .name = FLAGS_program, .names = {}});
   const Json document = RunProgram("--solver=none", FLAGS_point_seconds);

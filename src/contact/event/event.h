@@ -14,7 +14,7 @@
 // The README of this folder has the states of a pair and their transitions; event_step.h the parts of which a step is
 // composed; thresholds.h all thresholds. The rules:
 //
-// Order. Events are resolved one by one, the earliest first; of impacts at the same time, but for rounding, that of
+// Order. Events are resolved one by one, the earliest first; of impacts at the same time, up to rounding, that of
 //   the first candidate (discs by index pairs, then walls). The pairs whose motion has changed are predicted again,
 //   until no event is left. A row of equal discs thus passes an impact on, and a disc in a right-angled corner bounces
 //   off both walls. Derivatives are those of this order, even where another order of impacts at the same time leads to

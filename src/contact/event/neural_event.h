@@ -3,7 +3,7 @@
 // The parameters are learned from recordings by Ceres (Identify()), through the exact event times.
 //
 // Sustained contacts, and the last of the bounces that come to rest, have the restitution and the friction of the law
-// at the speeds 0. With a constant law the model is `event`, bit by bit but for the rounding of its evaluation.
+// at the speeds 0. With a constant law the model is `event`, bit by bit except for the rounding of its evaluation.
 //
 // Derivatives by parameters of the law: a contact model is differentiated by restitution, stiffness and damping of the
 // scene, which this one does not read. They stand for the law's parameters `first`, first + 1 and first + 2.

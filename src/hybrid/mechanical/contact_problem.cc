@@ -18,7 +18,7 @@ constexpr double kAtLimit = 1e-12;    // of forces: the distance to a limit that
 constexpr double kTolerance = 1e-10;  // of accelerations that are zero, of the largest term
 constexpr double kOfTerms = 1e-14;    // rounding errors of what is given, of its terms
 constexpr double kDiffers = 1e-7;     // accelerations of two solutions, of the largest term
-// Accelerations of a solution of Lemke's method that are zero, likewise: the first that gives a solution counts.
+// Tolerances for zero accelerations in a solution of Lemke's method: the first that gives a solution counts.
 constexpr std::array kStands = {1e-10, 1e-8, 1e-6};
 constexpr double kCoupled = 1e-12;     // |matrix_ij| / sqrt(matrix_ii matrix_jj) that is not rounding
 constexpr double kMovesNothing = 0.5;  // eigenvalues of a projection are 0 or 1
@@ -286,7 +286,7 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
     sum[of.normal] = -1;
   }
   ForceSplit split{.force = force, .tight = {}, .by_stress = {}};
-  // No solution is as far from x as the bounds that enclose it.
+  // The solution is closer to x than the bounds that enclose it.
   const double bound = 10 * static_cast<double>(force.size()) * (1 + friction) * (force.cwiseAbs().sum() + normals);
   if (!(bound > 0) || !std::isfinite(bound)) return split;
   Eigen::MatrixXd slopes(d + 2 + m, d);
@@ -370,7 +370,7 @@ std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) 
     for (int i = 0; i < k; ++i) {
       if (!problem.has_friction[i]) friction[i] = 0;
     }
-    // That all contacts stay closed, and stick unless they slide, needs no search: as of bodies that rest.
+    // Bodies at rest are tried first: all contacts stay closed, and stick unless they slide. This needs no search.
     try_status(StatusOfMotion(problem, Eigen::VectorXd::Zero(2 * k), 0));
     std::optional<Eigen::VectorXd> found;
     if (all.empty()) found = SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding);

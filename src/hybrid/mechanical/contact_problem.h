@@ -75,13 +75,13 @@ struct ForceLimits {
 };
 ForceLimits LimitsOf(const std::vector<UnknownForces>& contacts, Eigen::Index num_forces);
 
-// Rounding errors of forces f with matrix f = right: of each, by its own size and those of the forces that depend on
-// it. `terms`: sizes of the terms that add up to `right`. A force that is past a limit by less is at the limit.
+// Returns the rounding errors of forces f with matrix f = right: of each, by its size and those of the forces that
+// depend on it. `terms`: sizes of the terms that add up to `right`. A force past a limit by less is at the limit.
 Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& force,
                                 const Eigen::VectorXd& terms);
 
-// Internal stresses of contacts, an orthonormal basis: forces that move nothing, as where two corners of a body stick.
-// `matrix`: accelerations along the rows of the contacts by their forces.
+// Returns an orthonormal basis of internal stresses: contact forces that move nothing, as where two corners of a body
+// stick. `matrix`: accelerations along the rows of the contacts by their forces.
 Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix);
 
 // The forces x + stresses y that are farthest from their limits: the smallest of the limits is as large as possible.

@@ -201,7 +201,7 @@ double MechanicalEquations::GapScale(int contact, const Point& at) const {
   return RowAt({contact, false}, at).cwiseAbs().dot(Eigen::Map<const Eigen::RowVectorXd>(at.q, n_).cwiseAbs());
 }
 
-// value: nothing; rate: the velocity along the row; second: the acceleration.
+// A row along a path: value: not used; rate: the velocity along the row; second: the acceleration.
 template <typename S>
 TimeJet<S> MechanicalEquations::Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const {
   const TimeJet<S>*q = path.q.data(), *p = path.p.data();

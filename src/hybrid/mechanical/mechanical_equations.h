@@ -44,7 +44,7 @@ class MassMatrix {
  public:
   void Factorize(const Eigen::MatrixXd& mass);
 
-  // M^-1 right.
+  // Returns M^-1 right.
   template <typename Right>
   Eigen::Matrix<double, Eigen::Dynamic, Right::ColsAtCompileTime> Solve(const Eigen::MatrixBase<Right>& right) const {
     if (!is_diagonal_) return cholesky_.solve(right);
@@ -86,7 +86,7 @@ class MechanicalEquations {
   };
   static std::vector<Row> RowsOf(const std::vector<ClosedContact>& closed);
 
-  // M, factorized, and the matrices of closed contacts at (q, p).
+  // The mass matrix M, factorized, and the matrices of closed contacts at (q, p).
   struct System {
     MassMatrix mass;
     std::vector<Row> rows;
@@ -117,12 +117,12 @@ class MechanicalEquations {
   double GapRate(int contact, const TimePath<double>& path) const {
     return f_.Gap(contact, path.q.data(), path.p.data()).rate;
   }
-  // sum |N_j q_j|: the size of the terms of a gap, of which rounding errors are a part.
+  // Returns the sum of |N_j q_j|, the size of the terms of a gap, to which rounding errors are proportional.
   double GapScale(int contact, const Point& at) const;
 
   Eigen::VectorXd Force(const Point& at) const;
-  // Accelerations and forces; unless `terms` is null, also the sizes of the terms of the accelerations along the rows
-  // without forces of contacts.
+  // Computes accelerations and forces; unless `terms` is null, also the sizes of the terms of the accelerations along
+  // the rows without forces of contacts.
   void Accelerate(const System& system, const Point& at, Eigen::VectorXd* a, Eigen::VectorXd* force,
                   Eigen::VectorXd* terms = nullptr) const;
 
@@ -160,7 +160,7 @@ class MechanicalEquations {
   void Project(const std::vector<ClosedContact>& closed, double* q, double* v, const double* p,
                std::span<Seeds> seeds = {}) const;
 
-  // N M^-1 (N^T - mu sigma T^T) of a sliding contact: where it is not positive, no force or several keep it closed.
+  // Returns N M^-1 (N^T - mu sigma T^T) of a sliding contact; not positive: no force or several keep it closed.
   Jet Pressability(const ClosedContact& contact, const Seeds& seeds, const Point& at) const;
 
   Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
@@ -174,7 +174,7 @@ class MechanicalEquations {
   bool Vary(std::span<const int> reads, const Seeds& seeds) const;
   // The path that stays where it is.
   TimePath<Jet> Still(const Seeds& seeds) const;
-  // `still` is that path, and so again afterwards. The row is zero but for the coordinates among `reads`.
+  // `still` is that path, and so again afterwards. The row is zero except for the coordinates among `reads`.
   void RowOf(const Row& row, const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still, Jet* out) const;
   // v and a are those of the path.
   template <typename S>
@@ -186,7 +186,7 @@ class MechanicalEquations {
   // Adds M a.
   template <typename S>
   void AddMomentum(const System& system, const Seeds& seeds, const S* a, Jet* momentum) const;
-  // Subtracts what a contact with this normal force, which sticks under a tangential force or slides, does.
+  // Subtracts the effect of a contact with this normal force, which sticks under a tangential force or slides.
   void SubtractContact(int contact, const Jet& normal, int sliding, const Jet* tangential, const Seeds& seeds,
                        std::span<const int> reads, TimePath<Jet>* still, Jet* residual) const;
   // Subtracts F f from `residual`.

@@ -43,7 +43,7 @@ std::string TooLarge(std::size_t contacts) {
          "let them touch less";
 }
 
-// Groups of contacts that are coupled by W.
+// Returns the groups of contacts that are coupled by W.
 std::vector<std::vector<int>> GroupsOf(const Eigen::MatrixXd& W) {
   const int k = static_cast<int>(W.rows()) / 2;
   std::vector<int> group(k);
@@ -307,7 +307,7 @@ MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode, const Poi
 MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, const Point& at) const {
   Impact impact = HitWith(mode, contact, at, Restitution::kOwn);
   if (!impact.why.empty()) return impact;
-  // Bounces that accumulate.
+  // Checks for bounces that accumulate.
   bool fast = false;
   std::vector<char> slow(impact.contacts.size());
   const Eigen::VectorXd after = impact.After();
@@ -360,7 +360,7 @@ Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const 
 MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
                                                    Restitution law) const {
   const bool plastic = law != Restitution::kOwn;
-  // Contacts that are closed, and those that hit as well.
+  // Candidates are the contacts that are closed, and those that hit as well.
   std::vector<int> candidates = {contact};
   for (int i = 0; i < functions_->layout().num_contacts; ++i) {
     if (i == contact) continue;
@@ -592,7 +592,7 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
     }
     if (mode.closed[i].status == 's') ++tangential;
   }
-  // A force that is at its limit but for rounding is at it, on both sides.
+  // A force that is at its limit up to rounding is at it, on both sides.
   const auto limit = [&](Jet left) {
     double tolerance = motion.tolerance[static_cast<Eigen::Index>(normal)];
     if (mode.status[contact] == 's') {
@@ -820,11 +820,11 @@ int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Po
   std::string why;
   const std::string next = NextStatus(mode, guarded, at, impact, &why);
   const bool strikes = impact->v_plus.size() > 0;
-  // Forces grow without bounds towards a jam, where steps that are too long find one that is none.
+  // Forces grow without bounds towards a jam, and steps that are too long find a jam where there is none.
   if (!why.empty() && !strikes) return guarded.what == What::kJam ? -2 : -1;
   std::copy_n(at.q, n, x_plus);
   std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
-  // Rounding errors of the speeds that reach zero are no speeds.
+  // A speed that reaches zero is set to zero, as the rest is rounding.
   if (guarded.what == What::kStop) equations_.Project(Stopped(mode, guarded, at), x_plus, x_plus + n, at.p);
   return why.empty() ? ModeOf(next) : -1;
 }
@@ -853,7 +853,7 @@ int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_
   return next;
 }
 
-// Columns of the Jacobian of a state, of which `first` is the first.
+// Copies columns of the Jacobian of a state, of which `first` is the first.
 void MechanicalHybrid::CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const {
   const int n = equations_.n();
   for (int i = 0; i < n; ++i) {
@@ -984,7 +984,7 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
     } else if (impact.impulse[row] > kNearly * impact.impulse.maxCoeff() && touches(impact.contacts[i])) {
       touching += (touching.empty() ? "'" : ", '") + ContactName(impact.contacts[i]) + "'";
     }
-    // How far the end of the impact is from another branch.
+    // Measures how far the end of the impact is from another branch.
     const double speeds = impact.W.row(row + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
     const double bound = functions_->Friction(impact.contacts[i], from.p) * impact.impulse[row];
     const bool at_bound =

@@ -50,7 +50,7 @@ class MechanicalHybrid final : public HybridFunctions {
     std::vector<ClosedContact> closed;
     std::vector<Guarded> guards;
   };
-  // Modes are never removed.
+  // Returns a mode; modes are never removed.
   const Mode& ModeAt(int mode) const;
   // The number of the mode with this status, which is created if there is none.
   int ModeOf(const std::string& status) const;
@@ -75,7 +75,7 @@ class MechanicalHybrid final : public HybridFunctions {
     std::string compressed;
     Eigen::VectorXd compression, v_compressed;
 
-    // v_n and v_t after it, in turn.
+    // Returns v_n and v_t after the impact, in turn.
     Eigen::VectorXd After() const { return before + W * impulse; }
   };
   Impact Hit(const Mode& mode, int contact, const Point& at) const;
@@ -84,11 +84,11 @@ class MechanicalHybrid final : public HybridFunctions {
   struct ClosedMotion {
     Eigen::VectorXd a, force;
     std::vector<MechanicalEquations::Derivative> derivatives;
-    // Only of ForcedMotion.
+    // Set by ForcedMotion only.
     Eigen::VectorXd tolerance;  // of each force: ForceTolerances
     Eigen::MatrixXd stresses;   // InternalStresses
   };
-  // Forces as they are compared with their limits: those that are not unique are those of SplitForces.
+  // Returns the forces to be compared with their limits: those that are not unique are those of SplitForces.
   ClosedMotion ForcedMotion(const Mode& mode, const Point& at,
                             std::span<const MechanicalEquations::Seeds> passes = {}) const;
 
@@ -163,7 +163,7 @@ class MechanicalHybrid final : public HybridFunctions {
   bool CanStick(int contact, const double* p) const {
     return HasFriction(contact) && functions_->Friction(contact, p) > 0;
   }
-  // W and the velocities or accelerations of contacts, as in ContactProblem.
+  // Returns W and the velocities or accelerations of contacts, as in ContactProblem.
   ContactProblem ProblemOf(const std::vector<int>& contacts, const Point& at) const;
   // The restitution of contacts that hit: the given one; none; or none, and all contacts that take part are held
   // closed, and at rest where they are slow.
@@ -187,7 +187,7 @@ class MechanicalHybrid final : public HybridFunctions {
   int ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact, double* x_plus) const;
   std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
-  // Why a mode with these forces has only one-sided derivatives.
+  // Returns the reason why a mode with these forces has only one-sided derivatives.
   std::string ForcesAtLimits(const Mode& mode, const Point& at) const;
   std::string StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at, std::string* why) const;
   Closing ClosedOf(const Mode& mode, const Point& at) const;

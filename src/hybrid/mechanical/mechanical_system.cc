@@ -141,7 +141,7 @@ MechanicalImpact MechanicalSystem::ImpactAt(int mode, int contact, std::span<con
                                hit.impulse[row + 1]});
     hits += hit.hits[i] != 0 ? 1 : 0;
     if (hit.ends_bouncing && hit.hits[i] != 0) {
-      // 2 v / (|a_n| (1 - e)) after the impact that leaves v.
+      // The time of the bounces, 2 v / (|a_n| (1 - e)), after the impact that leaves v.
       MechanicalHybrid::Point then = at;
       then.v = hit.v_plus.data();
       const MechanicalEquations& equations = modes_->equations();

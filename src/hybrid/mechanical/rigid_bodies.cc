@@ -9,7 +9,7 @@ double Cross(const Point2D& a, const Point2D& b) { return a[0] * b[1] - a[1] * b
 Point2D Minus(const Point2D& a, const Point2D& b) { return {a[0] - b[0], a[1] - b[1]}; }
 bool IsUnit(const Point2D& vector) { return std::abs(std::hypot(vector[0], vector[1]) - 1) < 1e-9; }
 
-// About the origin, of a polygon of uniform density and mass 1.
+// Returns the moment of inertia about the origin of a polygon of uniform density and mass 1.
 double UniformInertia(const std::vector<Point2D>& polygon) {
   double area = 0, moment = 0;
   for (std::size_t i = 0; i < polygon.size(); ++i) {

@@ -27,9 +27,9 @@ constexpr int kMostStrengthened = 2;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
-// Damping would only slow down what is nearly linear.
+// The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
-// Relative change of the cost that ends the first solves, which only prepare the next.
+// The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
 

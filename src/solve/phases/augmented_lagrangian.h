@@ -56,8 +56,8 @@ class AugmentedLagrangian {
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
     double tolerance = 1e-9;                                 // largest violation of a row
     double radius = 1e8;                                     // of the trust region at first, after the first solve
-    // Relative change of the cost that ends the third solve and later ones, which leave conditions of first order open
-    // by its root.
+    // The relative change of the cost that ends the third solve and later ones, which leaves conditions of first order
+    // open by its root.
     double gain = 3e-14;
     // If the first solve leaves a row open by more than this, or gains nothing, it is repeated from the start, with
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the

@@ -7,8 +7,8 @@
 
 namespace saltus {
 
-// Along the sequence that is given, or that of the initial guess, which is mended on the way (sequence_mending.h).
-// Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and misses no
+// Solves along the sequence that is given, or that of the initial guess, which is updated (sequence_mending.h).
+// Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and violates no
 // constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
 // and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
 SolveReport SolveByCeresPhases(
@@ -20,7 +20,7 @@ SolveReport SolveByCeresPhases(
 SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOptions& options);
 std::string WhyNotInteriorPoint(const SolveRequest& request);
 
-// That under exact contact, of the request that `run` is of, from its motion.
+// Solves the request of `run` under exact contact, from the motion of the run.
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);
 
 // Returns the reason why the solver does not support a request; empty if it does.

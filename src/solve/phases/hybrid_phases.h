@@ -56,7 +56,7 @@ class HybridPhaseRun final : public SequenceRun {
   const HybridScales& scales() const { return scales_; }
   int num_steps() const { return problem_.guess.num_intervals; }
   int control_width() const { return problem_.system.num_controls(); }
-  // Why there is nothing to start from, as a report; otherwise nothing.
+  // Returns a report if there is nothing to start from, which says why; otherwise std::nullopt.
   std::optional<SolveReport> WhyNotStart();
 
   // Returns the input on which the motion depends.
@@ -68,7 +68,7 @@ class HybridPhaseRun final : public SequenceRun {
   HybridMotion WithinBounds(HybridMotion motion) const;
   void BlendStart(const HybridMotion& to, const HybridMotion& from, double part, HybridMotion* between) const;
 
-  // Times of events that the motion does not have lie between those of their neighbours, where the guard is smallest.
+  // Plans a sequence. An event that the motion lacks is put between its neighbours, where its guard is smallest.
   void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
                  std::vector<double>* times) const;
   // Whether each event is one of the mode that the event before it leads to, and the terms at the end apply there.
@@ -82,7 +82,7 @@ class HybridPhaseRun final : public SequenceRun {
   Certificate Certify(const HybridMotion& motion) const;
   std::vector<HybridMotion> LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const;
 
-  // Why a motion, or a term at it, has no finite derivative; empty if it has, or if there is no motion.
+  // Returns the reason why a motion, or a term at it, has no finite derivative; empty if it has, or without a motion.
   std::string WhyNoDerivative(const HybridMotion& motion) const;
 
   std::string NameOf(const ModeEvent& event) const;
@@ -105,15 +105,15 @@ class HybridPhaseRun final : public SequenceRun {
   std::optional<std::vector<ModeEvent>> sequence_;
 };
 
-// Why a problem has no phases; empty if it has.
+// Returns the reason why a problem has no phases; empty if it has.
 std::string WhyNotHybridPhases(const HybridProblem& problem);
 
-// Along the events of the initial guess, which are updated on the way (sequence_mending.h), with a cost for every step
+// Solves along the events of the initial guess, which are updated (sequence_mending.h), with a cost for every step
 // (hybrid_transcription.h). Converged means: an optimum along its sequence, and the exact roll-out has these events and
 // violates no constraint. Precondition: WhyNotHybridPhases is empty.
 SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options);
 
-// Does so by the interior-point method of IPOPT, with the Hessian of the Lagrangian (interior_point.h).
+// Solves in this way by the interior-point method of IPOPT, with the Hessian of the Lagrangian (interior_point.h).
 std::string WhyNotInteriorPoint(const HybridProblem& problem);
 SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options);
 

@@ -110,8 +110,8 @@ class StepRows final : public Rows {
   Eigen::VectorXd scale_;
 };
 
-// offset + factor g of some guards of a mode, all or none of which depend on the control. Blocks: state, control if
-// they depend on it, parameters if there are any, and the time.
+// Rows offset + factor g of some guards of a mode, all or none of which depend on the control. Blocks: state, control
+// if they depend on it, parameters if there are any, and the time.
 class GuardRows final : public Rows {
  public:
   struct Row {
@@ -289,7 +289,7 @@ class TermRows final : public Rows {
   double least_, scale_;
 };
 
-// min - z and z - max of the components that have bounds, relative to their sizes.
+// Rows min - z and z - max of the components that have bounds, relative to their sizes.
 class BoundRows final : public Rows {
  public:
   struct Bound {

@@ -43,7 +43,7 @@ struct HybridScales {
   // Takes a state in a mode, with its control, into account; `slope` is the rate of x, which makes a difference
   // within a tenth of `duration`.
   void Add(const HybridFunctions& functions, const ModePoint& at, const double* slope, double duration);
-  // Sizes of nothing are 1.
+  // Sets sizes that are zero to 1.
   void Finish();
 };
 

@@ -134,7 +134,7 @@ class TranscribedPlan {
     start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
   }
 
-  // Some phase has become so long that its steps are too few.
+  // Whether some phase has become so long that its steps are too few.
   bool IsUneven(const std::vector<double>& times) const {
     double begin = 0;
     for (size_t j = 0; j < steps_.size(); ++j) {

@@ -27,7 +27,7 @@ struct Constraints {
   bool may_touch = true;
 };
 
-// Square roots of the loss, then of weight/2 (gap + multiplier/weight)^2 for each gap.
+// Residuals: square roots of the loss, then of weight/2 (gap + multiplier/weight)^2 for each gap.
 class Residuals {
  public:
   Residuals(const EventPhases* phases, Constraints* constraints) : phases_(phases), constraints_(constraints) {}

@@ -156,7 +156,7 @@ std::vector<Motion> StepsFromSaddle(const Motion& saddle, double size, const Mov
 }
 
 inline constexpr int kMostSaddles = 5;  // left one after the other
-// Remarks for a person: that a saddle was left, and what came after.
+// Describes for people that a saddle was left, and what followed.
 inline std::string DescribeSaddle(const std::string& then) {
   return "left a saddle" + (then.empty() ? "" : "; " + then);
 }

@@ -25,7 +25,7 @@ class PhaseRotations {
   // Turns a disc until its next impact, at times[time]. Returns the node just before the impact; -1 if the disc does
   // not spin.
   int TurnTo(int body, int time, std::span<const double> times);
-  // Equal steps from one time to another.
+  // A span of equal steps from one time to another.
   struct Span {
     int begin, end, steps;
   };
@@ -36,7 +36,7 @@ class PhaseRotations {
   };
   void TurnUnder(int body, const Span& span, const Torques& torques, std::span<const double> turns,
                  std::span<const double> times);
-  // Just after it: the node, with `gain` more of angular velocity, rad/s.
+  // Returns the node just after an impact, with `gain` more of angular velocity, rad/s.
   int Strike(int body, double gain);
   // The angular velocity that it has got to, rad/s; 0 if it does not spin.
   double SpinOf(int body) const;
@@ -53,7 +53,7 @@ class PhaseRotations {
   // After the end: turning and terminal terms, and what is given of the start. `times` and `turns` are the unknowns,
   // `least` as of PushedStep.
   void AddTo(std::span<double> times, std::span<double> turns, double least, AugmentedLagrangian* problem);
-  // Into the rotations of an initial state of the scene.
+  // Copies the rotations at the start into an initial state of the scene.
   void CopyInitial(std::vector<double>* initial) const;
 
  private:

@@ -58,8 +58,8 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   const std::optional<ContactSequence>& given_sequence() const { return options_.sequence; }
   int num_steps() const { return scene_.steps; }
   int control_width() const { return scene_.control_width(); }
-  // Why there is nothing to start from, as a report; otherwise nothing. The second also refuses what does not only have
-  // impacts, the third an empty sequence too.
+  // Return a report if there is nothing to start from, which says why; otherwise std::nullopt. The second also refuses
+  // a motion with other contacts than impacts, the third an empty sequence too.
   std::optional<SolveReport> WhyNoMotion();
   std::optional<SolveReport> WhyNotStart();
   std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
@@ -91,7 +91,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
     return saltus::LeaveSaddle(scene_, trial, curvature);
   }
 
-  // Why a motion has no finite derivative; those of discs have one.
+  // Returns the reason why a motion has no finite derivative; motions of discs have one.
   std::string WhyNoDerivative(const Trial&) const { return ""; }
 
   // In words: a sequence; a plan; several in their order; the kinks of the loss that it holds on to; what the trial
@@ -125,7 +125,7 @@ class PhaseRun::Transcriber : public DiscMotions {
   Transcriber(const Transcriber&) = delete;  // motions refer to its scene
 
   double duration() const { return scene_.duration; }
-  // Pairs that must not meet, but at the cuts.
+  // Pairs that must not touch, except at the cuts.
   const ContactSequence& apart() const { return apart_; }
   std::unique_ptr<PhaseTranscription> Make(const PlanStart& start, const std::vector<double>& overlaps,
                                            const std::vector<int>& steps, double margin) const;

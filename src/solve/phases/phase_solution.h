@@ -18,8 +18,8 @@ namespace saltus {
 // Whether the contact model is one of exact events.
 bool IsExact(const SolveRequest& request);
 
-// Why there are no phases between impacts for a scene, why exact phases cannot take a request, and why arcs in closed
-// form between impacts cannot; empty if they can.
+// Return the reasons why a scene has no phases between impacts, why exact phases do not support a request, and why arcs
+// in closed form between impacts do not; empty if they do.
 std::string WhyNoPhases(const Scene& scene);
 std::string WhyNotExactPhases(const SolveRequest& request);
 std::string WhyNotEventPhases(const SolveRequest& request);
@@ -81,7 +81,7 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
-// Better motions on both sides of a saddle (StepsFromSaddle).
+// Returns better motions on both sides of a saddle (StepsFromSaddle).
 std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
 
 // For a person: where the exact run departs from the sequence.

@@ -94,7 +94,7 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
       cuts_.begin(), cuts_.end(), [&](const PhaseCut& cut) { return cut.impact && TakesPart(*cut.impact, body); });
 }
 
-// Nodes, from a motion with open gaps at its impacts.
+// Sets the nodes to those of a motion with open gaps at its impacts.
 void PhaseTranscription::Lay(const ControlAt& force, const ContactSequence& apart) {
   std::vector<int> last(scene_.num_bodies(), -1);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -132,7 +132,7 @@ void PhaseTranscription::Lay(const ControlAt& force, const ContactSequence& apar
   final_ = last;
 }
 
-// How discs turn under torques in a phase.
+// Sets the rotations of discs under torques in a phase.
 void PhaseTranscription::LayTurns(int phase, const ControlAt& force) {
   const double begin = *Begin(phase), length = *End(phase) - begin;
   const int first = static_cast<int>(turns_.size()), stride = scene_.num_turned();
@@ -227,7 +227,7 @@ void PhaseTranscription::AddSteps() {
   }
 }
 
-// The initial state, but for what is optimized of it, and then the forces.
+// The initial state, except for what is optimized of it, and then the forces.
 void PhaseTranscription::HoldWhatIsGiven() {
   ceres::Problem& problem = problem_.problem();
   for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -245,7 +245,7 @@ void PhaseTranscription::HoldWhatIsGiven() {
   for (std::array<double, 2>& force : forces_) problem.SetParameterBlockConstant(force.data());
 }
 
-// Positions that are optimized must be those of discs that do not overlap.
+// Adds that discs do not overlap at the start, if their positions are optimized.
 void PhaseTranscription::KeepApartAtStart() {
   const auto is_free = [&](int body) { return std::ranges::count(scene_.free, body) > 0 && initial_[body] >= 0; };
   for (const Candidate& c : AllPairs(scene_)) {

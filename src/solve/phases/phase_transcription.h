@@ -40,7 +40,7 @@ class PhaseTranscription {
   // at the time of the next cut (or the final time). Nodes start where the discs get from the scene's initial state
   // under `force`, with the impacts at the times of their cuts, whatever the gaps there. Preconditions: cuts rise in
   // time within [0, T]; some phase has steps. `terms` must outlive this object. The pairs of `apart` never come nearer
-  // than the distance at which they touch and `margin` of it, but for the phases that an impact of theirs begins or
+  // than the distance at which they touch and `margin` of it, except for the phases that an impact of theirs begins or
   // ends. Discs fly as in a step of `flight`, which must outlive this object and fly over any length; if it is null,
   // exactly.
   PhaseTranscription(const Scene& scene, const std::vector<OwnTerm>& terms, std::vector<PhaseCut> cuts,

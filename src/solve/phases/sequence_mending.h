@@ -311,7 +311,7 @@ class SequenceUpdate {
     }
   }
 
-  // Times that rise within [0, end].
+  // Makes times rise within [0, end].
   static void MakeRise(std::vector<double>* times, double end) {
     double least = 0;
     for (double& time : *times) least = time = std::clamp(time, least, std::max(least, end));

@@ -12,7 +12,7 @@
 
 namespace saltus {
 
-// True when so many seconds are over (0: never), or when `stop` says so.
+// Returns a request to stop after so many seconds (0: never), or when `stop` asks for it.
 StopRequest StopAfter(double seconds, const StopRequest& stop);
 
 // The clock, the losses and the report of a solver along sequences of events.
@@ -22,16 +22,16 @@ class SequenceRun {
   SequenceRun(std::string_view solver, const SolverOptions& options);
 
   const SolverOptions& options() const { return options_; }
-  // Appends the loss after another iteration. False if the callback wants to stop.
+  // Appends the loss after another iteration. Returns false if the callback wants to stop.
   bool Record(double loss);
   bool interrupted() const { return interrupted_; }
-  // How many more iterations are allowed.
+  // Returns the number of iterations that are left.
   int iterations_left() const {
     return std::max(0, options_.iterations - std::max(0, static_cast<int>(report_.losses.size()) - 1));
   }
   bool IsOutOfIterations() const { return iterations_left() == 0; }
   SolveReport& report() { return report_; }
-  // How problems along a sequence are minimized.
+  // Returns the algorithm that minimises along a sequence.
   AugmentedLagrangian::Algorithm algorithm() const { return algorithm_; }
   void set_algorithm(AugmentedLagrangian::Algorithm algorithm) { algorithm_ = algorithm; }
 

@@ -16,7 +16,7 @@ namespace {
 constexpr double kRounding = 1e-9;  // by which a bound is lowered, relative
 constexpr int kMostImpacts = 1000;  // of discs that nobody pushes, in their own motion
 
-// How the discs that nobody pushes move as long as no pushed disc meets them.
+// The motion of the discs without forces, as long as no pushed disc touches them.
 class OwnMotion {
  public:
   OwnMotion(const Scene& scene, const std::vector<bool>& pushed) : place_(scene.num_bodies(), -1) {
@@ -134,7 +134,7 @@ class Bounds {
     return std::max(v.norm(), (v + scene_.duration * scene_.gravity).norm());
   }
 
-  // How far a pair that drifts is from a touch at time t.
+  // Returns the distance of a pair that drifts from a touch at time t, m.
   double DistanceAt(const Candidate& c, double t) const {
     const double radius = scene_.bodies[c.a].radius;
     if (c.plane) return Separate<double>(PositionAt(c.a, t), MakeHalfPlane(scene_.planes[c.b])).distance - radius;
@@ -186,7 +186,7 @@ class Bounds {
       mass += disc.mass;
       if (pushed_[i]) lightest = std::min(lightest, disc.mass);
     }
-    // sqrt(twice the kinetic energy) at time t is at most start + fall t + push sqrt(t E).
+    // The square root of twice the kinetic energy at time t is at most start + fall t + push sqrt(t E).
     const double start = std::sqrt(energy), fall = scene_.gravity.norm() * std::sqrt(mass);
     const double push = 1 / std::sqrt(lightest * scene_.objective.effort);
     const auto loss = [&](double root) {

@@ -60,21 +60,21 @@ SequenceKey KeyOf(const ContactSequence& sequence) {
 
 using Motion = std::shared_ptr<const Trial>;
 
-// Sequences to be solved along, best first.
+// The sequences to be solved along, best first.
 class SearchQueue {
  public:
   // `memory`, bytes: of what does not fit the last is forgotten.
   explicit SearchQueue(std::size_t memory) : memory_(memory) {}
 
-  // Along a sequence, from a motion that so many others of the queue share; by its loss, then in order. Not if the
-  // sequence has been tried from enough motions.
+  // Adds a solve along a sequence, from a motion that so many others of the queue share; the order is that of losses.
+  // Not added if the sequence has been tried from enough motions.
   void AddSequence(const Motion& from, ContactSequence sequence, size_t sharing = 1) {
     int& starts = starts_[KeyOf(sequence)];
     if (starts >= kStarts) return;
     ++starts;
     Add(from, std::move(sequence), sharing);
   }
-  // Along its own sequence, whatever that has been tried from. Not if it has more than impacts.
+  // Adds a solve of a motion along its own sequence, whatever that has been tried from, if it has only impacts.
   void AddMotion(const Trial& trial) {
     if (!trial.exact.only_impacts) return;
     NoteTried(trial.exact.contacts);
@@ -459,7 +459,7 @@ class ModeSearch : LimitedSearch {
     optima_.push_back(std::move(found));
   }
 
-  // No motion met is better than the best optimum.
+  // Whether no motion is better than the best optimum.
   bool HasBestOptimum() const {
     if (optima_.empty()) return false;
     const double loss = best_optimum_.exact.loss;

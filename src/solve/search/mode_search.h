@@ -33,9 +33,9 @@
 
 namespace saltus {
 
-// Losses are the best exact loss after each solve. Never worse than the guess, ceres_lm or gd from it, but for 1e-6 of
-// the loss. Converged: the best motion is an optimum. What arcs do not take is searched by ceres_phases, in a simpler
-// way (phase_search.h). Precondition: WhyNotModeSearch is empty.
+// Losses are the best exact loss after each solve. Never worse than the guess, ceres_lm or gd from it, up to 1e-6 of
+// the loss. Converged: the best motion is an optimum. Problems that arcs do not support are searched by ceres_phases,
+// in a simpler way (phase_search.h). Precondition: WhyNotModeSearch is empty.
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options);
 
 // Returns the reason why the solver does not support a request; empty if it does.

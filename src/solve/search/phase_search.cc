@@ -135,7 +135,7 @@ class DiscSearch {
   const Scene& scene_;
 };
 
-// Random motions, after shooting within the bounds, whose merit is below `most`; best first.
+// Returns random motions, after shooting within the bounds, whose merit is below `most`; best first.
 std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run, double most) {
   SolverOptions own;
   own.stop = run.options().stop;
@@ -151,7 +151,7 @@ std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run
   return starts;
 }
 
-// Constraints come before losses.
+// Whether a report is better than another; constraints come before losses.
 bool IsBetter(const SolveReport& report, const SolveReport& than) {
   const bool mine = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
   if (!mine || !other) return mine || (!other && report.final_violation < than.final_violation);

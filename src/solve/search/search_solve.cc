@@ -89,14 +89,14 @@ SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, co
   return last.trial.exact.ok ? last : finding;
 }
 
-// How many of the scene's intervals one of a coarse control is.
+// Returns the number of the scene's intervals in one interval of a coarse control.
 int IntervalsInOne(int steps) {
   int number = std::max(1, steps / kFewIntervals);
   while (steps % number != 0) --number;
   return number;
 }
 
-// Solvers that know nothing of sequences: where they end, others go on.
+// Solves by solvers without sequences; solvers along sequences continue from where they end.
 SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const SearchTask& task) {
   Scene& scene = request.scene;
   const bool given = task.from == nullptr && scene.control.initial == task.forces;
@@ -145,7 +145,7 @@ double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x
 
 }  // namespace
 
-// Measured on the problems and on generated ones, in microseconds.
+// The work in microseconds, as measured on the problems and on generated ones.
 double WorkByRollout(const Scene& scene) { return 10 + 0.02 * scene.steps * scene.num_bodies(); }
 
 double WorkByArcs(const Scene& scene, size_t impacts) {

@@ -103,7 +103,7 @@ class LimitedSearch {
     return std::nullopt;
   }
 
-  // Something is not tried.
+  // Notes that something is not tried, and why.
   void Leave(const std::string& why) {
     searched_.complete = false;
     if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
@@ -309,7 +309,7 @@ class SequenceSearch : LimitedSearch {
     if (std::count(sequences->begin(), sequences->end(), sequence) == 0) sequences->push_back(sequence);
   }
 
-  // Optima that meet all constraints come before what does not.
+  // Whether a finding is better; optima that meet all constraints come first.
   bool IsBetter(const Finding& finding) const {
     const bool mine = MeetsConstraints(finding.trial), other = MeetsConstraints(best_->trial);
     if (mine != other) return mine;

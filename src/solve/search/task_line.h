@@ -26,8 +26,8 @@ struct TaskLine {
   std::function<void(const Task&, Finding)> look;   // at what the task has found
   std::function<int(const Task&)> ahead = nullptr;  // of long tasks; 0 and, without it, all are short
 
-  // Until nothing is under way and nothing is drawn. What `solve` throws comes out here, where its outcome would be
-  // looked at. Precondition: threads > 0; with one all is done by the caller.
+  // Works until no task runs and none is drawn. An exception of `solve` is thrown here, where its outcome would be
+  // consumed. Precondition: threads > 0; with one thread the caller does all work.
   void WorkOff(int threads);
 
  private:

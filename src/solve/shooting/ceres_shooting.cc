@@ -46,8 +46,8 @@ class NodeSearch {
   // times.
   NodeSearch(SolveRun* run, const std::vector<double>& z, double loss) : run_(run), z_(z), loss_(loss) {}
 
-  // True if there was an impact. Each iteration of Ceres is recorded with the best loss so far; `iterations`
-  // are allowed in all.
+  // Runs Ceres; returns whether there was an impact. Each iteration of Ceres is recorded with the best loss so far;
+  // `iterations` are allowed in all.
   bool Run(int iterations) {
     iterations_left_ = iterations;
     double loss = 0;
@@ -108,7 +108,7 @@ class NodeSearch {
   }
 
  private:
-  // Best z with the impacts on these nodes, if that is better than what there is.
+  // Tries the best z with the impacts on these nodes; returns whether it is better than the present one.
   bool TryNodes(const std::vector<Arrival>& arrivals) {
     double loss = 0;
     if (interrupted_ || iterations_left_ <= 0 || !run_->shooting().Evaluate(z_, &loss, nullptr)) return false;
@@ -135,8 +135,8 @@ class NodeSearch {
     return node >= 2 && node <= run_->shooting().simulator().num_steps() && TryNodes(arrivals);
   }
 
-  // Newton's method along the nodes, on which the loss is smooth: across them is a kink, at which steps of Ceres that
-  // leave a node by rounding are refused.
+  // Polishes by Newton's method along the nodes, on which the loss is smooth: across them is a kink, at which steps of
+  // Ceres that leave a node by rounding are refused.
   void Polish() {
     const Scene& scene = run_->shooting().scene();
     if (scene.objective.effort == 0 || !BeyondTerminalCost(scene).empty()) return;
@@ -157,8 +157,8 @@ class NodeSearch {
     }
   }
 
-  // Decision variables near z with the impacts on the nodes to rounding, where Ceres leaves them nearly; z if that
-  // fails.
+  // Returns decision variables near z with the impacts on the nodes to rounding, where Ceres leaves them nearly; z if
+  // that fails.
   std::vector<double> PutOntoNodes(std::vector<double> z, const std::vector<Arrival>& arrivals) {
     constexpr int kCorrections = 3;  // Newton's method, the shortest step; it starts within 1e-6 of the solution
     std::vector<double> corrected = z;
@@ -196,7 +196,7 @@ std::string Describe(const NodeSearch& search, const std::optional<NodeSearch::B
   return text.str();
 }
 
-// After a stall at decision variables z with that loss; replaces both.
+// Continues after a stall at decision variables z with that loss; replaces both.
 End MoveAlongNodes(SolveRun* run, int iterations, End stall, double* loss, std::vector<double>* z, int* num_jacobians) {
   NodeSearch search(run, *z, *loss);
   if (!search.Run(iterations)) return stall;

@@ -252,7 +252,7 @@ std::string WhyNotAny(const HybridProblem& problem) {
   return none ? "the problem leaves nothing to optimize" : "";
 }
 
-// Why Gauss-Newton steps miss a part of the curvature that matters; empty if they do not.
+// Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
 std::string WhyNotGaussNewton(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue) return term.name + " is a cost that is no square";

@@ -49,7 +49,7 @@ class Path final : public ceres::EvaluationCallback {
   bool finite() const { return finite_; }
   double loss() const { return loss_; }
   const StepOnPath& step(int k) const { return steps_[k]; }
-  // sum |y_k / w|^2.
+  // Returns the sum of |y_k / w|^2.
   double costate_cost() const { return costate_cost_; }
   const double* State(int k) const { return &states_[static_cast<size_t>(k) * variables_->state_size()]; }
   const StepCost& step_cost() const { return *step_cost_; }
@@ -105,7 +105,7 @@ class Path final : public ceres::EvaluationCallback {
   bool finite_ = true;
 };
 
-// w c_k + y_k / w.
+// The residual w c_k + y_k / w of a defect.
 class DefectOnPath final : public ceres::CostFunction {
  public:
   DefectOnPath(const Path* path, int k) : path_(path), k_(k) {
@@ -226,7 +226,7 @@ Gap GapAfterFlight(const Simulator& simulator, const Candidate& candidate, const
   return gap;
 }
 
-// w times that gap, on the path. Parameter blocks: the state two nodes before, the forces of either step.
+// The residual w times that gap, on the path. Parameter blocks: the state two nodes before, the forces of either step.
 class ArrivalOnPath final : public ceres::CostFunction {
  public:
   ArrivalOnPath(const Path* path, const Arrival& arrival) : path_(path), arrival_(arrival) {
@@ -254,8 +254,8 @@ class ArrivalOnPath final : public ceres::CostFunction {
   Arrival arrival_;
 };
 
-// Damping is the same for every variable, as if of the integral of |dx|^2 + |du|^2 over time: by their own diagonals
-// (Ceres' default) states would be held by the weights of their defects.
+// Returns the damping, which is the same for every variable, as if of the integral of |dx|^2 + |du|^2 over time: with
+// the diagonals (Ceres' default) states would be held by the weights of their defects.
 double Damping(const Simulator& simulator) {
   const Scene& scene = simulator.scene();
   const bool effort = scene.optimize == Optimize::kControl && scene.objective.effort > 0;

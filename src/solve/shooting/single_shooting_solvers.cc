@@ -213,7 +213,7 @@ std::vector<int> BlockSizes(int num_variables, int num_own) {
   return sizes;
 }
 
-// sqrt(effort T / steps) u, with the final time T a variable too. Blocks: u, T.
+// The residual sqrt(effort T / steps) u, with the final time T a variable too. Blocks: u, T.
 class ScaledEffortCost final : public ceres::CostFunction {
  public:
   ScaledEffortCost(double effort_of_step, int size) : weight_(effort_of_step) {
@@ -337,7 +337,7 @@ double LargestComponent(const Scene& scene, int entry) {
   return scene.control.max.empty() ? std::numeric_limits<double>::infinity() : scene.control.max[entry / 2];
 }
 
-// Bounds on design parameters, on each component of each force, and on torques; the variables are within them.
+// Sets bounds on design parameters, on each component of each force, and on torques; the variables are within them.
 void SetBounds(const SingleShooting& shooting, const VariableBlocks& variables, ceres::Problem* problem) {
   const Scene& scene = shooting.scene();
   const size_t design = variables.blocks.size() - shooting.num_design();

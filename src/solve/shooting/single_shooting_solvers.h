@@ -37,7 +37,7 @@ SolveReport DescendGradient(ShootingRun* run, const DescentRule& rule);
 // projection. The rate may be one per unit of time, divided by the length of a step.
 SolveReport SolveByGradientDescent(const SolveRequest& request, const SolverOptions& options);
 
-// L-BFGS with a Wolfe line search, by ceres::GradientProblemSolver, on the loss and its adjoint gradient.
+// Minimises by L-BFGS with a Wolfe line search (ceres::GradientProblemSolver), on the loss and its adjoint gradient.
 SolveReport MinimizeByLbfgs(ShootingRun* run);
 SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& options);
 
