@@ -750,8 +750,9 @@ class HybridAudit(Result):
 
     def raise_if_wrong(self) -> None:
         """Raises WrongGradient if the verdict is that the gradient is wrong."""
-        if self._data["verdict"] in ("wrong", "wrong sign"):
-            raise WrongGradient(f"{self._data['scheme']}: {self._data['verdict']}: {self._data.get('reason', '')}")
+        found = {"wrong": "is wrong", "wrong sign": "has the wrong sign"}.get(self._data["verdict"])
+        if found:
+            raise WrongGradient(f"{self._data['scheme']}: the gradient {found}: {self._data.get('reason', '')}")
 
 
 # The arguments of a step of a time-stepping scheme.

@@ -239,7 +239,9 @@ def _why(item: Mapping[str, Any]) -> str:
 
 
 def _why_wrong(item: Mapping[str, Any]) -> str:
-    return f"{item['contact']}: the gradient is {item.get('verdict', item.get('termination', 'not judged'))}{_why(item)}"
+    verdict = item.get("verdict", item.get("termination", "not judged"))
+    found = "has the wrong sign" if verdict == "wrong sign" else f"is {verdict}"
+    return f"{item['contact']}: the gradient {found}{_why(item)}"
 
 
 class Fit(Result):

@@ -209,6 +209,8 @@ def test_results_are_saved_with_all_digits(two_balls, tmp_path):
         run.controls  # pylint: disable=pointless-statement
     with pytest.raises(saltus.WrongGradient, match="convex: the gradient is wrong"):
         saltus.audit(two_balls, "convex").raise_if_wrong()
+    with pytest.raises(saltus.WrongGradient, match="compliant_warp: the gradient has the wrong sign: continuous force"):
+        saltus.audit(two_balls, "compliant_warp").raise_if_wrong()
     saltus.audit(two_balls, ["event", "toi_velocity"]).raise_if_wrong()
 
 
