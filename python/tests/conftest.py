@@ -1,10 +1,12 @@
 """What the tests share: the programs, scenes, and how JSON is compared."""
 
+import importlib.util
 import json
 import os
 import pathlib
 import subprocess
 
+import numpy as np
 import pytest
 
 import saltus
@@ -32,6 +34,24 @@ def without(value, *keys):
     if isinstance(value, list):
         return [without(child, *keys) for child in value]
     return value
+
+
+def load_campaign(name):
+    """The module of a script in tests/campaign."""
+    spec = importlib.util.spec_from_file_location(name, SOURCE / "tests" / "campaign" / f"{name}.py")
+    campaign = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(campaign)
+    return campaign
+
+
+def problem_of(flow=lambda t, x, u, p: [x[1], u[0]], guard=None, reset=None, initial=(0, 0), costs=None, **changes):
+    """A problem of one mode with two states, and with a guard if one is given."""
+    system = saltus.HybridSystem(
+        states={"m": ["y", "v"]}, controls=["f"], parameters=["c"], flow={"m": flow},
+        guards={"m": {"g": guard}} if guard else {}, resets={"m": {"g": reset}} if guard else {})
+    given = costs if costs is not None else [saltus.residuals(lambda x: [x[0] - 1, x[1]])]
+    return saltus.HybridProblem(system, mode="m", initial=initial, parameters=[0.0], duration=1.0, control=np.zeros((4, 1)),
+                                costs=given, **changes)
 
 
 @pytest.fixture

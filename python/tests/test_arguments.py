@@ -4,18 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from conftest import problem_of
 from numpy.testing import assert_allclose
 
 import saltus
-
-
-def problem_of(flow=lambda t, x, u, p: [x[1], u[0]], guard=None, reset=None, initial=(0, 0), costs=None, **changes):
-    system = saltus.HybridSystem(
-        states={"m": ["y", "v"]}, controls=["f"], parameters=["c"], flow={"m": flow},
-        guards={"m": {"g": guard}} if guard else {}, resets={"m": {"g": reset}} if guard else {})
-    given = costs if costs is not None else [saltus.residuals(lambda x: [x[0] - 1, x[1]])]
-    return saltus.HybridProblem(system, mode="m", initial=initial, parameters=[0.0], duration=1.0, control=np.zeros((4, 1)),
-                                costs=given, **changes)
 
 
 def final_of(**functions):

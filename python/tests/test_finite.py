@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from conftest import problem_of
 from numpy.testing import assert_allclose
 
 import saltus
@@ -32,15 +33,6 @@ COSTS = {
     "cost of the parameter": (lambda x, p: [x[0] - np.sqrt(p[0])], "end", "c0: the function has no finite derivative at t = 1"),
     "cost at steps": (lambda x, u: [np.hypot(u[0], 0 * x[0])], "steps", "c0: the function has no finite derivative at t = 0"),
 }
-
-
-def problem_of(flow=lambda t, x, u, p: [x[1], u[0]], guard=None, reset=None, initial=(0, 0), costs=None, **changes):
-    system = saltus.HybridSystem(
-        states={"m": ["y", "v"]}, controls=["f"], parameters=["c"], flow={"m": flow},
-        guards={"m": {"g": guard}} if guard else {}, resets={"m": {"g": reset}} if guard else {})
-    given = costs if costs is not None else [saltus.residuals(lambda x: [x[0] - 1, x[1]])]
-    return saltus.HybridProblem(system, mode="m", initial=initial, parameters=[0.0], duration=1.0, control=np.zeros((4, 1)),
-                                costs=given, **changes)
 
 
 def with_derivative(name):

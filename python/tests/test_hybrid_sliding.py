@@ -1,14 +1,12 @@
 """Motions along a jump of the flow, by Filippov's convention (sliding="filippov"), against closed forms and another method."""
 
 import copy
-import importlib.util
 import math
-import os
-import pathlib
 import pickle
 
 import numpy as np
 import pytest
+from conftest import load_campaign
 from numpy.testing import assert_allclose
 
 import saltus
@@ -219,10 +217,6 @@ def test_the_option():
 
 def test_random_systems_that_slide_agree_with_another_method():
     pytest.importorskip("scipy")
-    source = pathlib.Path(os.environ.get("SALTUS_SOURCE", pathlib.Path(__file__).parents[2]))
-    path = source / "tests" / "campaign" / "random_sliding_systems.py"
-    spec = importlib.util.spec_from_file_location("random_sliding_systems", path)
-    campaign = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(campaign)
+    campaign = load_campaign("random_sliding_systems")
     kinds = [campaign.compare(seed)[0] for seed in range(9)]
     assert "DIFFERS" not in kinds and kinds.count("agrees") >= 4, kinds

@@ -1,12 +1,10 @@
 """Conditions in functions of hybrid systems: where the flow jumps or has a kink, guards that touch zero, accuracy."""
 
-import importlib.util
 import math
-import os
-import pathlib
 
 import numpy as np
 import pytest
+from conftest import load_campaign
 from numpy.testing import assert_allclose
 
 import saltus
@@ -188,11 +186,7 @@ def test_solvers_see_the_jump(solver):
 
 
 def test_random_systems_agree_with_another_method():
-    source = pathlib.Path(os.environ.get("SALTUS_SOURCE", pathlib.Path(__file__).parents[2]))
-    path = source / "tests" / "campaign" / "random_switched_systems.py"
-    spec = importlib.util.spec_from_file_location("random_switched_systems", path)
-    campaign = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(campaign)
+    campaign = load_campaign("random_switched_systems")
     kinds = [campaign.compare(seed)[0] for seed in range(24)]
     assert "DIFFERS" not in kinds and kinds.count("agrees") >= 8, kinds
 

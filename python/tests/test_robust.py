@@ -1,24 +1,16 @@
 """Wrong arguments end in exceptions, never the interpreter, and calls do not use up memory."""
 
-import importlib.util
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from conftest import SOURCE
+from conftest import SOURCE, load_campaign
 
 import saltus
 
 NAN, INF = float("nan"), float("inf")
-
-
-def script(folder, name):
-    spec = importlib.util.spec_from_file_location(name, SOURCE / "tests" / folder / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def falling(**changes):
@@ -177,7 +169,7 @@ def test_calls_with_anything():
 
 @pytest.mark.skipif("lib" in os.environ.get("LD_PRELOAD", ""), reason="sanitizers keep what is freed")
 def test_memory_does_not_grow_with_calls_of_any_kind():
-    leaks = script("campaign", "python_leaks")
+    leaks = load_campaign("python_leaks")
     calls = leaks.entries()
     counts = {"audit": 3, "identify": 30, "noisy_runs": 200}
     for name, call in calls.items():
