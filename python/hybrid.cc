@@ -3,6 +3,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <memory>
 #include <optional>
@@ -179,6 +180,17 @@ std::string Joined(const std::string& a, const std::string& b) { return a.empty(
 // Mode, initial state, parameters, duration, control or None, and the lengths of its intervals or None.
 using Guess = std::tuple<int, py::object, py::object, double, py::object, py::object>;
 
+// For a rollout within a longer computation, which makes a result of what was found until it is stopped, and needs
+// short rollouts for it: returns true from 0.3 s after the stop on.
+StopRequest StopAfterGrace(Computation* computation) {
+  using Clock = std::chrono::steady_clock;
+  return [computation, end = std::optional<Clock::time_point>()]() mutable {
+    if (!computation->Stopped()) return false;
+    if (!end) end = Clock::now() + std::chrono::milliseconds(300);
+    return Clock::now() >= *end;
+  };
+}
+
 // A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
  public:
@@ -190,9 +202,9 @@ class Problem {
     for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
   }
 
-  // The problem with a guess, whose rollouts end when `computation` is stopped. Throws ValueError if something is wrong
-  // with it.
-  HybridProblem At(const Guess& guess, Computation* computation = nullptr) const {
+  // The problem with a guess, whose rollouts end when `stop` returns true. Throws ValueError if something is wrong with
+  // it.
+  HybridProblem At(const Guess& guess, StopRequest stop = nullptr) const {
     const auto& [mode, initial, parameters, duration, control, durations] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
@@ -209,13 +221,13 @@ class Problem {
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
     if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
-    if (computation != nullptr) problem.integration.stop = computation->stop();
+    problem.integration.stop = std::move(stop);
     return problem;
   }
 
   py::dict Rollout(const Guess& guess) const {
     Computation computation;
-    const HybridProblem problem = At(guess, &computation);
+    const HybridProblem problem = At(guess, computation.stop());
     Json motion;
     computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
@@ -229,7 +241,7 @@ class Problem {
   // Row-major: final state and event times by [initial control parameters duration]; a remark, the integration error.
   py::tuple FinalDerivatives(const Guess& guess) const {
     Computation computation;
-    const HybridProblem problem = At(guess, &computation);
+    const HybridProblem problem = At(guess, computation.stop());
     HybridSensitivity found;
     std::vector<double> times;
     std::string remark;
@@ -254,7 +266,7 @@ class Problem {
   // The number of steps of the integration is kept, while it suffices, as long as the mode, the intervals and the
   // duration are the same.
   py::tuple LossAndGradient(const Guess& guess) {
-    const HybridProblem problem = At(guess);
+    const HybridProblem problem = At(guess, user_.stop());
     std::vector<double> gradient;
     double loss = 0;
     std::string remark;
@@ -290,7 +302,8 @@ class Problem {
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
                   double learning_rate, std::vector<double> guess_states, const py::object& callback) const {
-    HybridProblem problem = At(guess);
+    Computation computation;
+    HybridProblem problem = At(guess, StopAfterGrace(&computation));
     problem.guess_states = std::move(guess_states);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
     const auto split =
@@ -317,7 +330,6 @@ class Problem {
     options.learning_rate = learning_rate;
     SolveReport report;
     Json document;
-    Computation computation;
     options.stop = computation.stop();
     if (!callback.is_none()) {
       options.callback = [&](int iteration, double loss) {
@@ -360,7 +372,7 @@ class Problem {
   py::tuple TrackContinuously(const Guess& guess, const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
                               const Eigen::MatrixXd& QT) const {
     Computation computation;
-    const HybridProblem problem = At(guess, &computation);
+    const HybridProblem problem = At(guess, computation.stop());
     Regulator regulator;
     std::string remark;
     computation.RunOrThrow([&] {
@@ -383,8 +395,8 @@ class Problem {
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
                  const std::string& command, int steps, bool width_sweep, double budget) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
-    const HybridProblem problem = At(guess);
     Computation computation;
+    const HybridProblem problem = At(guess, StopAfterGrace(&computation));
     HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
     HybridAudit audit;

@@ -84,15 +84,28 @@ class TestInterrupts:
         finally:
             signal.signal(signal.SIGALRM, before)
 
-    def test_a_rollout_of_a_hybrid_system(self):
-        """Without an interrupt within the interval, the rollout would take hours."""
+    @pytest.mark.parametrize("function", [
+        saltus.rollout, saltus.final_derivatives, saltus.loss_and_gradient,
+        lambda problem: saltus.solve(problem, solver="gd", optimize=["x"])])
+    def test_a_rollout_of_a_hybrid_system(self, function):
+        """Each step asks for an interrupt; all of them would take a minute."""
         system = saltus.HybridSystem(states={"m": ["x", "v"]}, parameters=["w"], flow={"m": lambda x, p: [x[1], -p[0] ** 2 * x[0]]})
-        problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], parameters=[1000.0], duration=1e6,
-                                       steps_per_interval=2_000_000_000)
+        problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], parameters=[1000.0], duration=1e4,
+                                       costs=[saltus.terminal([0, 0], mode="m")], steps_per_interval=2**24)
         timer = interrupt_soon()
         with pytest.raises(KeyboardInterrupt):
-            saltus.rollout(problem)
+            function(problem)
         timer.join()
+
+    @pytest.mark.parametrize("intervals", [1, 2, 3, 4, 1000])
+    @pytest.mark.parametrize("function", [saltus.rollout, saltus.final_derivatives, saltus.loss_and_gradient])
+    def test_more_steps_than_fit_into_memory(self, function, intervals):
+        system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda u: [u[0]]})
+        problem = saltus.HybridProblem(system, mode="m", initial=[1], duration=1, control=np.zeros((intervals, 1)),
+                                       steps_per_interval=2**31 - 1)
+        with pytest.raises(RuntimeError, match=f"2147483647 integration steps in each of {intervals} control intervals, "
+                                               "expected at most 16777216 in all"):
+            function(problem)
 
 
 class TestThreads:

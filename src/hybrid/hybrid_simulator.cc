@@ -16,6 +16,7 @@ namespace {
 
 constexpr int kFewestSteps = 16;            // of a motion
 constexpr int kMostSteps = 1 << 20;         // of a motion
+constexpr int kMostGivenSteps = 1 << 24;    // likewise, that the user chooses: a few GB
 constexpr int kMostForGuards = 1 << 18;     // likewise, where only guards ask for more
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
 constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
@@ -400,6 +401,12 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   Impl& at = *impl_;
   at.done = false;
   if (at.why = WhatIsWrongWith(input, at.system); !at.why.empty()) return false;
+  if (at.steps > kMostGivenSteps / input.num_intervals) {
+    at.why = "found " + std::to_string(at.steps) + " integration steps in each of " +
+             std::to_string(input.num_intervals) + " control intervals, expected at most " +
+             std::to_string(kMostGivenSteps) + " in all; choose fewer, or 0 for as many as the tolerance needs";
+    return false;
+  }
   at.input = input;
   if (input.control.empty())
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
