@@ -58,7 +58,7 @@ def read_page(app, docname, source):
     def replaced(match):
         text, target = match.groups()
         file = (folder / target).resolve()
-        if target == "cpp/index.html":
+        if target == "cpp/index.html" or target.startswith("gallery/"):
             href = target
         elif target.startswith("http") or file.is_relative_to(app.srcdir) or not file.exists():
             return match[0]

@@ -2,7 +2,7 @@
 # usage: scripts/docs.sh [--check] [output folder]
 # Builds the documentation into a site that opens from disk: the pages of docs/, the Python module and, by Doxygen, the
 # headers of C++. The folder is build/docs/html unless given. If the module is in build/release, the site has the docstrings
-# of its compiled classes too. --check looks for broken links and wrong HTML in the site, and for misspelt words in pages and
+# of its compiled classes too; if the programs are there, the gallery has its replays. --check looks for broken links and wrong HTML in the site, and for misspelt words in pages and
 # public headers.
 set -euo pipefail
 check=
@@ -41,6 +41,7 @@ QUIET = YES
 WARNINGS = NO
 DOXYGEN
 
+if [[ -x build/release/bin/saltus_solve ]]; then scripts/gallery.py --reports="$work/doxygen/gallery"; fi
 python=
 for build in build/release; do
   if compgen -G "$build/python/saltus/_saltus.*.so" >/dev/null; then python=$PWD/$build/python; fi

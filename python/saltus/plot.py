@@ -27,19 +27,31 @@ def _axes(ax: Any, x: str, y: str) -> Any:
     return ax
 
 
-def _draw_planes(ax: Any, planes: Sequence[Mapping[str, Any]]) -> None:
+def _draw_walls(ax: Any, scene: Mapping[str, Any]) -> None:
+    """Draws segments, polygons, arcs and pockets, and the planes within what is shown then."""
+    look = {"color": "black", "linewidth": 1}
+    for segment in scene.get("segments", []):
+        ax.plot(*zip(segment["from"], segment["to"]), **look)
+    for polygon in scene.get("polygons", []):
+        ax.plot(*zip(*polygon["points"], polygon["points"][0]), **look)
+    for arc in scene.get("arcs", []):
+        angles = np.linspace(arc["from"], arc["to"], 100)
+        ax.plot(*(np.asarray(arc["center"])[:, None] + arc["radius"] * np.array([np.cos(angles), np.sin(angles)])), **look)
+    for pocket in scene.get("pockets", []):
+        ax.add_patch(plt.Circle(tuple(pocket["position"]), pocket["radius"], fill=False, **look))
+    ax.autoscale_view()
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    for plane in planes:
+    for plane in scene.get("planes", []):
         normal = np.asarray(plane["normal"], dtype=float)
         point = np.asarray(plane["point"], dtype=float)
-        ax.axline(point, point + [normal[1], -normal[0]], color="black", linewidth=1)
+        ax.axline(point, point + [normal[1], -normal[0]], **look)
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
 
 
 def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
     """Draws the paths of all discs, the discs at the start and the end (a spoke shows the angle of discs with rotational
-    inertia), and the planes."""
+    inertia), and the walls."""
     data = as_scene(scene).to_dict()
     ax = _axes(ax, "x (m)", "y (m)")
     for body, path in zip(data["bodies"], np.moveaxis(np.asarray(motion["states"]), 1, 0)):
@@ -49,9 +61,8 @@ def trajectory(scene: SceneLike, motion: Rollout, ax: Any = None) -> Any:
             if "inertia" in body:
                 rim = state[:2] + body["radius"] * np.array([np.cos(state[4]), np.sin(state[4])])
                 ax.plot(*zip(state[:2], rim), color=line.get_color(), linewidth=1)
-    ax.autoscale_view()
     ax.set_aspect("equal")
-    _draw_planes(ax, data.get("planes", []))
+    _draw_walls(ax, data)
     ax.legend(frameon=False)
     return ax
 

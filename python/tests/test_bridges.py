@@ -153,6 +153,28 @@ class TestPlots:
         yield pyplot
         pyplot.close("all")
 
+    def test_a_trajectory_shows_the_whole_table(self):
+        import saltus.plot
+
+        table = saltus.Scene(
+            name="table", duration=1, steps=10, optimize="velocity",
+            bodies=[{"name": "puck", "radius": 0.1, "mass": 1, "position": [0, 0], "velocity": [1, 0]}],
+            segments=[{"name": "gate", "from": [2, 1], "to": [2, 3]}],
+            polygons=[{"name": "block", "points": [[-2, 1], [-1, 1], [-1, 2]], "solid": "inside"}],
+            arcs=[{"name": "bend", "center": [0, -3], "radius": 1, "from": 3, "to": 7}],
+            pockets=[{"name": "hole", "position": [3, -2], "radius": 0.25}],
+            objective={"terminal": [{"body": "puck", "quantity": "position", "target": [1, 0], "weight": 1}]})
+        ax = saltus.plot.trajectory(table, saltus.rollout(table))
+        lines = [np.array(line.get_xydata()) for line in ax.lines]
+        assert any(np.array_equal(line, [[2, 1], [2, 3]]) for line in lines)
+        assert any(np.array_equal(line, [[-2, 1], [-1, 1], [-1, 2], [-2, 1]]) for line in lines)
+        (arc,) = [line for line in lines if len(line) == 100]
+        np.testing.assert_allclose(np.hypot(arc[:, 0], arc[:, 1] + 3), 1)
+        np.testing.assert_allclose(arc[[0, -1]], [[np.cos(3), np.sin(3) - 3], [np.cos(7), np.sin(7) - 3]])
+        assert arc[:, 1].min() < -3.99  # counter-clockwise, by way of the lowest point
+        assert any(patch.get_radius() == 0.25 for patch in ax.patches)
+        assert ax.get_xlim()[0] < -2 and ax.get_xlim()[1] > 3 and ax.get_ylim()[0] < -3.99 and ax.get_ylim()[1] > 3
+
     def test_figures(self, two_balls, tmp_path):
         import saltus.plot
 

@@ -119,7 +119,7 @@ def main():
         name, text = str(page.relative_to(SOURCE)), texts[str(page.relative_to(SOURCE))]
         for match in re.finditer(r"\]\(([^)\s]+)\)", re.sub(r"^(```+).*?^\1$", "", text, flags=re.M | re.S)):
             target, _, anchor = match[1].partition("#")
-            if target.startswith("http") or target == "cpp/index.html":
+            if target.startswith("http") or target == "cpp/index.html" or target.startswith("gallery/"):
                 continue
             file = (page.parent / target).resolve() if target else page
             if not file.exists():
