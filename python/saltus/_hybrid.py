@@ -238,6 +238,10 @@ class Cost(Closed):
         self.mode, self.guard, self.before = mode, guard, before
         self.size = size  # of the state, where the function implies it
 
+    def __repr__(self) -> str:
+        where = f"{self.at} of guard '{self.guard}'" if self.guard else self.at
+        return f"<saltus cost '{self.name}', {self.role} at {where}>"
+
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         """The same cost with its record in place of its function."""
         record = Record(self._recorded(problem))
@@ -482,6 +486,10 @@ class HybridProblem(Closed):
             terms = [cost._recorded(self) for cost in self._costs()]
             self._made = made = (rest, _saltus.HybridProblem(self.system._system, terms, *limits))
         return getattr(made[1], method)(guess, *arguments)
+
+    def __repr__(self) -> str:
+        return (f"<saltus.HybridProblem from mode '{self.mode}', {self.intervals} control intervals over {self.duration:g}, "
+                f"{len(self.costs)} costs and constraints>")
 
     def _costs(self) -> list[Cost]:
         return [cost if isinstance(cost, Cost) else residuals(cost) for cost in self.costs]

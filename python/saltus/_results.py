@@ -111,8 +111,8 @@ class Result(Mapping[str, Any]):
             file.write("\n")
 
     def _rows(self) -> list[tuple[str, str]]:
-        """Returns the rows that `repr` shows."""
-        return [(key, _brief(value)) for key, value in self._data.items()]
+        """Returns the rows that `repr` shows, without those that are empty."""
+        return [(key, text) for key, text in ((key, _brief(value)) for key, value in self._data.items()) if text]
 
     def __repr__(self) -> str:
         rows = self._rows()
@@ -129,19 +129,26 @@ class Result(Mapping[str, Any]):
 
 
 def _brief(value: Any) -> str:
-    """Returns one line for a value of any size."""
+    """Returns one line for a value of any size; empty for an empty list or text."""
     value = number_array(value)
     if isinstance(value, np.ndarray):
         return f"array {value.shape}" if value.size > 6 else np.array2string(value, precision=10, separator=", ").replace("\n", "")
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(value) + "}"
-    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return str(value["verdict"]) if "verdict" in value else "{" + ", ".join(value) + "}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_brief, value))})"
+    if not isinstance(value, list):
+        return str(value)
+    if len(value) > 0 and isinstance(value[0], Mapping):
         if set(value[0]) == {"kind", "text"}:
             return "; ".join(remark["text"] for remark in value)
         return f"{len(value)} of {{{', '.join(value[0])}}}"
-    return str(value)
+    if len(value) > 3:
+        shape = f" {value[0].shape}" if isinstance(value[0], np.ndarray) else ""
+        return f"{len(value)} {'arrays' if shape else 'entries'}, the first{shape or ' ' + _brief(value[0])}"
+    return ", ".join(map(_brief, value))
 
 
 class Rollout(Result):
