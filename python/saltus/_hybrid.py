@@ -412,8 +412,9 @@ def final_time(weight: float = 1.0) -> Cost:
 
 
 class HybridProblem(Closed):
-    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew; others are refused. A problem can
-    be copied and pickled: a pickle has what was recorded in place of the functions of costs. Several threads may use one problem.
+    """A motion of a hybrid system, and what is asked of it. All attributes may be set anew; others are refused. The problem
+    keeps copies of arrays. It can be copied and pickled: a pickle has what was recorded in place of the functions of costs.
+    Several threads may use one problem.
 
     system, mode, initial, parameters, duration: where the motion begins, and the final time, which may be left out if
     there are durations.
@@ -431,6 +432,11 @@ class HybridProblem(Closed):
 
     _attributes = ("system", "mode", "initial", "parameters", "duration", "control", "durations", "costs", "tolerance",
                    "steps_per_interval", "wait_behind_guards", "most_events", "most_repeats")
+    _arrays = ("initial", "parameters", "control", "durations")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # The caller may write into its array later.
+        super().__setattr__(name, copy.deepcopy(value) if name in self._arrays else value)
 
     def __init__(
         self,
@@ -497,6 +503,8 @@ class HybridProblem(Closed):
     def __copy__(self) -> HybridProblem:
         copied = type(self).__new__(type(self))
         copied.__dict__ = {**self.__dict__, "costs": list(self.costs), "_made": None}
+        for name in self._arrays:
+            setattr(copied, name, getattr(self, name))
         return copied
 
     def __deepcopy__(self, memo: dict[int, Any]) -> HybridProblem:

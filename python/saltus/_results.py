@@ -57,11 +57,20 @@ class Control(np.ndarray):
     def __array_finalize__(self, of: Any) -> None:
         self.durations = None
 
+    def __reduce__(self) -> Any:
+        return on_intervals, (np.array(self), self.durations)
 
-def on_intervals(control: Any, durations: Any) -> Any:
-    """Returns a control as an array with the lengths of its intervals."""
+    def __copy__(self) -> Control:
+        return on_intervals(np.array(self), self.durations)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Control:
+        return self.__copy__()
+
+
+def on_intervals(control: Any, durations: Any) -> Control:
+    """Returns a control as an array with the lengths of its intervals, if there are any."""
     array = np.asarray(control, dtype=float).view(Control)
-    array.durations = np.asarray(durations, dtype=float)
+    array.durations = None if durations is None else np.array(durations, dtype=float)
     return array
 
 
@@ -257,6 +266,16 @@ class Fit(Result):
     and ``events`` if they were fitted, ..."""
 
     _kind = "fit"
+
+    @property
+    def reason(self) -> str:
+        """Reason of the verdict; empty if the model fits."""
+        return str(self._data.get("reason", ""))
+
+    @property
+    def remarks(self) -> list[str]:
+        """What else the residuals tell; empty if nothing."""
+        return list(self._data.get("remarks", []))
 
     @property
     def estimates(self) -> dict[str, float]:

@@ -60,10 +60,15 @@ class TestFits:
         (item,) = fit["parameters"]
         assert abs(fit.estimates["restitution"] - RESTITUTION) < 4 * item["standard_error"] < 2e-3
         assert "restitution" in repr(fit) and "<table>" in fit._repr_html_()
+        assert fit.reason == "" and fit.remarks == []
 
     def test_what_is_not_determined_has_no_value(self, scene, recording):
         fit = saltus.identify(scene, recording, ["restitution", "mass.ball"])
         assert np.isnan(fit.estimates["mass.ball"]) and "not determined" in repr(fit)
+
+    def test_without_sigma_a_remark_tells_what_was_estimated(self, scene, recording):
+        fit = saltus.identify(scene, {name: recording[name] for name in ("time", "body", "position")})
+        assert fit.reason == "" and fit.remarks[0].startswith("sigma was estimated")
 
     def test_a_law_of_impact(self, scene, recording):
         fit = saltus.identify(scene, recording, law="network:2")

@@ -200,6 +200,33 @@ class TestCopies:
             problem.initial = [4, 0, 0]
             saltus.loss_and_gradient(problem)
 
+    def test_a_problem_keeps_its_own_arrays(self):
+        """A caller goes on with the arrays that it has passed or assigned, and a copy of a problem with its own."""
+        initial, parameters, control, durations = np.array([1.0, 0.0]), np.array([9.8]), np.zeros((2, 1)), np.array([0.25, 0.75])
+        system = saltus.HybridSystem(states={"m": ["y", "v"]}, controls=["f"], parameters=["g"],
+                                     flow={"m": lambda x, u, p: [x[1], u[0] - p[0]]})
+        problem = saltus.HybridProblem(system, mode="m", initial=initial, parameters=parameters, control=control, durations=durations)
+        right = [1 - 4.9, -9.8]
+        problem.initial = initial
+        for array in (initial, parameters, control, durations):
+            array += 1
+        assert_allclose(saltus.rollout(problem).final, right, rtol=1e-14)
+        for other in copies_of(problem):
+            other.initial[0] += 7
+            assert_allclose(saltus.rollout(other).final, [right[0] + 7, right[1]], rtol=1e-14)
+            assert_allclose(saltus.rollout(problem).final, right, rtol=1e-14)
+
+    def test_the_control_of_a_run_keeps_its_durations(self):
+        system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda x, u: [u[0]]})
+        problem = saltus.HybridProblem(system, mode="m", initial=[0], control=[[1.0], [3.0]], durations=[0.25, 0.75],
+                                       costs=[saltus.terminal([2.5])])
+        run = saltus.solve(problem, solver="ceres_phases", optimize=["control"])
+        problem.control, problem.durations = run.control, None
+        for other in [problem, *copies_of(problem)]:
+            assert_allclose(saltus.rollout(other).final, [2.5], rtol=1e-6)
+        for other in copies_of(run.control):
+            assert_array_equal(other.durations, [0.25, 0.75])
+
     def test_systems(self):
         for system in copies_of(ball_system()):
             problem = ball_problem(system=system)
