@@ -32,7 +32,7 @@ std::string FolderOf(const std::string& path) {
 
 // Returns the path at the end of the chain of symbolic links that begins at `path`; no file need exist there. Returns
 // an empty text and sets errno if the chain has no end.
-std::string BehindLinks(std::string path) {
+std::string ResolveLinks(std::string path) {
   for (int links = 0; links <= kMostLinks; ++links) {
     std::array<char, 4096> target;
     const ssize_t size = readlink(path.c_str(), target.data(), target.size());
@@ -49,7 +49,7 @@ bool IsSame(const struct stat& one, const struct stat& other) {
 }
 
 // Says what a file is that can be neither written in place nor replaced by a new file, for messages.
-const char* WhatItIs(mode_t mode) {
+const char* DescribeFileType(mode_t mode) {
   if (S_ISDIR(mode)) return "is a directory";
   if (S_ISSOCK(mode)) return "is a socket";
   if (S_ISFIFO(mode)) return "is a FIFO";
@@ -138,8 +138,9 @@ Status WriteFile(const std::string& path, std::string_view contents, const Stop&
   if (exists && (S_ISFIFO(what.st_mode) || S_ISCHR(what.st_mode) || S_ISBLK(what.st_mode))) {
     return WriteThrough(path, contents, stop);
   }
-  if (exists && !S_ISREG(what.st_mode)) return Status::Error(path + ": cannot write: it " + WhatItIs(what.st_mode));
-  const std::string target = BehindLinks(path);
+  if (exists && !S_ISREG(what.st_mode))
+    return Status::Error(path + ": cannot write: it " + DescribeFileType(what.st_mode));
+  const std::string target = ResolveLinks(path);
   if (target.empty()) return SystemError(path, "cannot write");
   // Links in /proc need not lead where they say.
   const bool found = lstat(target.c_str(), &target_is) == 0;
@@ -152,7 +153,7 @@ Status WriteFile(const std::string& path, std::string_view contents, const Stop&
 Status CheckRegularFile(const std::string& path) {
   struct stat what;
   if (stat(path.c_str(), &what) != 0 || S_ISREG(what.st_mode)) return Status();
-  return Status::Error(path + ": it " + WhatItIs(what.st_mode) + ", expected a regular file or none");
+  return Status::Error(path + ": it " + DescribeFileType(what.st_mode) + ", expected a regular file or none");
 }
 
 StatusOr<std::string> ReadFile(const std::string& path, std::size_t most) {

@@ -30,7 +30,7 @@ inline double Median(std::vector<double> values) {
 }
 
 // Returns the exponent p of the power law y = c x^p, fitted by linear least squares to the logarithms.
-inline double PowerOf(std::span<const double> x, std::span<const double> y) {
+inline double FittedExponent(std::span<const double> x, std::span<const double> y) {
   double sum_x = 0, sum_y = 0, sum_xx = 0, sum_xy = 0;
   const double n = static_cast<double>(x.size());
   for (size_t i = 0; i < x.size(); ++i) {

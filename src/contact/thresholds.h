@@ -12,7 +12,7 @@
 namespace saltus::internal {
 
 // Gaps, lengths.
-inline constexpr double kRoundingGap = 1e-14;      // a gap that is zero but for rounding [roots, at_once]
+inline constexpr double kRoundingGap = 1e-14;      // a gap that is zero up to rounding [roots, at_once]
 inline constexpr double kRoundingOfSteps = 1e-12;  // of positions: rounding over many steps [at_once]
 inline constexpr double kContactGap = 1e-10;       // up to which a pair touches [rest]
 inline constexpr double kLargestDrift = 3e-11;     // error of a gap that a sub-step may reach [rolling, rest]
@@ -24,7 +24,7 @@ inline constexpr double kSlowSpeed = 1e-6;         // up to which a pair that to
 inline constexpr double kLargestSlowSpeed = 1e-2;  // the same after many impacts within a pile [piles]
 inline constexpr double kSharpSpeed = 1e-9;        // slower impacts have a time without derivative [rest]
 inline constexpr double kStickSpeed = 1e-9;        // up to which a contact does not slide [rest, sides]
-inline constexpr double kStillSpeed = 1e-14;       // up to which a gap does not close but for rounding [rest]
+inline constexpr double kStillSpeed = 1e-14;       // up to which a gap does not close up to rounding [rest]
 inline constexpr double kPushing = 1e-11;          // acceleration that closes a gap [rest]
 inline constexpr double kHeadOn = 1e-9;            // of the closing speed: an impact that does not slide [gradient]
 

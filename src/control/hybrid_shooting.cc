@@ -157,7 +157,7 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
 }
 
 // Describes the place where a term is evaluated, such as "at t = 1 in mode 'flight'".
-std::string HybridShooting::WhereIs(const Place& place) const {
+std::string HybridShooting::DescribePlace(const Place& place) const {
   const HybridEvent* event = place.event >= 0 ? &simulator_.events()[place.event] : nullptr;
   const int mode = event == nullptr     ? simulator_.ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
                    : place.term->before ? event->mode
@@ -166,7 +166,7 @@ std::string HybridShooting::WhereIs(const Place& place) const {
 }
 
 bool HybridShooting::FailAt(const Place& place) {
-  return Fail(place.term->name + ": the function has no finite value " + WhereIs(place));
+  return Fail(place.term->name + ": the function has no finite value " + DescribePlace(place));
 }
 
 // Says why a derivative is not finite: checks the terms first, then the motion.
@@ -176,7 +176,7 @@ bool HybridShooting::FailAtDerivatives() {
     for (const Place& place : *places) {
       if (!ValuesAt(place, true, &values)) return FailAt(place);
       if (std::ranges::all_of(values.jacobians, AllFinite)) continue;
-      return Fail(place.term->name + ": the function has no finite derivative " + WhereIs(place));
+      return Fail(place.term->name + ": the function has no finite derivative " + DescribePlace(place));
     }
   }
   const std::string& why = simulator_.WhyNotFinite();

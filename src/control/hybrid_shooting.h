@@ -92,7 +92,7 @@ class HybridShooting final : public ShootingFunction {
   std::vector<const double*> BlocksOf(const Place& place) const;
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
-  std::string WhereIs(const Place& place) const;
+  std::string DescribePlace(const Place& place) const;
   // Keep the reason why there is no loss, or no derivative of it, and return false.
   bool Fail(std::string why);
   bool FailAt(const Place& place);

@@ -103,7 +103,7 @@ class ExactWayCosts final : public WayCosts {
         [&](const Row& row) {
           const bool of_position = row.quantity == Quantity::kPosition;
           const CostateSweep::Derivatives of =
-              sweep_->OfPoint(row.segment, row.offset, row.body, of_position, row.axis, row.scale, forces());
+              sweep_->DerivativesOfPoint(row.segment, row.offset, row.body, of_position, row.axis, row.scale, forces());
           double by_duration = row.by_duration;
           if (!row.scales) {  // its time does not move: less what it would have gained
             const Flight::Piece& piece = sweep_->segments()[row.segment].piece;
@@ -116,7 +116,7 @@ class ExactWayCosts final : public WayCosts {
         },
         [&](const RunningTerm& term, int first, int end, double integral) {
           const double scale = integral > 0 ? 0.5 / std::sqrt(integral) : 0.0;
-          put(sweep_->OfIntegral(term, first, end, scale, forces()), 0);
+          put(sweep_->DerivativesOfIntegral(term, first, end, scale, forces()), 0);
           at += kRowsOfStep;
         });
   }

@@ -622,7 +622,7 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   Evaluated piece{base, nullptr, {}, nullptr, sides, {}, {}, nullptr};
   if (modes_[base].fly) piece.floors = {0};  // functions of such a mode have the length of a flight as an input
   for (const double floor : switches.Floors(sides)) piece.floors.push_back(floor);
-  std::vector<int> kind = sides;  // but for integer parts
+  std::vector<int> kind = sides;  // except for integer parts
   for (int number = 0; number < switches.count(); ++number) {
     if (sides[number] == RecordedSwitches::kIrrelevant) continue;
     const bool slides = switches.Slides(number, sides);

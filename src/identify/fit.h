@@ -22,7 +22,7 @@ struct FitProblem {
   std::vector<Unknown> unknowns;
   std::vector<int> free_bodies;
   const IdentifyOptions* options = nullptr;
-  int num_plain = 0;  // unknowns but for the parameters of what is learned, which are the last
+  int num_plain = 0;  // unknowns except for the parameters of what is learned, which are the last
   double sigma = 0;   // m, of samples that state none; of velocities by the time that the scene needs for its length
   double sigma_velocity = 0;
   bool drops_outliers = false;  // the loss is constant beyond IdentifyOptions::outlier

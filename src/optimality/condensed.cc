@@ -200,7 +200,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     T angle = T(0.0), spin = T(0.0);
   };
   // Data of an impact for the backward sweep, at its time, which is dt after that of the flight.
-  struct Passed {
+  struct PassedImpact {
     T dt;
     Impact<T> impact;
     std::array<Vec2<T>, 2> position, before, after;  // velocities
@@ -271,7 +271,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     now[i].spin = T(start.spin[i]);
   }
   const int num_hits = static_cast<int>(flight_.hits().size());
-  std::vector<Passed> passed(num_hits);
+  std::vector<PassedImpact> passed(num_hits);
   for (int k = 0; k < num_hits; ++k) {
     const Candidate& c = flight_.hits()[k].contact;
     const ImpactConstants law = MakeImpactConstants(scene_, c);
@@ -279,7 +279,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       return c.plane ? Separate<T>(now[c.a].p, MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(now[c.a].p, now[c.b].p);
     };
     const auto relative = [&]() -> Vec2<T> { return c.plane ? now[c.a].v : Vec2<T>(now[c.a].v - now[c.b].v); };
-    Passed& out = passed[k];
+    PassedImpact& out = passed[k];
     for (const Side& side : sides_[k]) {
       if (side.body >= 0) fly(arcs_[side.arc_before], &now[side.body]);
     }
@@ -340,7 +340,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     Costate<T>& costate = costates[term.body];
     if (term.IsOfSpin()) {
       const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
-      costate.OfSpin(term.quantity) += restrictions_.hard[hard++][0];
+      costate.CostateOfSpin(term.quantity) += restrictions_.hard[hard++][0];
       if (gaps != nullptr) *gaps++ = angle ? now[term.body].angle : now[term.body].spin;
       if (gaps != nullptr) *gaps++ = T(0.0);
       continue;
@@ -433,7 +433,7 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   for (int k = num_hits - 1; k >= 0; --k) {
     const Candidate& c = flight_.hits()[k].contact;
     const ImpactConstants law = MakeImpactConstants(scene_, c);
-    const Passed& at_impact = passed[k];
+    const PassedImpact& at_impact = passed[k];
     T power(0.0), early(0.0), late(0.0);  // what the Hamiltonian gains: with the forces there are, or one on both sides
     const T time = flight_.hits()[k].time + at_impact.dt;
     const auto count = [&](const Side& side, const Rate& rate, const Vec2<T>& velocity, const Push& push, double sign) {

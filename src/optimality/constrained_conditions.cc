@@ -46,10 +46,10 @@ class ConstrainedCertifier {
 
   Certificate Run() {
     Certificate result = WithImpactsOf(motion_);
-    OfMovingGrid(&result);
+    StationarityOnMovingGrid(&result);
     Judge(&result);
     if (result.verdict != Certificate::Verdict::kStationary) {
-      OfFixedGrid(&result);
+      StationarityOnFixedGrid(&result);
       Judge(&result);
     }
     if (!result.IsStationary()) return result;
@@ -279,7 +279,7 @@ class ConstrainedCertifier {
   }
   double RelativeHamiltonian(double left) const { return left == 0 ? 0.0 : left / hamiltonian_scale_; }
 
-  void OfMovingGrid(Certificate* result) {
+  void StationarityOnMovingGrid(Certificate* result) {
     const std::vector<bool> unknown(num_hits(), true);
     const std::vector<Result> sweeps = Sweeps(unknown);
     ConeConditions conditions(static_cast<int>(sweeps.size()) - 1);
@@ -311,7 +311,7 @@ class ConstrainedCertifier {
     SetConstraints(conditions.theta().tail(2 * sweep_.num_hard()), result);
   }
 
-  void OfFixedGrid(Certificate* result) {
+  void StationarityOnFixedGrid(Certificate* result) {
     std::vector<bool> unknown;
     for (const Flight::Hit& hit : motion_.flight.hits()) unknown.push_back(hit.on_node);
     const std::vector<Result> sweeps = Sweeps(unknown);

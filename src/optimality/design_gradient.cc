@@ -67,7 +67,7 @@ class FollowingRuns {
         moved = std::max(moved, std::abs(nodes[node] - run.events[event].time));
         nodes[node] = run.events[event].time;
       }
-      if (moved <= kSettled * nodes_.back()) return {run.loss + OfConstraints(designed, initial, lengths, run)};
+      if (moved <= kSettled * nodes_.back()) return {run.loss + SumOfConstraints(designed, initial, lengths, run)};
       for (std::size_t k = 0; k < lengths.size(); ++k) {
         lengths[k] = nodes[k + 1] - nodes[k];
         if (!(lengths[k] > 0)) return {};
@@ -81,8 +81,8 @@ class FollowingRuns {
   static constexpr int kMostRuns = 20;
 
   // Returns the sum of multipliers times the terminal equality constraints and hard waypoints.
-  double OfConstraints(const Scene& designed, const std::vector<double>& initial, const std::vector<double>& lengths,
-                       const ExactRun& run) const {
+  double SumOfConstraints(const Scene& designed, const std::vector<double>& initial, const std::vector<double>& lengths,
+                          const ExactRun& run) const {
     if (constraints_.empty()) return 0;
     const Flight flight(designed, initial, control_, lengths, run);
     double sum = 0;

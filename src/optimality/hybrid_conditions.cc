@@ -127,12 +127,12 @@ class HybridConditions {
       impact.speed = -event.rate;
       impact.on_node = on_node_[k];
     }
-    OfMovingGrid(&result);
-    OfMovingGrid(&result);  // with the sizes that the multipliers give
+    StationarityOnMovingGrid(&result);
+    StationarityOnMovingGrid(&result);  // with the sizes that the multipliers give
     Judge(&result);
     const bool moving = result.IsStationary();
     if (!moving) {
-      OfFixedGrid(&result);
+      StationarityOnFixedGrid(&result);
       Judge(&result);
     }
     if (result.IsStationary()) {
@@ -905,7 +905,7 @@ class HybridConditions {
     }
   }
   // Returns the derivative by a variable. The duration moves the last phase alone, or scales all intervals.
-  double ByVariable(const Sweep& sweep, const FreeVariable& variable, bool moving) const {
+  double DerivativeByVariable(const Sweep& sweep, const FreeVariable& variable, bool moving) const {
     switch (variable.kind) {
       case Kind::kControl:
         return sweep.control[variable.index];
@@ -945,7 +945,7 @@ class HybridConditions {
                : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
                                                    : s.hamiltonian_size;
       });
-      Add([&, &variable = variable](const Sweep& s) { return ByVariable(s, variable, moving) / length; },
+      Add([&, &variable = variable](const Sweep& s) { return DerivativeByVariable(s, variable, moving) / length; },
           size,
           sign,
           conditions,
@@ -983,7 +983,7 @@ class HybridConditions {
     return largest;
   }
 
-  void OfMovingGrid(Certificate* result) {
+  void StationarityOnMovingGrid(Certificate* result) {
     ConeConditions conditions(num_multipliers());
     Kinds kinds;
     AddVariables(true, &conditions, &kinds);
@@ -1003,7 +1003,7 @@ class HybridConditions {
     }
   }
 
-  void OfFixedGrid(Certificate* result) {
+  void StationarityOnFixedGrid(Certificate* result) {
     // Multipliers of events inside intervals are those that the saltation matrix has; of those at the ends of intervals
     // any between the one-sided ones.
     ConeConditions conditions(num_multipliers());

@@ -39,7 +39,7 @@ SingleShooting ExactShooting(const Scene& scene, int num_steps) {
 }  // namespace
 
 // Returns about equally many iterations in every power of ten.
-std::vector<int> DescentAudit::LookedAt() {
+std::vector<int> DescentAudit::ExaminedIterations() {
   std::vector<int> at;
   for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
   at.push_back(kPublishedIterations);
@@ -58,8 +58,8 @@ DescentAudit::DescentAudit(std::vector<Task> tasks, std::vector<std::string> con
   left_out_ = slow;
 }
 
-void DescentAudit::Know(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates) {
-  if (iterates.size() != LookedAt().size()) return;  // it has ended early
+void DescentAudit::UseIterates(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates) {
+  if (iterates.size() != ExaminedIterations().size()) return;  // it has ended early
   for (Descent& descent : descents_) {
     if (descent.task == task && descent.contact == contact) descent.known = std::move(iterates);
   }
@@ -72,7 +72,7 @@ void DescentAudit::Follow(Descent* descent) const {
   own.set_stop(AskedToStop);
   const double rate = DefaultLearningRate(scene);
   std::vector<double> z = own.initial_guess(), gradient(z.size()), exact_gradient(z.size());
-  const std::vector<int> looked_at = LookedAt();
+  const std::vector<int> looked_at = ExaminedIterations();
   const bool known = !descent->known.empty();
   int k = 0;
   double loss = 0, exact_loss = 0;

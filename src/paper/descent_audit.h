@@ -15,13 +15,14 @@ class DescentAudit {
   using Task = TitledScene;
 
   // Returns the iterations that are examined: 0, 1, 2, 3, 5, 8, ... to the last.
-  static std::vector<int> LookedAt();
+  static std::vector<int> ExaminedIterations();
 
   // Contact models that cannot simulate a scene are left out there; so are those of `slow`.
   DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts, const std::vector<std::string>& slow);
 
-  // Takes the iterates at LookedAt() of a descent that was run elsewhere with the same rate: it is not run again.
-  void Know(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates);
+  // Takes the iterates at ExaminedIterations() of a descent that was run elsewhere with the same rate: it is not run
+  // again.
+  void UseIterates(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates);
 
   // Returns false if interrupted.
   bool Run(int threads, ProgressMode progress);

@@ -107,7 +107,7 @@ std::string HeaderOf(const std::string& quantity) {
 }
 
 // Returns a number with as many decimals as the published one has.
-std::string AsPrinted(double value, const PublishedRow& row) {
+std::string WithPublishedDecimals(double value, const PublishedRow& row) {
   const size_t point = row.published.find('.');
   const size_t decimals = point == std::string::npos ? 5 : row.published.size() - point - 1;
   return Format(("%." + std::to_string(decimals) + "f").c_str(), value);
@@ -221,7 +221,7 @@ Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name,
     const auto model = add(model_of(row), &contacts), column = add(row.quantity, &quantities) + 1;
     const bool as_printed = row.IsJudged() && row.Matches() && (row.verdict.empty() || row.verdict == "match");
     std::string text =
-        (row.published.empty() ? "–" : row.published) + "\n" + (row.ours ? AsPrinted(*row.ours, row) : "–");
+        (row.published.empty() ? "–" : row.published) + "\n" + (row.ours ? WithPublishedDecimals(*row.ours, row) : "–");
     std::string note = as_printed ? "" : VerdictInWords(row);
     if (!row.note.empty()) note += (note.empty() ? "" : ": ") + row.note;
     if (!note.empty()) text += " [" + std::to_string(add(note, notes) + 1) + "]";
@@ -231,7 +231,7 @@ Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name,
                                            : row.IsJudged() ? Tone::kWarning
                                                             : Tone::kMuted);
     Cell& exact = cells.back()[column];
-    if (row.exact && exact.Exact().empty()) exact = AsPrinted(*row.exact, row);
+    if (row.exact && exact.Exact().empty()) exact = WithPublishedDecimals(*row.exact, row);
   }
   Table table(std::move(columns));
   for (std::vector<Cell>& row : cells) table.AddRow(std::move(row));

@@ -221,7 +221,7 @@ DescentAudit AuditDescents(const Experiments& experiments, const SolverCompariso
                         NameList(AllContactModels()),
                         {comparison.slow().begin(), comparison.slow().end()});
   for (const std::string& contact : NameList(AllContactModels()))
-    descents.Know(1, contact, comparison.IteratesOf(contact));
+    descents.UseIterates(1, contact, comparison.IteratesOf(contact));
   return descents;
 }
 

@@ -56,7 +56,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
   SolveReport& report = run->report;
   std::vector<std::vector<double>> looked_at;
-  for (const int k : DescentAudit::LookedAt()) {
+  for (const int k : DescentAudit::ExaminedIterations()) {
     if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
   }
   report.iterates = std::move(looked_at);

@@ -55,14 +55,15 @@ std::vector<SceneParameter> ComponentsOfBody(Kind kind, std::string_view rest, c
 }
 
 // Returns the parameter of the object with that index; none if the index is negative.
-std::vector<SceneParameter> OfThing(Kind kind, int index) {
+std::vector<SceneParameter> ParametersOfObject(Kind kind, int index) {
   if (index < 0) return {};
   return {{kind, index}};
 }
 
-std::vector<SceneParameter> OfWall(Kind of_plane, Kind of_segment, std::string_view name, const Scene& scene) {
-  if (const int plane = IndexOf(name, scene.planes); plane >= 0) return OfThing(of_plane, plane);
-  return OfThing(of_segment, IndexOf(name, scene.segments));
+std::vector<SceneParameter> ParametersOfWall(Kind of_plane, Kind of_segment, std::string_view name,
+                                             const Scene& scene) {
+  if (const int plane = IndexOf(name, scene.planes); plane >= 0) return ParametersOfObject(of_plane, plane);
+  return ParametersOfObject(of_segment, IndexOf(name, scene.segments));
 }
 
 // Returns the index of a disc among the controlled ones; their number if it is not controlled.
@@ -150,12 +151,13 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
   };
   if (name == "gravity") return Components({Kind::kGravity}, std::nullopt);
   if (const auto component = rest("gravity.")) return Components({Kind::kGravity}, component);
-  if (const auto body = rest("mass.")) return OfThing(Kind::kMass, FindBody(*body, scene, false));
-  if (const auto body = rest("radius.")) return OfThing(Kind::kRadius, IndexOf(*body, scene.bodies));
+  if (const auto body = rest("mass.")) return ParametersOfObject(Kind::kMass, FindBody(*body, scene, false));
+  if (const auto body = rest("radius.")) return ParametersOfObject(Kind::kRadius, IndexOf(*body, scene.bodies));
   if (const auto body = rest("force.")) return ComponentsOfBody(Kind::kForce, *body, scene, false);
   if (const auto body = rest("position.")) return ComponentsOfBody(Kind::kPosition, *body, scene, true);
-  if (const auto wall = rest("offset.")) return OfWall(Kind::kPlaneOffset, Kind::kSegmentOffset, *wall, scene);
-  if (const auto wall = rest("angle.")) return OfWall(Kind::kPlaneAngle, Kind::kSegmentAngle, *wall, scene);
+  if (const auto wall = rest("offset."))
+    return ParametersOfWall(Kind::kPlaneOffset, Kind::kSegmentOffset, *wall, scene);
+  if (const auto wall = rest("angle.")) return ParametersOfWall(Kind::kPlaneAngle, Kind::kSegmentAngle, *wall, scene);
   return {};
 }
 

@@ -323,8 +323,8 @@ void CostateSweep::AddByControl(int interval, const std::vector<Vec2d>& push, co
   }
 }
 
-CostateSweep::Derivatives CostateSweep::OfPoint(int segment, double offset, int body, bool of_position, int axis,
-                                                double scale, std::span<double> gradient) const {
+CostateSweep::Derivatives CostateSweep::DerivativesOfPoint(int segment, double offset, int body, bool of_position,
+                                                           int axis, double scale, std::span<double> gradient) const {
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
   if (!scene_.bodies[body].fixed) (of_position ? now[body].position : now[body].velocity)[axis] = scale;
   const bool at_end = segment + 1 == static_cast<int>(segments_.size()) && offset >= segments_[segment].piece.duration;
@@ -335,8 +335,8 @@ CostateSweep::Derivatives CostateSweep::OfPoint(int segment, double offset, int 
   return PullBack(segment, offset, {}, 0, std::move(now), gradient);
 }
 
-CostateSweep::Derivatives CostateSweep::OfIntegral(const RunningTerm& term, int first, int end, double scale,
-                                                   std::span<double> gradient) const {
+CostateSweep::Derivatives CostateSweep::DerivativesOfIntegral(const RunningTerm& term, int first, int end, double scale,
+                                                              std::span<double> gradient) const {
   RunningTerm scaled = term;
   scaled.weight *= scale;
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});

@@ -37,7 +37,7 @@ struct Costate {
     return {t, position, velocity + Scale(T(time - t), position), angle, T(angular_velocity + (time - t) * angle)};
   }
   // Returns the costate of the angle or angular velocity. Precondition: `quantity` is one of these.
-  T& OfSpin(TerminalTerm::Quantity quantity) {
+  T& CostateOfSpin(TerminalTerm::Quantity quantity) {
     return quantity == TerminalTerm::Quantity::kAngle ? angle : angular_velocity;
   }
 };
@@ -52,7 +52,7 @@ Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, 
     if (term.body != body || term.hard) continue;
     if (term.IsOfSpin()) {
       const T& q = term.quantity == TerminalTerm::Quantity::kAngle ? angle : spin;
-      costate.OfSpin(term.quantity) += T(2 * term.weight * (q - term.target[0]));
+      costate.CostateOfSpin(term.quantity) += T(2 * term.weight * (q - term.target[0]));
       continue;
     }
     const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
@@ -144,10 +144,11 @@ class CostateSweep {
   // The derivatives of scale * q_axis(t) of a disc, with t `offset` after the start of a segment, which scales too.
   // Impact times follow the motion, late. Adds the derivatives by the control to `gradient`, which has the control's
   // shape.
-  Derivatives OfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
-                      std::span<double> gradient) const;
+  Derivatives DerivativesOfPoint(int segment, double offset, int body, bool of_position, int axis, double scale,
+                                 std::span<double> gradient) const;
   // Returns the derivatives of `scale` times the integral of a running term over segments first..end-1.
-  Derivatives OfIntegral(const RunningTerm& term, int first, int end, double scale, std::span<double> gradient) const;
+  Derivatives DerivativesOfIntegral(const RunningTerm& term, int first, int end, double scale,
+                                    std::span<double> gradient) const;
 
  private:
   // Integrals over a segment of the Hamiltonian and of its partial derivative by time (see Result).

@@ -19,7 +19,7 @@ namespace {
 
 constexpr double kSameEnd = 1e-6;  // of how far and how fast discs move
 
-struct How {
+struct RunSettings {
   std::string model;
   int tie_order = 0;
   std::optional<int> most_impacts;
@@ -29,21 +29,22 @@ struct How {
 
 // Runs `scene` for control intervals of one length, from number `first` on. `x` is the state at the start, in the
 // layout of an initial state, and becomes the state at the end.
-bool RunEqualIntervals(const How& how, const Scene& scene, const std::vector<double>& control, int first, double start,
-                       std::vector<double>* x, ExactRun* run) {
-  const std::unique_ptr<Simulator> simulator = MakeSimulator(how.model, scene, Precision::kDouble);
-  simulator->set_tie_order(how.tie_order);
-  const auto has_too_many = [&how, run, of = simulator.get()] {
-    return how.most_impacts && run->contacts.size() + of->touches().size() > static_cast<size_t>(*how.most_impacts);
+bool RunEqualIntervals(const RunSettings& settings, const Scene& scene, const std::vector<double>& control, int first,
+                       double start, std::vector<double>* x, ExactRun* run) {
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(settings.model, scene, Precision::kDouble);
+  simulator->set_tie_order(settings.tie_order);
+  const auto has_too_many = [&settings, run, of = simulator.get()] {
+    return settings.most_impacts &&
+           run->contacts.size() + of->touches().size() > static_cast<size_t>(*settings.most_impacts);
   };
-  simulator->set_stop([&] { return has_too_many() || how.stopped(); });
+  simulator->set_stop([&] { return has_too_many() || settings.stopped(); });
   const bool ran = simulator->Rollout(*x, control);
   if (has_too_many()) {
-    run->reason = "discs meet more than " + std::to_string(*how.most_impacts) + " times";
+    run->reason = "discs meet more than " + std::to_string(*settings.most_impacts) + " times";
     return false;
   }
   if (!ran) {
-    run->reason = how.stopped() ? kStopped : "the exact rollout fails: " + simulator->WhyFailed();
+    run->reason = settings.stopped() ? kStopped : "the exact rollout fails: " + simulator->WhyFailed();
     return false;
   }
   simulator->set_stop(nullptr);
@@ -126,8 +127,8 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
   run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));
 }
 
-// Simulates `scene` with the order of ties in `how`. Precondition: the model can simulate the scene.
-ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<double>& initial,
+// Simulates `scene` with the order of ties in `settings`. Precondition: the model can simulate the scene.
+ExactRun SimulateInOrder(const RunSettings& settings, const Scene& whole, const std::vector<double>& initial,
                          const std::vector<double>& control, const std::vector<double>& durations) {
   ExactRun run;
   std::vector<double> x = initial;
@@ -137,7 +138,7 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
   scene.objective.via.clear();
   scene.objective.duration.reset();
   if (durations.empty()) {
-    if (!RunEqualIntervals(how, scene, control, 0, 0, &x, &run)) return run;
+    if (!RunEqualIntervals(settings, scene, control, 0, 0, &x, &run)) return run;
   } else {
     const size_t width = scene.control_width();
     double start = 0;
@@ -148,7 +149,7 @@ ExactRun SimulateInOrder(const How& how, const Scene& whole, const std::vector<d
       scene.duration = scene.steps * durations[begin];
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
       const int first = static_cast<int>(begin);
-      if (!RunEqualIntervals(how, scene, rows, first, start, &x, &run)) {
+      if (!RunEqualIntervals(settings, scene, rows, first, start, &x, &run)) {
         if (end < durations.size()) run.end.clear();
         return run;
       }
@@ -248,17 +249,17 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   if (!control.empty()) part.steps = static_cast<int>(control.size() / scene.control_width());
   if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
-  How how{std::string(exact->name), 0, most_impacts, stop};
-  ExactRun run = SimulateInOrder(how, part, initial, control, durations);
+  RunSettings settings{std::string(exact->name), 0, most_impacts, stop};
+  ExactRun run = SimulateInOrder(settings, part, initial, control, durations);
   if (!run.ok || run.ambiguous.empty()) return run;
   int orders = 0;
   for (const Tie& tie : run.ambiguous) orders = std::max(orders, NumTieOrders(tie.num_contacts));
   const SameEnd same(scene, initial, run);
   bool decides = false;
   run.spread = {run.loss, run.loss};
-  for (how.tie_order = 1; how.tie_order <= orders; ++how.tie_order) {
-    const ExactRun other = SimulateInOrder(how, part, initial, control, durations);
-    if (how.stopped()) return refuse(kStopped);
+  for (settings.tie_order = 1; settings.tie_order <= orders; ++settings.tie_order) {
+    const ExactRun other = SimulateInOrder(settings, part, initial, control, durations);
+    if (settings.stopped()) return refuse(kStopped);
     if (!other.ok) continue;
     decides = decides || !same(other);
     run.spread->lowest = std::min(run.spread->lowest, other.loss);

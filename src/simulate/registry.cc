@@ -84,7 +84,7 @@ std::vector<OptionValue> OptionsIn(const Contact& contact) {
 
 // Returns the scene in the units in which the model computes: natural ones for event-driven models, whose only
 // constants are thresholds; for others SI, which the constants of their sources have, with the origin near the discs.
-Scene AsSeenBy(const ContactEntry& entry, const Scene& scene) {
+Scene InUnitsOfModel(const ContactEntry& entry, const Scene& scene) {
   const Units natural = NaturalUnits(scene);
   if (entry.traits.event_driven) return InUnits(scene, natural);
   return InUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
@@ -153,14 +153,14 @@ std::string WhyNotApplicable(const Contact& contact, const Scene& scene) {
   if (const std::optional<SceneError> error = ValidateStructure(scene))
     return "the scene is wrong: " + error->ToString();
   const ContactEntry& entry = Entry(contact);
-  return entry.why_not_applicable(AsSeenBy(entry, scene));
+  return entry.why_not_applicable(InUnitsOfModel(entry, scene));
 }
 
 std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision) {
   const std::string why_not = WhyNotApplicable(contact, scene);
   CHECK(why_not.empty()) << contact.name() << ": " << why_not;
   const ContactEntry& entry = Entry(contact);
-  const Scene seen = AsSeenBy(entry, scene);
+  const Scene seen = InUnitsOfModel(entry, scene);
   const bool same = SameNumbers(seen.units, scene.units);
   std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(contact));
   return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));

@@ -19,7 +19,7 @@ struct BrokenContract {
 
 // Whether two states have the same numbers. A flight that leads to NaN passes here; others look for that.
 template <typename State>
-bool FliesTo(const State& flying, const State& next) {
+bool IsFreeFlight(const State& flying, const State& next) {
   const auto same = [](const auto& expected, const auto& found) { return found == expected || expected != expected; };
   for (int j = 0; j < 2; ++j) {
     if (!same(flying.p[j], next.p[j]) || !same(flying.v[j], next.v[j])) return false;
@@ -47,7 +47,7 @@ BrokenContract CheckContract(std::span<const Touch> touches, std::span<const Sta
     if (!c.plane) (*reported)[c.b] = 1;
   }
   for (int i = 0; i < n; ++i) {
-    if ((*reported)[i] || fixed(i) || FliesTo<State>(flying(i), next[i])) continue;
+    if ((*reported)[i] || fixed(i) || IsFreeFlight<State>(flying(i), next[i])) continue;
     return {"the disc does not fly freely, and the model reports no contact of it (StepInput::Report)", i};
   }
   return {};

@@ -395,7 +395,7 @@ double Order(const std::vector<double>& x, const std::vector<double>& y) {
     positive_x.push_back(x[i]);
     positive_y.push_back(y[i]);
   }
-  return positive_x.size() < 3 ? std::nan("") : PowerOf(positive_x, positive_y);
+  return positive_x.size() < 3 ? std::nan("") : FittedExponent(positive_x, positive_y);
 }
 
 std::vector<SweepFigure> MakeSweepFigures(const SweepStudy& study, const std::vector<StoredPoint>& points) {

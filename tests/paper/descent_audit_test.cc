@@ -149,11 +149,11 @@ TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
   options.keep_iterates = true;
   const SolveReport direct = Solve("gd", {scene, "direct"}, options);
   std::vector<std::vector<double>> iterates;
-  for (const int k : DescentAudit::LookedAt()) iterates.push_back(direct.iterates.at(k));
-  audit.Know(0, "direct", iterates);
+  for (const int k : DescentAudit::ExaminedIterations()) iterates.push_back(direct.iterates.at(k));
+  audit.UseIterates(0, "direct", iterates);
   // The iterates are those of another descent, which shows that they are used.
-  audit.Know(0, "pbd_warp", iterates);
-  audit.Know(0, "event", {{1, 2}});  // one that ended early is not
+  audit.UseIterates(0, "pbd_warp", iterates);
+  audit.UseIterates(0, "event", {{1, 2}});  // one that ended early is not
   ASSERT_TRUE(audit.Run(2, ProgressMode::kNone));
   const Figure figure = audit.ToFigure().figure;
   ASSERT_EQ(figure.panels[0].series.size(), 3u);

@@ -58,7 +58,7 @@ double OrderOf(const std::vector<T>& all, size_t count, const Value& value) {
     lengths.push_back(all[i].h);
     values.push_back(std::max(value(all[i]), 1e-300));
   }
-  return PowerOf(lengths, values);
+  return FittedExponent(lengths, values);
 }
 
 class Recogniser {

@@ -255,7 +255,7 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
   }
   if (largest <= floor) {
     findings->motion = Motion::kExact;
-  } else if (-PowerOf(counts, medians) >= kMotionOrder && medians.back() < kMotionFar) {
+  } else if (-FittedExponent(counts, medians) >= kMotionOrder && medians.back() < kMotionFar) {
     findings->motion = Motion::kConverges;
   } else {
     findings->motion = medians.back() <= floor ? Motion::kConverges : Motion::kDoesNotConverge;
@@ -341,14 +341,16 @@ class AuditPlan {
     rollout_ = seconds / rollouts;
   }
   // Estimated time of rollouts in batches, and of rollouts one after the other, s.
-  double OfRollouts(double count) const { return rollout_ * count; }
-  double OfSingleRollouts(double count) const { return single_ * count; }
+  double TimeOfRollouts(double count) const { return rollout_ * count; }
+  double TimeOfSingleRollouts(double count) const { return single_ * count; }
   void SetSingleCost(double seconds) { single_ = seconds; }
   // Returns the time of a refinement, in which each level has twice the steps of the one before, s.
-  double OfRefinement(int levels, int samples) const { return gradient_ * samples * (std::ldexp(1, levels) - 1); }
-  double OfMotion(int samples) const { return OfRollouts(samples * (std::ldexp(1, kMotionLevels) - 1)); }
+  double TimeOfRefinement(int levels, int samples) const { return gradient_ * samples * (std::ldexp(1, levels) - 1); }
+  double TimeOfMotionStudy(int samples) const { return TimeOfRollouts(samples * (std::ldexp(1, kMotionLevels) - 1)); }
 
-  double OfStudies(int levels, int samples) const { return OfRefinement(levels, samples) + OfMotion(samples); }
+  double TimeOfStudies(int levels, int samples) const {
+    return TimeOfRefinement(levels, samples) + TimeOfMotionStudy(samples);
+  }
   double CallsOfStudies(int levels, int samples) const {
     return static_cast<double>(samples) * (kMotionLevels + levels * rollouts_);
   }
@@ -357,7 +359,7 @@ class AuditPlan {
   // fewest.
   void Fit(RefinementOptions* refinement) const {
     const auto fits = [&](int levels) {
-      return Fits(OfStudies(levels, refinement->samples)) && FitsCalls(CallsOfStudies(levels, refinement->samples));
+      return Fits(TimeOfStudies(levels, refinement->samples)) && FitsCalls(CallsOfStudies(levels, refinement->samples));
     };
     for (const int samples : kSamples) {
       refinement->samples = std::min(refinement->samples, samples);
@@ -396,7 +398,7 @@ double NumRolloutsOfWidths(const Scene& scene, const WidthSweepOptions& options)
 }
 
 // Returns the gradient with the control averaged over the segments that differences have.
-ModelGradient AsMeasured(ModelGradient gradient, const BlackBoxFindings& findings) {
+ModelGradient AveragedOverSegments(ModelGradient gradient, const BlackBoxFindings& findings) {
   const int segments = AskingOptions().segments;
   if (findings.own_gradient || gradient.num_steps % segments != 0) return gradient;
   gradient.gradient.control = CoarsenControl(gradient.gradient.control, gradient.num_steps, segments);
@@ -487,8 +489,8 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     return what + FormatNumbers(" takes about %.2g s, more than is left of the %.2g s allowed", seconds, time.seconds);
   };
   WidthSweepOptions widths = WidthsOf(findings, options.widths);
-  const double of_widths = plan.OfSingleRollouts(NumRolloutsOfWidths(scene, widths));
-  const double of_verdict = reference ? plan.OfStudies(kLeastLevels, kSamples[2]) : of_widths;
+  const double of_widths = plan.TimeOfSingleRollouts(NumRolloutsOfWidths(scene, widths));
+  const double of_verdict = reference ? plan.TimeOfStudies(kLeastLevels, kSamples[2]) : of_widths;
   if (!plan.Fits(of_verdict)) {
     findings.remarks.insert(findings.remarks.begin(), too_long("the shortest study that gives a verdict", of_verdict));
     return audit;
@@ -499,7 +501,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     recognition.words = impact.reason();
     if (impact.reason().empty()) {
       for (const auto& [found, finer] : {std::pair(&findings.head_on, 1), std::pair(&findings.finer, kFiner)}) {
-        const double seconds = plan.OfRollouts(finer * kHeadOnRollouts);
+        const double seconds = plan.TimeOfRollouts(finer * kHeadOnRollouts);
         if (!plan.Fits(of_verdict + seconds)) continue;
         plan.Say("head-on impact", seconds);
         *found = impact.Measure(finer);
@@ -513,7 +515,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
   }
   if (traits.gradient && !keep(CompareWithOwnDifferences(contact, scene, stop, 1, kSpeeds), &audit.own)) return audit;
   if (reference) {
-    audit.error = CompareGradients(AsMeasured(audit.gradient, findings), *reference);
+    audit.error = CompareGradients(AveragedOverSegments(audit.gradient, findings), *reference);
     plan.Fit(&refinement_options);
     if (!plan.FitsCalls(plan.CallsOfStudies(refinement_options.levels, refinement_options.samples))) {
       findings.remarks.push_back(FormatNumbers(
@@ -523,9 +525,9 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
           NumRollouts(scene, traits.gradient),
           refinement_options.levels * refinement_options.samples));
     }
-    plan.Say("motion", plan.OfMotion(refinement_options.samples));
+    plan.Say("motion", plan.TimeOfMotionStudy(refinement_options.samples));
     StudyMotion(box.get(), scene, traits, *reference, refinement_options.samples, stop, &findings);
-    plan.Say("refinement", plan.OfRefinement(refinement_options.levels, refinement_options.samples));
+    plan.Say("refinement", plan.TimeOfRefinement(refinement_options.levels, refinement_options.samples));
     if (!keep(StudyRefinement(contact, scene, refinement_options, stop), &audit.refinement)) return audit;
     audit.verdict = audit.refinement->verdict;
     if (options.attribution && traits.step && IsWrong(audit.verdict) && plan.Fits(0)) {

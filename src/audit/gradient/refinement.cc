@@ -97,7 +97,7 @@ double FitOrder(const std::vector<RefinementLevel>& levels, size_t first, double
     steps.push_back(levels[i].steps);
     errors.push_back(std::max(levels[i].error, rounding));
   }
-  return -PowerOf(steps, errors);
+  return -FittedExponent(steps, errors);
 }
 
 // Returns the entries that contradict the exact ones in sign; neither value may be negligible.
