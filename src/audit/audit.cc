@@ -228,7 +228,8 @@ std::string ModelAudit::Why() const {
   if (interrupted) return "interrupted";
   if (verdict == Verdict::kNotApplicable) return not_comparable;
   if (verdict == Verdict::kAmbiguous) return DescribeTies(ambiguous, spread);
-  if (verdict == Verdict::kOneSided) return "every derivative by the initial state is one-sided, or there is none";
+  if (verdict == Verdict::kOneSided)
+    return "the loss has a kink: derivatives by the initial state are one-sided or do not exist";
   if (!resolved) return DescribeUnresolved(gradient.unresolved_steps, gradient.num_steps);
   const std::string cause = CauseOf(*this);
   if (verdict == Verdict::kIllConditioned) return cause;  // nor can differences of its loss be compared

@@ -52,7 +52,7 @@ std::string RemarkOn(const SceneIntervals& motion, const Scene& at_start) {
   };
   add(TiesToString(ties));
   if (unresolved > 0) {
-    add(DescribeUnresolved(unresolved, motion.size()) + ": probabilities do not count what happens in them");
+    add(DescribeUnresolved(unresolved, motion.size()) + ": probabilities ignore the impacts in them");
   }
   for (const SceneEvent& event : PlannedEvents(motion)) {
     const Touch& touch = motion.touches(event.label.interval)[event.touch];

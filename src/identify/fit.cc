@@ -97,7 +97,7 @@ class Motions final : public ceres::EvaluationCallback {
     blocks_.CopyToPoint();
     has_jacobians_ = with_jacobians;
     motion_.assign(point_.segments.size(), {});
-    for (MotionAtSamples& motion : motion_) motion.reason = "a parameter runs away from its start";
+    for (MotionAtSamples& motion : motion_) motion.reason = "a parameter diverged from its start value";
     if (!IsNearStart()) return;
     const Scene scene = problem_.SceneAt(point_.coordinates);
     const std::optional<ImpactLaw> law = problem_.LawAt(point_.coordinates);

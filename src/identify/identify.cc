@@ -643,13 +643,13 @@ class Identification {
     const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
     const std::string remedy = "; take more samples, or let fewer parameters be unknown";
     if (left < kFewLeft && confidence.degrees < kFewestDegrees) {
-      return "too few samples to judge: beyond the " + std::to_string(fit.num_fitted) +
-             FormatNumbers(" numbers that are unknown, those that are no outliers have %.2g, expected at least %.2g",
+      return "too few samples to judge: with " + std::to_string(fit.num_fitted) +
+             FormatNumbers(" unknowns, %.2g degrees of freedom remain without the outliers, expected at least %.2g",
                            std::max(0.0, confidence.degrees),
                            kFewestDegrees) +
              remedy;
     }
-    const std::string outlier = "too few samples to judge: they scatter as one does that is an outlier, ";
+    const std::string outlier = "too few samples to judge: their scatter is that of outliers, ";
     const double sigma = problem_.sigma / ExtentOf(problem_, fit);
     if (!states_sigma_ && (left < kFewLeft ? sigma > kNoOutlier : sigma > kMostWaves && sigma < kMostScatter)) {
       return outlier + FormatNumbers("by %.2g %% of the extent of the motion", 100 * sigma) + remedy;
@@ -744,7 +744,7 @@ class Identification {
     report_.remarks.push_back(scatter);
     if (systematic) {
       report_.remarks.push_back(waves +
-                                "; the scene lacks something of the size of sigma, and the standard errors are "
+                                "; the scene lacks an effect of the size of sigma, and the standard errors are "
                                 "too small");
     }
     const std::string remedy = "; check the units, and the sizes, walls and forces of the scene";
@@ -825,9 +825,9 @@ class Identification {
       for (const std::size_t u : denied) {
         if (!denies(other.point, u)) continue;
         Estimate& estimate = report_.estimates[u];
-        report_.remarks.push_back("the samples lie about as well on a motion with " + estimate.name + " " +
-                                  ToText(value(other.point, u), 4) + " as on one with " + ToText(estimate.value, 4) +
-                                  "; take more samples");
+        report_.remarks.push_back("the samples fit a motion with " + estimate.name + " " +
+                                  ToText(value(other.point, u), 4) + " about as well as one with " +
+                                  ToText(estimate.value, 4) + "; take more samples");
         estimate.determination = Determination::kUndetermined;
       }
     }

@@ -454,7 +454,7 @@ NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candid
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight) {
   for (const NoContact& pair : scene.no_contact) {
     if (NearestPassOf(scene, flight, {pair.a, pair.b, pair.plane}).gap > kApart) continue;
-    return "a pair that must not touch holds the motion back; the conditions are those without";
+    return "a pair that must not touch is at its limit, and the conditions have no multiplier for it";
   }
   return "";
 }

@@ -89,16 +89,16 @@ CostateShooting::CostateShooting(const Scene& scene, std::vector<Candidate> sequ
   CHECK_EQ(num_unknowns_, sizes_.Sum());
 }
 
-std::string CostateShooting::WhyNot(const Scene& scene) {
+std::string CostateShooting::ReasonNotSupported(const Scene& scene) {
   if (scene.objective.effort == 0) {
-    return "without a cost of effort the forces at their bounds switch, and do not follow from costates";
+    return "without a cost of effort the optimal forces are at their bounds and do not follow from the costates";
   }
-  if (!scene.no_contact.empty()) return "pairs that must not touch hold a motion back by more than impacts";
+  if (!scene.no_contact.empty()) return "pairs that must not touch (no_contact) are not supported; use ceres_phases";
   const bool bounded = scene.control.IsBounded();
   for (const RunningTerm& term : scene.objective.running) {
     const auto& pushed = scene.control.bodies;
     if (bounded && std::find(pushed.begin(), pushed.end(), term.body) != pushed.end()) {
-      return "with running costs of a disc whose force is bounded, the times at which it meets the bound are not known";
+      return "running costs of a disc with a bounded force are not supported; use ceres_phases";
     }
   }
   return "";

@@ -50,7 +50,7 @@ class CostateShooting {
   CostateShooting(const Scene& scene, std::vector<Candidate> sequence, bool moving_end);
 
   // Returns the reason why the method does not apply to a scene; empty if it does.
-  static std::string WhyNot(const Scene& scene);
+  static std::string ReasonNotSupported(const Scene& scene);
 
   int num_unknowns() const { return num_unknowns_; }
   const Scene& scene() const { return scene_; }

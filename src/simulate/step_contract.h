@@ -42,7 +42,7 @@ BrokenContract CheckContract(std::span<const Touch> touches, std::span<const Sta
   for (const Touch& touch : touches) {
     const Candidate& c = touch.candidate;
     const bool known = c.a >= 0 && c.a < n && c.b >= 0 && c.b < (c.plane ? num_planes : n);
-    if (!known) return {"the model reports a contact of what it was not given"};
+    if (!known) return {"the model reports a contact of a pair that is not among its candidates"};
     (*reported)[c.a] = 1;
     if (!c.plane) (*reported)[c.b] = 1;
   }

@@ -194,7 +194,7 @@ class Descent {
             return {report.final_loss};
           });
       if (by.empty())
-        gradient->reason = "the least loss has no difference by " + NameOf(scene.design[i].parameter, scene);
+        gradient->reason = "no finite difference of the least loss by " + NameOf(scene.design[i].parameter, scene);
       if (!by.empty()) gradient->by[i] = by[0];
     }
   }

@@ -130,7 +130,7 @@ Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& 
 
 std::string WhyNotConstrainedHmp(const SolveRequest& request) {
   if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
-  return CostateShooting::WhyNot(request.scene);
+  return CostateShooting::ReasonNotSupported(request.scene);
 }
 
 SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptions& options) {
@@ -148,11 +148,11 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
     report.reason += (report.reason.empty() ? "" : "; ") + reason;
   };
   if (!optimum) {
-    give_up("Newton's method has left the motions along the sequence");
+    give_up("Newton's method for the costates left the motions with this sequence of impacts");
   } else if (optimum->Residual() > kResidualTolerance) {
-    give_up("the conditions are not met");
+    give_up("the conditions of the minimum principle are not met");
   } else if (std::abs(optimum->loss - report.final_loss) > kSameLossAsOnGrid * std::abs(report.final_loss)) {
-    give_up("the conditions are met at a point that is no minimum");
+    give_up("the conditions of the minimum principle are met at a point with another loss than the minimum");
   } else {
     report.certificate = Certify(scene, report.initial_state, report.control, report.durations);
     report.continuous = CertifyOptimum(*optimum, *report.certificate);
@@ -234,7 +234,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   run->report().evaluations += minimum.jacobians;
   if (minimum.interrupted) return fail(Termination::kInterrupted, "");
   if (!minimum.valid) {
-    return fail(Termination::kFailed, "no path along " + ContactSequenceToString(scene, sequence) + " to start from");
+    return fail(Termination::kFailed,
+                "no motion with the sequence " + ContactSequenceToString(scene, sequence) + " was found to start from");
   }
   HmpRoot root;
   root.z = minimum.z;
@@ -244,7 +245,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   }
   Path<double> path;
   if (!(root.valid || minimum.touches) || !phases.Unroll(root.z.data(), &path)) {
-    return fail(Termination::kFailed, "Newton's method has left the paths along the sequence");
+    return fail(Termination::kFailed,
+                "Newton's method for the costates left the motions with this sequence of impacts");
   }
   Attempt attempt;
   attempt.loss = phases.Loss(path);
@@ -252,7 +254,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   std::vector<double> times;
   for (const PhaseImpact<double>& impact : path.impacts) times.push_back(impact.time);
   if (!WriteControl(scene, sequence, root.z, times, &attempt.trial)) {
-    return fail(Termination::kFailed, "there are too few steps to write the control down");
+    return fail(Termination::kFailed,
+                "the scene has too few steps for the phases between the impacts; increase `steps`");
   }
   attempt.termination = Termination::kNoProgress;
   if (minimum.touches || !attempt.trial.exact.only_impacts || attempt.trial.exact.contacts != sequence) {
@@ -262,9 +265,9 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   attempt.continuous = CertifyRoot(phases, root, attempt.trial.exact);
   attempt.certificate = CertifyTrial(scene, attempt.trial);
   if (root.residual > kResidualTolerance * root.scale) {
-    attempt.reason = "the conditions are not met";
+    attempt.reason = "the conditions of the minimum principle are not met";
   } else if (std::abs(attempt.loss - minimum.loss) > kSameLoss * std::abs(attempt.loss)) {
-    attempt.reason = "the conditions are met at a point that is no minimum";
+    attempt.reason = "the conditions of the minimum principle are met at a point with another loss than the minimum";
   } else {
     attempt.termination = Termination::kConverged;
   }

@@ -45,8 +45,8 @@ TEST(Attribution, NamesStepBlockAndCauseInTask3) {
       {"direct", 331, Block::kPositionFromPosition, "time of impact ignored"},
       {"direct_toi", 331, Block::kVelocityFromPosition, "acceleration at the impact ignored"},
       {"compliant_brax", 166, Block::kPositionFromPosition, "time of impact ignored"},
-      {"pbd_warp", 331, Block::kPositionFromPosition, "projection forgets the position"},
-      {"pbd_brax", 165, Block::kPositionFromPosition, "projection forgets the position"},
+      {"pbd_warp", 331, Block::kPositionFromPosition, "position before the impact ignored (projection)"},
+      {"pbd_brax", 165, Block::kPositionFromPosition, "position before the impact ignored (projection)"},
   };
   for (const Expected& expected : models) {
     const Attribution attribution = AttributeError(expected.contact, scene);
@@ -119,7 +119,7 @@ TEST(Attribution, SquaresAndConesOfFrictionAreSeen) {
   EXPECT_THAT(AttributeError("compliant_brax", scene).contacts[1].why,
               HasSubstr("restitution squared; friction squared"));
   EXPECT_THAT(AttributeError("convex_toi", scene).contacts[0].why, HasSubstr("restitution multiplies friction"));
-  EXPECT_THAT(AttributeError("pbd_warp", scene).contacts[0].why, HasSubstr("velocity of overlap / step"));
+  EXPECT_THAT(AttributeError("pbd_warp", scene).contacts[0].why, HasSubstr("overlap / step added to the velocity"));
 }
 
 TEST(Attribution, AnotherSequenceOfContactsIsReported) {
@@ -206,7 +206,7 @@ TEST(Attribution, TracesErrorsOfDiscsThatSpin) {
        75,
        Block::kVelocityFromPosition,
        "restitution multiplies friction, and sliding the normal impulse; acceleration at the impact ignored"},
-      {"xpbd", 74, Block::kVelocityFromPosition, "projection forgets the position"},
+      {"xpbd", 74, Block::kVelocityFromPosition, "position before the impact ignored (projection)"},
       {"lcp",
        76,
        Block::kVelocityFromPosition,

@@ -148,7 +148,7 @@ TEST(ImpactFaults, NamesWhatWasDroppedOfSpin) {
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->turns = false; }), "friction does not turn the discs");
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->rims = false; }), "friction follows the centres and not the rims");
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->turns = t->rims = false; }), "spin has no part in friction");
-  EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0; }), "restitution forgotten");
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0; }), "restitution ignored");
 }
 
 // Faults are recognised below a model's own error of first order, and told apart from each other.
@@ -162,13 +162,13 @@ TEST(ImpactFaults, NamesWhatWasDropped) {
   };
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->acceleration = false; }), "acceleration at the impact ignored");
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0.49; }), "restitution squared");
-  EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0; }), "restitution forgotten");
+  EXPECT_EQ(recognise([](ImpactTerms* t) { t->restitution = 0; }), "restitution ignored");
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->normal = ImpactTerms::Normal::kFrozen; }), "normal frozen");
   EXPECT_EQ(recognise([](ImpactTerms* t) {
               t->restitution = 0;
               t->normal = ImpactTerms::Normal::kFrozen;
             }),
-            "restitution forgotten; normal frozen");
+            "restitution ignored; normal frozen");
   EXPECT_EQ(recognise([](ImpactTerms* t) { t->position_shift = -3; }), "none");
 }
 
@@ -176,7 +176,7 @@ TEST(ImpactFaults, NamesForgottenFriction) {
   const Case c = Build({.friction = 0.4});
   ImpactTerms terms = ExactTerms(c.impact);
   terms.law = ImpactTerms::Friction::kNone;
-  EXPECT_EQ(RecogniseFault(c.impact, LinearizeImpact(c.impact, terms), 1), "friction forgotten");
+  EXPECT_EQ(RecogniseFault(c.impact, LinearizeImpact(c.impact, terms), 1), "friction ignored");
 }
 
 }  // namespace

@@ -246,7 +246,8 @@ TEST(NeuralEvent, GoesWhereRolloutsDo) {
   ASSERT_FALSE(report.losses.empty()) << report.reason;
   EXPECT_LT(report.losses.back(), 1e-6 * report.losses.front());
   const Scene strike = ProblemScene("two_balls");
-  EXPECT_THAT(Solve("ceres_event", {.scene = strike, .contact = contact}, {}).reason, HasSubstr("exact impacts only"));
+  EXPECT_THAT(Solve("ceres_event", {.scene = strike, .contact = contact}, {}).reason,
+              HasSubstr("requires exact impacts"));
 }
 
 // A law without a value at the speed of an impact fails the step, and says so.

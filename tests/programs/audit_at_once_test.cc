@@ -100,7 +100,7 @@ TEST(AuditAtOnce, WhereNothingCanBeJudgedTheVerdictSaysSo) {
   const ModelAudit audit = AuditOf("event", Incline());
   EXPECT_EQ(audit.verdict, Verdict::kOneSided);
   EXPECT_STREQ(VerdictToString(audit.verdict), "one-sided");
-  EXPECT_EQ(audit.Why(), "every derivative by the initial state is one-sided, or there is none");
+  EXPECT_EQ(audit.Why(), "the loss has a kink: derivatives by the initial state are one-sided or do not exist");
 }
 
 // Free flight, in which velocities count twice at some lengths of the step.

@@ -136,7 +136,7 @@ TEST(StepContract, OneOfTwoContactsIsNotEnough) {
 }
 
 TEST(StepContract, AContactOfWhatThereIsNotIsRefused) {
-  EXPECT_THAT(WhyFailed<ReportsAnything>(ProblemScene("two_balls")), HasSubstr("was not given"));
+  EXPECT_THAT(WhyFailed<ReportsAnything>(ProblemScene("two_balls")), HasSubstr("is not among its candidates"));
 }
 
 TEST(StepContract, FreeFlightMustBeAffine) {

@@ -96,7 +96,10 @@ TEST(ConstrainedHmp, SaysWhatItCannotTake) {
   scene.control.max = {3.5};
   const SolveReport report = SolveBy("hmp", scene);
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
-  EXPECT_THAT(report.reason, HasSubstr("the times at which it meets the bound"));
+  EXPECT_THAT(report.reason, HasSubstr("running costs of a disc with a bounded force are not supported"));
+  Scene apart = SceneOf(Reference("running"), 60);
+  apart.no_contact = {{.a = 0, .b = 1}};
+  EXPECT_THAT(SolveBy("hmp", apart).reason, HasSubstr("pairs that must not touch (no_contact) are not supported"));
 }
 
 // Two impacts, and a bound that holds at first.

@@ -78,7 +78,8 @@ class Recogniser {
                            *out_.finer_rebound,
                            out_.restitution));
     } else if (*out_.finer_rebound > kMostRebound) {
-      out_.words = FormatNumbers("parts at %.2f of the closing speed: not by itself", *out_.finer_rebound);
+      out_.words = FormatNumbers("separates at %.2f of the closing speed: another contact or force takes part",
+                                 *out_.finer_rebound);
     } else if (*out_.finer_concentration < kForce) {
       JudgeForce();
     } else if (*out_.finer_concentration > kImpulse) {
@@ -178,7 +179,7 @@ class Recogniser {
         Decide(ContactClass::kDepthFeedback,
                FormatNumbers("an impulse that takes %.2g of the depth out in a step", -feedback));
       } else {
-        Decide(ContactClass::kUnclear, passes + ", and with the depth it changes as no class does");
+        Decide(ContactClass::kUnclear, passes + ", and its dependence on the depth is that of no class");
       }
     } else if (near(position, 1)) {
       Decide(ContactClass::kImpulseAtStepBoundary, passes + instead);

@@ -136,14 +136,14 @@ Family BounceFaults() {
   return {{nullptr, [](const PairImpact& i, ImpactTerms* t) { t->restitution = i.restitution; }},
           {"restitution squared",
            [](const PairImpact& i, ImpactTerms* t) { t->restitution = i.restitution * i.restitution; }},
-          {"restitution forgotten", [](const PairImpact&, ImpactTerms* t) { t->restitution = 0; }},
+          {"restitution ignored", [](const PairImpact&, ImpactTerms* t) { t->restitution = 0; }},
           {"restitution taken as 1", [](const PairImpact&, ImpactTerms* t) { t->restitution = 1; }}};
 }
 
 Family FrictionFaults() {
   using Friction = ImpactTerms::Friction;
   return {{nullptr, [](const PairImpact& i, ImpactTerms* t) { t->law = LawOf(i.mode); }},
-          {"friction forgotten", [](const PairImpact&, ImpactTerms* t) { t->law = Friction::kNone; }},
+          {"friction ignored", [](const PairImpact&, ImpactTerms* t) { t->law = Friction::kNone; }},
           {"friction squared",
            [](const PairImpact& i, ImpactTerms* t) {
              t->law = Friction::kSlip;
@@ -181,12 +181,12 @@ Family TimeFaults(bool friction) {
          t->position_shift = 0;
          ForgetTime(t);
        }},
-      {"projection forgets the position",
+      {"position before the impact ignored (projection)",
        [](const PairImpact&, ImpactTerms* t) {
          t->position_shift = 1 / (1 + t->restitution);
          ForgetTime(t);
        }},
-      {"projection forgets the position and makes a velocity of overlap / step",
+      {"position before the impact ignored (projection), and overlap / step added to the velocity",
        [](const PairImpact& i, ImpactTerms* t) {
          t->position_shift = 1 / (1 + t->restitution);
          t->overlap_rate = 1 / i.step;

@@ -84,7 +84,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                             SolveReport exact) {
   exact.certificate = {};
   const auto give_up = [&](const std::string& why) {
-    exact.reason = "under exact flight, from which it starts: " + why;
+    exact.reason = "in the exact motion, from which the solve starts: " + why;
     return exact;
   };
   if (exact.termination != Termination::kConverged) return give_up(exact.reason);
@@ -137,11 +137,13 @@ std::string WhyNotPhases(const SolveRequest& request) {
   if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
   if (IsExact(request)) return "";
   if (!request.scene.objective.running.empty()) {
-    return "running costs are integrated along exact flight (contact model event)";
+    return "running costs require exact flight (contact model event)";
   }
   const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
   const std::optional<FlightOver> over = simulator->FreeFlightOver(simulator->step());
-  if (!over) return request.contact.name() + " has no free flight over steps of any length, with derivatives";
+  if (!over)
+    return request.contact.name() +
+           " has no derivative of free flight by the length of a step, which is a variable here";
   const bool turns = over->turn.pp != 0;  // linearly
   if (request.scene.num_turned() > 0 && !turns) {
     return request.contact.name() + " does not change rotations linearly, and some discs have a torque control";

@@ -385,10 +385,13 @@ std::string HybridPhaseRun::DescribeMiss(const HybridMotion& motion) const {
 
 std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const {
   if (!motion.exact.ok) return motion.exact.reason;
-  if (!motion.exact.only_impacts) return "a guard grazes zero or has a transition at once";
+  if (!motion.exact.only_impacts)
+    return "in simulation of the solution a guard grazes zero or has a transition at once";
   const std::string planned = NameOf(sequence), met = NameOf(motion.exact.contacts);
-  if (sequence == motion.exact.contacts) return "along " + planned + " events come at other times than planned";
-  return "the optimum along " + planned + " is no motion of the system: its events are " + met;
+  if (sequence == motion.exact.contacts)
+    return "in simulation the events " + planned + " are at other times than in the solution";
+  return "the optimum for the sequence " + planned + " is not a motion of the system: in simulation its events are " +
+         met;
 }
 
 Certificate HybridPhaseRun::Certify(const HybridMotion& motion) const {

@@ -117,8 +117,9 @@ std::optional<SolveReport> PhaseRun::WhyNoMotion() {
 std::optional<SolveReport> PhaseRun::WhyNotStart() {
   if (auto refused = WhyNoMotion()) return refused;
   if (!guess_.exact.only_impacts) {
-    return Refuse(Termination::kNotApplicable,
-                  "from the initial guess discs rest on or graze each other or a plane; it knows impacts only");
+    return Refuse(
+        Termination::kNotApplicable,
+        "in the motion of the guess discs rest on or graze each other or a plane; this solver supports impacts only");
   }
   return std::nullopt;
 }

@@ -120,15 +120,16 @@ std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (!scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
   const std::string beyond = BeyondPlanes(scene);
-  return beyond.empty() ? "" : "the scene has " + beyond + "; it knows impacts of discs and planes";
+  return beyond.empty() ? "" : "the scene has " + beyond + "; this solver supports discs and planes only";
 }
 
 std::string WhyNotExactPhases(const SolveRequest& request) {
-  if (!IsExact(request)) return "it solves with exact impacts only (contact model event)";
+  if (!IsExact(request)) return "this solver requires exact impacts (contact model event)";
   if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
-  if (request.scene.Spins()) return "the scene has discs that spin; its arcs in closed form know none";
+  if (request.scene.Spins())
+    return "the scene has discs that spin; the flight that this solver eliminates has no rotation";
   if (request.scene.optimize == Optimize::kControl) return "";
-  return "it finds a control, and the scene optimizes something else";
+  return "this solver optimizes a control only, and the scene optimizes something else";
 }
 
 std::string WhyNotEventPhases(const SolveRequest& request) {
@@ -233,17 +234,17 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
 
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
   if (!run.ok) return run.reason;
-  if (!run.only_impacts) return "discs rest on or graze each other or a plane";
+  if (!run.only_impacts) return "in simulation of the solution discs rest on or graze each other or a plane";
   const std::string planned = ContactSequenceToString(scene, sequence);
   const std::string met = ContactSequenceToString(scene, run.contacts);
-  if (planned == met) return "along " + planned + " impacts come at other times than planned";
-  return "the optimum along " + planned + " is no motion of the discs: they meet " + met;
+  if (planned == met) return "in simulation the impacts " + planned + " are at other times than in the solution";
+  return "the optimum for the sequence " + planned + " is not physical: in simulation the sequence is " + met;
 }
 
 std::string WhyNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run) {
   if (!touches) return WhyNotRealized(scene, run, sequence);
-  return "the best motion along " + ContactSequenceToString(scene, sequence) +
-         " only touches, where the loss has a kink: no condition of optimality is checked";
+  return "in the best motion for the sequence " + ContactSequenceToString(scene, sequence) +
+         " a pair just touches, where the loss has a kink: conditions of optimality are not checked";
 }
 
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,

@@ -402,29 +402,35 @@ class SequenceUpdate {
     }
     if (*reason = run_.WhyNoDerivative(lowest_); !reason->empty()) return Termination::kFailed;
     if (HasOptimum()) {
-      *reason = "no optimum found is better than a motion that is none";
+      *reason = "no optimum found has a lower loss than the motion returned, which is no optimum";
     } else if (IsOpen(lowest_)) {
-      *reason = "no motion along " + run_.NameOf(lowest_.exact.contacts) +
-                " that meets all constraints was found; the least violation is " + run_.DescribeMiss(lowest_);
+      *reason = "no feasible motion " + With(run_.NameOf(lowest_.exact.contacts)) +
+                " was found; the least violation is " + run_.DescribeMiss(lowest_);
     } else if (!best_ && last_ && !last_->realized) {
       *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
       const Sequence& returned = lowest_.exact.contacts;
-      if (last_->trial.exact.contacts != returned) *reason += "; the motion returned has " + run_.NameOf(returned);
+      if (last_->trial.exact.contacts != returned)
+        *reason += "; the sequence of the motion returned is " + run_.NameOf(returned);
     }
-    if (reason->empty()) *reason = "no solve along a sequence tried has ended at an optimum";
+    if (reason->empty()) *reason = "no solve along the sequences tried ended at an optimum";
     return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
   }
 
   std::string WhyNothingTried() const {
-    if (passed_.empty()) return "the events to solve along cannot follow one another, or cannot end the motion";
+    if (passed_.empty())
+      return "the events of the sequence cannot follow one another, or the last one cannot end the motion";
     const PhasePlan& plan = passed_.front();
     const auto phases = std::count(plan.tied.begin(), plan.tied.end(), false) + 1;
     if (phases > run_.num_steps()) {
       return "the control has " + std::to_string(run_.num_steps()) +
-             (run_.num_steps() == 1 ? " interval" : " intervals") + ", and a motion along " + run_.NameOf(plan) +
+             (run_.num_steps() == 1 ? " interval" : " intervals") + ", and a motion " + With(run_.NameOf(plan)) +
              " has " + std::to_string(phases) + " phases: expected an interval for each phase, or more";
     }
-    return "no motion along " + run_.NameOf(plan) + " was found to start from";
+    return "no motion " + With(run_.NameOf(plan)) + " was found for the solve to start from";
+  }
+
+  static std::string With(const std::string& events) {
+    return events == "none" ? "without events" : "with the sequence " + events;
   }
 
   // Beside the conditions of events at different times in between, whose gaps close: where the loss has a kink.
@@ -435,7 +441,7 @@ class SequenceUpdate {
     if (kinks && !certificate.IsStationary()) {
       certificate = {};
       certificate.reason =
-          run_.KinksOf(best_plan_) + ", where the loss has a kink: the conditions are those where it has none";
+          run_.KinksOf(best_plan_) + ", where the loss has a kink: the certificate checks conditions of a smooth loss";
     }
     run_.report().certificate = std::move(certificate);
   }

@@ -163,8 +163,8 @@ class ModeSearch : LimitedSearch {
     }
     WorkOff([this] { return Next(); });
     if (!end_ && HasMore()) {
-      Leave(IsLong() ? "nothing better in most of the work"
-                     : "nothing better in " + std::to_string(kPatience) + " solves");
+      Leave(IsLong() ? "no improvement in most of the work"
+                     : "no improvement in " + std::to_string(kPatience) + " solves");
     }
     if (options_.search && !end_) {
       ShareBest();
@@ -488,7 +488,7 @@ class ModeSearch : LimitedSearch {
     if (!best_is_optimum) {
       std::string reason = best_remark_.empty() ? failure_ : best_remark_;
       if (reason.empty()) {
-        reason = found == 0 ? "no sequence searched has an optimum" : "no optimum found is better";
+        reason = found == 0 ? "no solve ended at an optimum" : "no optimum found has a lower loss";
       }
       return run_.Finish(best_trial_, best_trial_.exact.loss, end, reason + limits);
     }

@@ -126,7 +126,7 @@ std::string WhyNotLm(const HybridProblem& problem) {
     if (term.role == HybridTerm::Role::kValue)
       return term.name + " is a cost that is no square: least squares needs squares";
     if (term.at == HybridTerm::At::kEvent) {
-      return term.name + " is a cost at events, whose number changes: least squares needs a fixed number of residuals";
+      return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
     }
   }
   return WhyNotShot(problem);

@@ -261,6 +261,7 @@ TEST(CeresPhases, SaysHowFarATargetIsOutOfReach) {
     const std::string words = "the least violation is ";
     const size_t at = report.reason.find(words);
     ASSERT_NE(at, std::string::npos) << report.reason;
+    EXPECT_THAT(report.reason, HasSubstr("no feasible motion with"));
     EXPECT_THAT(report.reason, HasSubstr("m, by target"));
     const double found = std::stod(report.reason.substr(at + words.size()));
     EXPECT_GT(found, miss * (1 - 1e-5)) << force;

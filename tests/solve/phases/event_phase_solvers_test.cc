@@ -241,7 +241,7 @@ TEST_P(ByPhases, SaysWhyNot) {
     return report.reason;
   };
   Scene scene = ProblemScene("two_balls");
-  EXPECT_THAT(reason(scene, "direct_toi"), HasSubstr("exact impacts only"));
+  EXPECT_THAT(reason(scene, "direct_toi"), HasSubstr("requires exact impacts"));
   scene.objective.effort = 0;
   EXPECT_THAT(reason(scene), HasSubstr("effort"));
   scene = ProblemScene("two_balls");

@@ -401,7 +401,7 @@ TEST(SequenceUpdate, SaysThatTheBestMotionIsNoOptimum) {
   const SolveReport report = WhereTheOptimumIsWorse(2);
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_EQ(report.final_loss, 1);
-  EXPECT_THAT(report.reason, HasSubstr("no optimum found is better than a motion that is none"));
+  EXPECT_THAT(report.reason, HasSubstr("no optimum found has a lower loss than the motion returned"));
 }
 
 }  // namespace

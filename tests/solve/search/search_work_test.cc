@@ -85,7 +85,7 @@ TEST(SearchWork, TheBestOptimumMeetsItsConditionsWhereSolvesTakeLong) {
   scene.objective.effort = 1e-3;
   scene.optimize = Optimize::kControl;
   const SolveReport report = Solve("mode_search", {scene, "event"}, Limited(0, 2));
-  EXPECT_THAT(report.reason, HasSubstr("nothing better in most of the work"));
+  EXPECT_THAT(report.reason, HasSubstr("no improvement in most of the work"));
   ASSERT_TRUE(report.searched);
   EXPECT_FALSE(report.searched->complete);
   EXPECT_LT(report.searched->work, 0.5 * SearchOptions().work);
