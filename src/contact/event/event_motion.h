@@ -275,10 +275,10 @@ class EventMotion {
       may_gain = may_gain || gap < -kContactGap;
       // Impacts within the last kNodeMargin are left to the next step.
       const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);
-      if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap, what happens here is not resolved";
+      if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap: contacts of this step are not resolved";
     }
     const bool gains = !may_gain && gain > kLargestGain * energy;
-    return gains ? "contacts that last would gain energy, what happens here is not resolved" : std::string_view();
+    return gains ? "sustained contacts would gain energy: they are not resolved" : std::string_view();
   }
 
  private:
