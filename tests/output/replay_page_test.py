@@ -175,6 +175,35 @@ class Replays(Pages):
         self.assertEqual(self.js("return document.querySelectorAll('.stills img').length"), 6)
         self.assert_quiet()
 
+    # Before it starts, the whole path is there in the colour of the disc; x and y and speed are plotted.
+    def test_whole_paths_are_drawn(self):
+        scene = self.write("ball.yaml", BALL.replace("FRICTION", "0"))
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        at_path = """
+            const [replay] = saltusReplays, {view} = replay, {canvas} = view, ratio = canvas.width / canvas.clientWidth;
+            Object.assign(replay.options, {paths: arguments[0], names: false});
+            replay.seek(0);
+            replay.redraw();
+            const x = Math.round(ratio * view.toX(3 * 0.4)), y = Math.round(ratio * view.toY(1.25 - 4 * 0.4 ** 2));
+            const {data} = canvas.getContext('2d').getImageData(x - 3, y - 3, 7, 7);
+            const inked = [...data].map((_, i) => i).filter((i) => i % 4 === 3 && data[i] > 60);
+            return inked.map((i) => [data[i - 3], data[i - 2], data[i - 1]]);"""
+        self.assertEqual(self.js(at_path, False), [])
+        inked = self.js(at_path, True)
+        self.assertGreater(len(inked), 2)
+        for red, green, blue in inked:  # #2f81f7, thin and half transparent
+            self.assertTrue(red < green < blue, (red, green, blue))
+        labels = self.js("return [...document.querySelectorAll('.plot text')].map((text) => text.textContent)")
+        self.assertTrue({"x (m)", "y (m)", "speed (m/s)"} <= set(labels), labels)
+
+    def test_walls_that_nothing_touches_are_shown(self):
+        scene = self.write("wide.yaml", BOX.replace("velocity: [2, 1.3]", "velocity: [0, 0]").replace("velocity: [-1, 0.7]", "velocity: [0, 0]"))
+        folder, _ = self.solve(scene, "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        self.assertEqual(self.js("const {bounds} = saltusReplays[0].view; return [bounds.left < -1, bounds.right > 1, bounds.bottom < -1, bounds.top > 1]"),
+                         [True] * 4)
+
     # Discs that are too many for a path each: there is a disc where one is, and about their areas are covered.
     def test_many_discs_are_drawn(self):
         scene = self.write("many.yaml", run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout)
@@ -182,7 +211,7 @@ class Replays(Pages):
         self.open(os.path.join(folder, "report.html"))
         drawn, discs, covered, area = self.js("""
             const [replay] = saltusReplays, {view, discs, options} = replay, {canvas} = view, state = new Float64Array(400);
-            Object.assign(options, {touches: false, names: false, trails: false});
+            Object.assign(options, {touches: false, names: false, trails: false, paths: false});
             replay.walls.length = replay.targets.length = 0;
             replay.seek(0.6 * replay.duration);
             replay.motions[0].stateAt(replay.time, state);

@@ -137,6 +137,7 @@ class Reports(Pages):
                 ("slip_hopper", ["--solver=all", "--iterations=20"], 7, 1),
                 ("bouncing_ball", ["--solver=none", "--audit", "--set=y=1.3,v=0.4,g=9.81,e=0.8,duration=2"], 3, 1),
                 ("bouncing_ball", ["--solver=none", "--set=y=1,v=0,e=0.5"], 3, 1),  # events accumulate
+                ("wall_swing_up", ["--solver=none"], 4, 1),  # with its torque
                 ("thermostat", ["--solver=none"], 3, 0)):
             with self.subTest(f"{program} {flags}"):
                 folder = tempfile.mkdtemp(dir=self.folder)
@@ -144,7 +145,7 @@ class Reports(Pages):
                 page = os.path.join(folder, "report.html")
                 self.assert_valid(page)
                 self.assert_fits(page)
-                # Of each motion a panel for each state and one for the guards, and the replay of systems that draw themselves.
+                # Of each motion a panel for each state, each control that acts and the guards, and the replay of systems that draw themselves.
                 motions = self.js("return [...document.querySelectorAll('h2')].filter((h) => h.textContent.startsWith('Motion')).length")
                 self.assertEqual(self.js("return document.querySelectorAll('.panels svg').length"), motions * charts)
                 self.assertEqual(self.js("return document.querySelectorAll('.replay > svg').length"), motions * drawn)

@@ -1,6 +1,4 @@
 // The document of a hybrid system's program (programs/hybrid_document.h) as parts of a page.
-const HYBRID_COLOURS = ['#2f81f7', '#d9730d', '#2da44e', '#a475f9', '#db61a2', '#b08800'];
-
 const shown = (value, digits = 10) => (
   typeof value === 'number' ? String(Number(value.toPrecision(digits))) : value === null || value === undefined ? '' : String(value));
 
@@ -17,7 +15,7 @@ function hybridCurves(motion, key, namesOf) {
   motion.times.forEach((time, k) => {
     const jumps = k > 0 && motion.times[k - 1] === time;
     namesOf(motion.modes[k]).forEach((name, i) => {
-      if (!curves.has(name)) curves.set(name, {...seriesOf(name, {colour: HYBRID_COLOURS[curves.size % 6], dash: 'solid'}, [], []), last: k});
+      if (!curves.has(name)) curves.set(name, {...seriesOf(name, {colour: DISC_COLOURS[curves.size % DISC_COLOURS.length], dash: 'solid'}, [], []), last: k});
       const curve = curves.get(name);
       if (jumps || curve.last < k - 1) { curve.x.push(time); curve.y.push(null); }
       curve.x.push(time);
@@ -28,13 +26,28 @@ function hybridCurves(motion, key, namesOf) {
   return [...curves.values()];
 }
 
-function hybridFigure({system}, motion) {
+// Each control that is not zero throughout over time, on intervals of these lengths, or on equal ones.
+function hybridControls({system}, input, durations, events) {
+  const rows = input.control, lengths = durations ?? rows.map(() => input.duration / rows.length);
+  let end = 0;
+  const ends = lengths.map((length) => (end += length));
+  return system.controls.flatMap((name, i) => {
+    if (rows.every((row) => row[i] === 0)) return [];
+    const x = ends.flatMap((time, k) => [k > 0 ? ends[k - 1] : 0, time]);
+    return [panelOf(name, {label: 'time'}, {label: name},
+      [seriesOf('', {colour: DISC_COLOURS[i % DISC_COLOURS.length], dash: 'solid'}, x, rows.flatMap((row) => [row[i], row[i]]))], events)];
+  });
+}
+
+function hybridFigure(data, motion, input, durations) {
+  const {system} = data;
   const modeOf = (name) => system.modes.find((mode) => mode.name === name);
   const events = motion.events.map(({time}) => ({value: time, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
   const states = hybridCurves(motion, 'states', (mode) => modeOf(mode).states).map((curve) => (
     panelOf(curve.label, {label: 'time'}, {label: curve.label}, [{...curve, label: ''}], events)));
   const guards = hybridCurves(motion, 'guards', (mode) => modeOf(mode).guards);
-  return {panels: guards.length === 0 ? states : [...states, panelOf('guards', {label: 'time'}, {label: 'guard'}, guards, events)]};
+  const controls = hybridControls(data, input, durations, events);
+  return {panels: [...states, ...controls, ...(guards.length === 0 ? [] : [panelOf('guards', {label: 'time'}, {label: 'guard'}, guards, events)])]};
 }
 
 // Lines and circles of each sample, played over time.
@@ -87,8 +100,9 @@ function hybridParts(data) {
   parts.push({kind: 'text', text: `${system.modes.length} mode${system.modes.length === 1 ? "" : "s"}; loss of the initial guess: ${shown(data.loss) || data.failed}`});
   if (runs.length > 0) {
     heading('Solvers');
-    table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'iterations', 'termination', 'certificate', 'remark'],
-      runs.map((run) => [run.solver, run.initial_loss, run.final_loss, run.iterations, run.termination, run.certificate?.verdict, run.reason]));
+    table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'duration', 'iterations', 'termination', 'certificate', 'remark'],
+      runs.map((run) => [run.solver, run.initial_loss, run.final_loss, run.solution?.duration, run.iterations, run.termination,
+        run.certificate?.verdict, run.reason]));
   }
   const studies = [...runs.map((run) => [run.solver, run.feedback]), ['initial guess', data.feedback]].filter(([, study]) => study);
   if (studies.length > 0) {
@@ -101,12 +115,13 @@ function hybridParts(data) {
           return [name, loop, noisy.final_error, final_error, noisy.samples, noisy.otherwise, change_probability, noisy.failed, warning];
         }))));
   }
-  for (const [name, one] of [...runs.filter((run) => run.motion).map((run) => [run.solver, run.motion]), ['initial guess', motion]]) {
+  const motions = runs.filter((run) => run.motion).map((run) => [run.solver, run.motion, run.solution, run.durations]);
+  for (const [name, one, input, durations] of [...motions, ['initial guess', motion, guess]]) {
     heading(`Motion: ${name}`);
     if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});
     if (one.remark) parts.push({kind: 'text', text: one.remark});
     if (one.frames) parts.push({kind: 'element', element: hybridReplay(one), caption: 'The motion over time.'});
-    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one), caption: 'States and guards over time. Dotted: events.'});
+    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one, input, durations), caption: 'States, controls and guards over time. Dotted: events.'});
     table('Events.', ['event', 'time', 'mode', 'guard', 'next mode'], one.events.map((event, i) => [i + 1, event.time, event.mode, event.guard, event.next_mode]));
   }
   if (gradient) {

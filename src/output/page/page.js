@@ -113,6 +113,8 @@ class Page {
     const place = element('div'), figure = this.numbered('Figure', caption, false, place);
     figure.classList.add('replay');
     this.replays.push(new Replay(place, replay));
+    if (this.replays.length > 1) return;
+    this.plot({plot: 'motion', caption: 'Positions and speeds over time, of the first motion that is shown. Dotted: impacts.'});
   }
 
   // Captions stand where they are read first: above a table, which may be long, and below a figure.

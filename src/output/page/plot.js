@@ -263,6 +263,20 @@ const PLOTS = {
     return curves.length > 0 && {panels: [panelOf('', {label: 'iteration'}, {label: 'loss under the contact model', log}, curves)]};
   },
 
+  // Positions and speeds of up to six discs over time, of the first motion that is shown, and its impacts.
+  motion(_, replay) {
+    const motion = replay?.motions.find(({visible}) => visible) ?? replay?.motions[0];
+    const moving = (replay?.discs ?? []).map((_, i) => i).filter((i) => !replay.discs[i].fixed).slice(0, DISC_COLOURS.length);
+    if (!motion || moving.length === 0) return null;
+    const impacts = motion.touches.slice(0, 8).map(({begin}) => ({value: begin, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+    const width = 4 * replay.discs.length, {states} = motion.path, times = [...motion.path.times];
+    const panel = (label, valueOf) => panelOf('', {label: 'time (s)'}, {label}, moving.map((disc) => (
+      seriesOf(replay.discs[disc].name, {colour: DISC_COLOURS[disc % DISC_COLOURS.length], dash: 'solid'}, times,
+        times.map((_, row) => valueOf(row * width + 4 * disc))))), impacts);
+    return {panels: [panel('x (m)', (at) => states[at]), panel('y (m)', (at) => states[at + 1]),
+      panel('speed (m/s)', (at) => Math.hypot(states[at + 2], states[at + 3]))]};
+  },
+
   // Forces and torques over time, of the motions that the replay shows, and the impacts of the first one.
   controls(_, replay) {
     const same = ({control: l}, {control: r}) => l.length === r.length && l.every((value, i) => value === r[i]);
@@ -272,15 +286,19 @@ const PLOTS = {
     const timed = all.map(({touches}) => touches.filter(({begin, end}) => begin === end)).find((touches) => touches.length > 0) ?? [];
     const impacts = timed.slice(0, 8).map(({a, b, wall, begin}) => (
       {value: begin, vertical: true, label: `impact of ${discs[a].name} and ${(wall ? walls : discs)[b].name}`, colour: AXIS, dash: 'dotted'}));
-    const add = (title, label, value) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
+    const bound = (value) => ({value, vertical: false, label: 'bound', colour: AXIS, dash: 'dashed'});
+    const add = (title, label, value, bounds) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
       const x = [], y = [];
       motion.ends.forEach((end, k) => { x.push(k > 0 ? motion.ends[k - 1] : 0, end); y.push(value(motion, k), value(motion, k)); });
       return seriesOf(motion.label, motion, x, y);
-    }), impacts));
+    }), [...impacts, ...bounds.filter((value) => value).map(bound)]));
     pushed.slice(0, 4).forEach((disc, c) => {
-      ['x', 'y'].forEach((axis, j) => add(discs[disc].name, `force ${axis} (N)`, ({control}, k) => control[2 * (pushed.length * k + c) + j]));
+      const {name, most_component, most_force, most_torque} = discs[disc], force = ({control}, k, j) => control[2 * (pushed.length * k + c) + j];
+      const both = (most) => (most ? [-most, most] : []);
+      ['x', 'y'].forEach((axis, j) => add(name, `force ${axis} (N)`, (motion, k) => force(motion, k, j), both(most_component)));
+      add(name, 'size of the force (N)', (motion, k) => Math.hypot(force(motion, k, 0), force(motion, k, 1)), [most_force]);
       const turned = torques?.some((torque, i) => i % pushed.length === c && torque !== 0);
-      if (turned) add(discs[disc].name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN);
+      if (turned) add(name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN, both(most_torque));
     });
     return {panels};
   },

@@ -2,7 +2,7 @@
 const STILLS = 6, VALUES_OF_AT_MOST = 12;
 const DRAG = 6;  // pixels: what moves less is a tap
 const OPTIONS = [
-  ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
+  ['paths', 'whole paths'], ['trails', 'trails'], ['velocities', 'velocities'], ['forces', 'forces'], ['touches', 'contacts'],
   ['impulses', 'impulses'], ['names', 'names'], ['spreads', '95 % ellipses'], ['apart', 'side by side'],
 ];
 const VALUES = ['motion', 'disc', 'x (m)', 'y (m)', 'v_x (m/s)', 'v_y (m/s)'];
@@ -39,7 +39,7 @@ class Replay {
     this.memory = 0.04 * this.duration;
     this.impacts = [...new Set(this.motions.flatMap(({touches}) => touches.map(({begin}) => begin)))].sort((a, b) => a - b);
     this.options = {
-      trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest + this.twisted > 0, touches: true,
+      paths: this.discs.length <= MANY_DISCS, trails: this.discs.length <= MANY_DISCS, velocities: false, forces: this.strongest + this.twisted > 0, touches: true,
       impulses: this.discs.length <= MANY_DISCS,
       names: true, spreads: true, apart: false,
     };

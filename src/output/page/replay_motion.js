@@ -1,3 +1,5 @@
+const SMOOTH = 300;  // points of a path that is curved
+
 // One motion of a replay: where its discs are at any time, what touches, which forces act.
 class Motion {
   constructor(data, discs) {
@@ -29,6 +31,22 @@ class Motion {
     let largest = 0;
     for (let i = 0; i < length; i += step) largest = Math.max(largest, value(i));
     return largest;
+  }
+
+  // Times and states for drawing paths: those of the rows, and of motions on arcs enough in between. Made once.
+  get path() {
+    if (this.made) return this.made;
+    const width = 4 * this.discs.length, rows = this.times.length, parts = this.arcs ? Math.max(1, Math.ceil(SMOOTH / rows)) : 1;
+    if (parts === 1) return (this.made = {times: this.times, states: this.states});
+    const times = new Float64Array(parts * (rows - 1) + 1), states = new Float64Array(width * times.length);
+    times.forEach((_, i) => {
+      const row = Math.floor(i / parts), next = Math.min(row + 1, rows - 1);
+      times[i] = this.times[row] + (i % parts) / parts * (this.times[next] - this.times[row]);
+      // A row has its own state: of an impact, there are those before and after.
+      if (i % parts === 0) states.set(this.states.subarray(row * width, (row + 1) * width), i * width);
+      else this.stateAt(times[i], states.subarray(i * width, (i + 1) * width));
+    });
+    return (this.made = {times, states});
   }
 
   get end() { return this.times[this.times.length - 1]; }

@@ -3,6 +3,7 @@ const INK = '#24292f', FAINT = '#8b949e', GROUND = '#d8dee4', FORCE = '#0b6e4f',
 const DASHES = {solid: [], dashed: [6, 4], dotted: [2, 3], dashdotted: [7, 3, 2, 3]};
 const MANY_DISCS = 60, AGES = 5;
 const ARROW = 0.14;  // of the scene's extent, the longest
+const DISC_COLOURS = ['#2f81f7', '#d9730d', '#2da44e', '#a475f9', '#db61a2', '#b08800'];
 
 class View {
   constructor(canvas, replay) {
@@ -14,8 +15,8 @@ class View {
     this.stamped = new StampedDiscs();
   }
 
-  // All that discs, walls that end, targets and the visible motions reach.
-  boundsOf({discs, motions, targets, outlines}) {
+  // All that discs, walls that end, targets and the visible motions reach, and planes that are no farther from these than their size.
+  boundsOf({discs, motions, targets, outlines, walls}) {
     const box = {left: Infinity, right: -Infinity, bottom: Infinity, top: -Infinity};
     const add = (x, y, r) => {
       box.left = Math.min(box.left, x - r);
@@ -31,6 +32,11 @@ class View {
     for (const target of targets) add(target[0], target[1], 0);
     for (const {points} of outlines) points.forEach(([x, y]) => add(x, y, 0));
     if (!(box.right >= box.left)) return {left: -1, right: 1, bottom: -1, top: 1};
+    const middle = [(box.left + box.right) / 2, (box.bottom + box.top) / 2], reach = Math.max(box.right - box.left, box.top - box.bottom);
+    for (const wall of walls.filter(({kind}) => kind === 'half-plane')) {
+      const [px, py] = this.contactWith(wall, ...middle);
+      if (Math.hypot(px - middle[0], py - middle[1]) <= 1.5 * reach) add(px, py, 0);
+    }
     const margin = 0.06 * Math.max(box.right - box.left, box.top - box.bottom, 1e-300);
     return {left: box.left - margin, right: box.right + margin, bottom: box.bottom - margin, top: box.top + margin};
   }
@@ -92,6 +98,11 @@ class View {
       context.strokeRect(x + 0.5, y + 0.5, w - 1, h - 1);
       this.text(context, cell.motions[0].label, x + 8, y + 18, 'left');
     }
+  }
+
+  // Discs of a replay of one motion have a colour each; of several motions each has that of its motion.
+  colourOf(motion, disc) {
+    return this.replay.motions.length === 1 && this.replay.discs.length <= MANY_DISCS ? DISC_COLOURS[disc % DISC_COLOURS.length] : motion.colour;
   }
 
   text(context, words, x, y, align = 'center') {
@@ -184,7 +195,9 @@ class View {
 
   drawMotion(context, motion, time, options, first) {
     const x = motion.stateAt(time, this.scratch);
-    if (options.trails) this.drawTrails(context, motion, time);
+    const {times} = motion.path;
+    if (options.paths) this.drawPaths(context, motion, times.length - 1, 0.6, 0.75);
+    if (options.trails) this.drawPaths(context, motion, motion.rowAt(time, times), 0.7, 1.5);
     if (this.replay.discs.length <= MANY_DISCS) this.drawDiscs(context, motion, x, first);
     if (motion.angles) this.drawSpokes(context, motion, x, time);
     if (options.spreads) motion.spreads.forEach((spread, i) => this.drawSpread(context, motion, spread, i, x, time));
@@ -238,33 +251,28 @@ class View {
     context.setLineDash([]);
   }
 
-  // All discs of a motion as one path; those that are fixed grey. Ghosts are outlines.
+  // The discs of a motion; those that are fixed grey. Ghosts are outlines.
   drawDiscs(context, motion, x, first) {
-    const discs = this.replay.discs;
-    for (const fixed of [true, false]) {
+    this.replay.discs.forEach((disc, i) => {
+      if (!Number.isFinite(x[4 * i])) return;
       context.beginPath();
-      discs.forEach((disc, i) => {
-        if (disc.fixed !== fixed || !Number.isFinite(x[4 * i])) return;
-        const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]), r = Math.max(this.scale * disc.radius, 1);
-        context.moveTo(px + r, py);
-        context.arc(px, py, r, 0, 2 * Math.PI);
-      });
-      this.paint(context, fixed ? FAINT : motion.colour, first, 2, DASHES[motion.dash]);
-    }
+      context.arc(this.toX(x[4 * i]), this.toY(x[4 * i + 1]), Math.max(this.scale * disc.radius, 1), 0, 2 * Math.PI);
+      this.paint(context, disc.fixed ? FAINT : this.colourOf(motion, i), first, 2, DASHES[motion.dash]);
+    });
   }
 
   // From the centre of each disc to the point of its rim that began to the right.
   drawSpokes(context, motion, x, time) {
-    context.beginPath();
+    context.lineWidth = 2;
     this.replay.discs.forEach((disc, i) => {
       if (disc.fixed) return;
+      context.beginPath();
       const angle = motion.angleAt(time, i), px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
       context.moveTo(px, py);
       context.lineTo(px + this.scale * disc.radius * Math.cos(angle), py - this.scale * disc.radius * Math.sin(angle));
+      context.strokeStyle = this.colourOf(motion, i);
+      context.stroke();
     });
-    context.strokeStyle = motion.colour;
-    context.lineWidth = 2;
-    context.stroke();
   }
 
   // Ellipses of where discs are with a probability of 0.95: the first filled, others dashed, enlarged as the caption says.
@@ -288,26 +296,26 @@ class View {
     context.setLineDash([]);
   }
 
-  // Where discs have been; of many discs only lately.
-  drawTrails(context, motion, time) {
-    const discs = this.replay.discs, width = 4 * discs.length, last = motion.rowAt(time);
+  // Where discs are up to a point of their paths and, if that is not the last, now; of many discs only lately.
+  drawPaths(context, motion, last, opacity, lineWidth) {
+    const discs = this.replay.discs, width = 4 * discs.length, {times, states} = motion.path;
     const begin = discs.length > MANY_DISCS ? Math.max(0, last - 24) : 0;
     const every = Math.max(1, Math.ceil((last - begin) / 1000));
-    context.beginPath();
+    context.globalAlpha = opacity;
+    context.lineWidth = lineWidth;
+    context.setLineDash(discs.length > MANY_DISCS ? [] : DASHES[motion.dash]);
     discs.forEach((disc, i) => {
       if (disc.fixed) return;
+      context.beginPath();
       for (let row = begin; row <= last; row += every) {
-        const px = this.toX(motion.states[row * width + 4 * i]), py = this.toY(motion.states[row * width + 4 * i + 1]);
+        const px = this.toX(states[row * width + 4 * i]), py = this.toY(states[row * width + 4 * i + 1]);
         if (row === begin) context.moveTo(px, py);
         else context.lineTo(px, py);
       }
-      context.lineTo(this.toX(this.scratch[4 * i]), this.toY(this.scratch[4 * i + 1]));
+      if (last < times.length - 1) context.lineTo(this.toX(this.scratch[4 * i]), this.toY(this.scratch[4 * i + 1]));
+      context.strokeStyle = this.colourOf(motion, i);
+      context.stroke();
     });
-    context.strokeStyle = motion.colour;
-    context.globalAlpha = 0.7;
-    context.lineWidth = 1.25;
-    context.setLineDash(discs.length > MANY_DISCS ? [] : DASHES[motion.dash]);
-    context.stroke();
     context.setLineDash([]);
     context.globalAlpha = 1;
   }
