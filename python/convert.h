@@ -57,5 +57,6 @@ void BindIdentify(py::module_* module);
 void BindContact(py::module_* module);
 void BindFeedback(py::module_* module);
 void BindHybrid(py::module_* module);
+void BindSweep(py::module_* module);
 
 }  // namespace saltus::python

@@ -17,4 +17,5 @@ PYBIND11_MODULE(_saltus, module) {
   BindIdentify(&module);
   BindFeedback(&module);
   BindHybrid(&module);
+  BindSweep(&module);
 }

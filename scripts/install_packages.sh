@@ -8,12 +8,11 @@ packages=(
   libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
   coinor-libipopt-dev # the optional solver ipopt
   libboost-dev # interval arithmetic
-  libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev libsqlite3-dev
-  libopenmpi-dev openmpi-bin # sweeps on many machines
+  libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev
   gnuplot-nox fonts-dejavu-core # figures, and a font for them
   libgtest-dev libgmock-dev libbenchmark-dev
   python3-dev pybind11-dev python3-numpy # the Python module
-  python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch and mypy are skipped without
+  python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch, python3-distributed and mypy are skipped without
   python3-nbclient python3-ipykernel # the example notebook
   python3-jsonschema codespell # the tests of schemas/ and docs/
   universal-ctags # the test of names that are defined twice

@@ -16,6 +16,7 @@ Scenes          load_scene, Scene, SceneError
 Motions         rollout, loss_and_gradient, linearize: each takes a Scene, a dict or the path of a scene file
 Repeated use    Simulation (one scene, evaluated many times), Batch (many points, on all cores)
 Optimisation    solve, solvers
+Sweeps          sweep: many points of some options, on all cores or with a distributed.Client of Dask
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals, cost, maximise; rollout,
@@ -64,6 +65,7 @@ from ._saltus import __version__
 from ._scene import Scene, SceneError, load_scene
 from ._simulate import Batch, EndState, Simulation, linearize, loss_and_gradient, rollout
 from ._solve import audit, contact_models, solve, solvers
+from ._sweep import sweep
 
 __all__ = [
     "Audit",
@@ -109,6 +111,7 @@ __all__ = [
     "rollout",
     "solve",
     "solvers",
+    "sweep",
     "terminal",
     "track",
     "where",

@@ -7,6 +7,7 @@ from typing import Any, Mapping, Sequence
 
 import matplotlib.pyplot as plt  # type: ignore[import]
 import numpy as np
+from matplotlib.colors import LogNorm, Normalize  # type: ignore[import]
 
 from . import _saltus
 from ._results import Audit, Result, Rollout, Run
@@ -124,3 +125,97 @@ def refinement(item: Result, ax: Any = None) -> Any:
         ax.loglog(quantity["steps"], quantity["error"], label=f"by {quantity['quantity']}: {quantity['verdict']}", **look)
     ax.legend(frameon=False)
     return ax
+
+
+def _scale(values: Any) -> str:
+    """Returns "log" if ascending values are spaced more evenly on a logarithmic scale."""
+    if len(values) < 2 or values[0] <= 0:
+        return "linear"
+    spread = [np.ptp(np.diff(each)) / np.mean(np.diff(each)) for each in (values, np.log(values))]
+    return "log" if spread[1] < spread[0] or (len(values) == 2 and values[1] > 20 * values[0]) else "linear"
+
+
+def _edges(values: Any, scale: str) -> Any:
+    """Returns the borders of cells around ascending values."""
+    at = np.log(values) if scale == "log" else values
+    middles = (at[1:] + at[:-1]) / 2
+    edges = np.concatenate([[2 * at[0] - middles[0]], middles, [2 * at[-1] - middles[-1]]])
+    return np.exp(edges) if scale == "log" else edges
+
+
+def _done(table: Mapping[str, Any]) -> Any:
+    return np.asarray(table["status"]) == "done" if "status" in table else np.ones(len(table["reason"]), dtype=bool)
+
+
+def curves(table: Mapping[str, Any], x: str, y: str, ax: Any = None, reduce: Any = np.min) -> Any:
+    """Draws a column of a sweep as a function of one of its options, a curve for each contact model and solver.
+
+    `table` is as in heat_maps; `reduce` makes one number of the values at one x, over all other options.
+    """
+    ax = _axes(ax, x, y)
+    at, values = np.asarray(table[x], dtype=float), np.asarray(table[y], dtype=float)
+    keys = [np.asarray(table[name]) for name in ("contact", "solver") if name in table]
+    shown = _done(table) & np.isfinite(values)
+    for key in dict.fromkeys(zip(*keys)) if keys else [()]:
+        of_key = np.logical_and.reduce([shown, *(column == word for column, word in zip(keys, key))])
+        xs = np.unique(at[of_key])
+        look = {**style(str(key[0])), "markevery": None} if len(key) else {}
+        ax.plot(xs, [reduce(values[of_key & (at == each)]) for each in xs], label=" ".join(key), **look)
+    ax.set_xscale(_scale(np.unique(at)))
+    if keys:
+        ax.legend(frameon=False)
+    return ax
+
+
+def heat_maps(
+    table: Mapping[str, Any], x: str, y: str, columns: Sequence[str] | None = None, clip: float = 2, reduce: Any = np.min
+) -> Any:
+    """Draws a heat map of each column of a sweep over two of its options, and returns the figure.
+
+    The colour scale of a map ends at the percentiles ``clip`` and 100 - ``clip`` of its values, so that a few extreme
+    points do not hide the others; arrows at its ends mark values beyond. It is logarithmic where these percentiles are
+    positive and two decades apart. Cells of points that failed are empty.
+
+    Args:
+        table: columns by their names, as saltus.sweep returns them, or an opened sweep.npz.
+        x: option on the horizontal axis.
+        y: option on the vertical axis.
+        columns: columns to draw; default: all columns of numbers that differ, other than x and y.
+        clip: percentage of the values beyond each end of the colour scale.
+        reduce: function that makes one number of the values of a cell, over all other options; default: the least.
+    """
+    at_x, at_y = (np.unique(np.asarray(table[name], dtype=float)) for name in (x, y))
+    if len(at_x) < 2 or len(at_y) < 2:
+        raise ValueError(f"{x}, {y}: expected at least two values of each; saltus.plot.curves draws one option")
+    done = _done(table)
+    numbers = {name: np.asarray(table[name]) for name in columns or table if name not in (x, y, "point")}
+    shown = {}
+    for name, values in numbers.items():
+        if values.dtype.kind in "fi" and (columns or len(np.unique(values[done & np.isfinite(values)])) > 1):
+            shown[name] = values
+    if not shown:
+        raise ValueError("columns: found none whose numbers differ; expected at least one")
+    across = min(3, len(shown))
+    down = -(-len(shown) // across)
+    figure, axes = plt.subplots(down, across, figsize=(4.2 * across, 3.4 * down), layout="constrained", squeeze=False)
+    scales = _scale(at_x), _scale(at_y)
+    row, column = np.searchsorted(at_y, table[y]), np.searchsorted(at_x, table[x])
+    for ax in axes.flat[len(shown) :]:
+        ax.set_axis_off()
+    for ax, (name, values) in zip(axes.flat, shown.items()):
+        drawn = np.full((len(at_y), len(at_x)), np.nan)
+        inside = done & np.isfinite(values)
+        for cell in set(zip(row[inside], column[inside])):
+            drawn[cell] = reduce(values[inside & (row == cell[0]) & (column == cell[1])])
+        finite = drawn[np.isfinite(drawn)]
+        ax.set(title=name.replace("_", " "), xlabel=x, ylabel=y)
+        if not len(finite):
+            continue
+        least, most = np.percentile(finite, [clip, 100 - clip])
+        norm = LogNorm(least, most) if least > 0 and most >= 100 * least else Normalize(least, most)
+        mesh = ax.pcolormesh(_edges(at_x, scales[0]), _edges(at_y, scales[1]), np.ma.masked_invalid(drawn), norm=norm)
+        beyond = (finite.min() < least, finite.max() > most)
+        extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(beyond, "both")
+        figure.colorbar(mesh, ax=ax, extend=extend)
+        ax.set(xscale=scales[0], yscale=scales[1])
+    return figure

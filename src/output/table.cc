@@ -13,6 +13,7 @@
 #include <optional>
 
 #include "base/number_text.h"
+#include "output/csv_line.h"
 
 namespace saltus {
 namespace {
@@ -79,14 +80,6 @@ std::string QuoteCsv(const std::string& field) {
   return quoted + '"';
 }
 
-std::string CsvLine(const std::vector<std::string>& fields) {
-  // A record of one empty field is quoted, because readers skip empty lines.
-  if (fields.size() == 1 && fields[0].empty()) return "\"\"\n";
-  std::string line;
-  for (const std::string& field : fields) line += (&field == &fields[0] ? "" : ",") + QuoteCsv(field);
-  return line + '\n';
-}
-
 bool StartsCharacter(char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }
 
 std::optional<size_t> ColumnsFromEnvironment() {
@@ -97,6 +90,14 @@ std::optional<size_t> ColumnsFromEnvironment() {
 }
 
 }  // namespace
+
+std::string CsvLine(const std::vector<std::string>& fields) {
+  // A record of one empty field is quoted, because readers skip empty lines.
+  if (fields.size() == 1 && fields[0].empty()) return "\"\"\n";
+  std::string line;
+  for (const std::string& field : fields) line += (&field == &fields[0] ? "" : ",") + QuoteCsv(field);
+  return line + '\n';
+}
 
 std::string_view ToneName(Tone tone) {
   static constexpr std::string_view kNames[] = {"", "good", "warning", "bad", "muted"};

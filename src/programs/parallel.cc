@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <exception>
 #include <iostream>
+#include <map>
 #include <mutex>
 #include <system_error>
 #include <thread>
@@ -31,29 +32,29 @@ std::atomic<bool> interrupt_said{false};  // once is enough, whatever else is le
 struct Board {
   struct Entry {
     std::string name, note;
-    // A job that comes back after an interrupt is not done: it may have been cut short.
-    bool started = false, done = false;
     Clock::time_point start;
   };
 
+  JobName name;
   Job job;
   std::mutex mutex;  // guards what follows
   std::condition_variable changed;
-  std::vector<Entry> entries;
-  size_t next = 0;
+  std::vector<char> started;  // of each job
+  // By index. A job that comes back after an interrupt stays here and is not done: it may have been cut short.
+  std::map<int, Entry> at_work;
+  int next = 0;
+  int64_t done = 0;
   int threads = 0;  // that run
   std::exception_ptr thrown;
 
   // The jobs at work, the longest first: "ncp for 12 s, lcp".
   std::string AtWork() const {
-    std::vector<const Entry*> at_work;
-    for (const Entry& entry : entries) {
-      if (entry.started && !entry.done) at_work.push_back(&entry);
-    }
-    std::ranges::stable_sort(at_work, [](const Entry* a, const Entry* b) { return a->start < b->start; });
+    std::vector<const Entry*> longest_first;
+    for (const auto& [index, entry] : at_work) longest_first.push_back(&entry);
+    std::ranges::stable_sort(longest_first, [](const Entry* a, const Entry* b) { return a->start < b->start; });
     std::string text;
-    for (size_t i = 0; i < at_work.size() && i < kMostNames; ++i) {
-      const Entry& entry = *at_work[i];
+    for (size_t i = 0; i < longest_first.size() && i < kMostNames; ++i) {
+      const Entry& entry = *longest_first[i];
       text += (i == 0 ? "" : ", ") + entry.name;
       const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(Clock::now() - entry.start).count();
       if (seconds >= kSlow) text += " for " + std::to_string(seconds) + " s";
@@ -66,15 +67,15 @@ struct Board {
 
 void Work(Board* board) {
   std::unique_lock lock(board->mutex);
-  while (board->next < board->entries.size() && !InterruptGuard::Interrupted() && !board->thrown) {
-    const size_t i = board->next++;
-    Board::Entry& entry = board->entries[i];
-    entry.started = true;
-    entry.start = Clock::now();
+  const int count = static_cast<int>(board->started.size());
+  while (board->next < count && !InterruptGuard::Interrupted() && !board->thrown) {
+    const int i = board->next++;
+    board->started[i] = true;
+    Board::Entry& entry = board->at_work.emplace(i, Board::Entry{board->name(i), "", Clock::now()}).first->second;
     lock.unlock();
     std::exception_ptr thrown;
     try {
-      board->job(static_cast<int>(i), [&](const std::string& note) {
+      board->job(i, [&](const std::string& note) {
         const std::lock_guard say(board->mutex);
         entry.note = note;
       });
@@ -82,7 +83,10 @@ void Work(Board* board) {
       thrown = std::current_exception();
     }
     lock.lock();
-    entry.done = !InterruptGuard::Interrupted();
+    if (!InterruptGuard::Interrupted()) {
+      ++board->done;
+      board->at_work.erase(i);
+    }
     if (thrown && !board->thrown) board->thrown = thrown;
     board->changed.notify_all();
   }
@@ -94,14 +98,14 @@ void Work(Board* board) {
 
 bool AskedToStop() { return InterruptGuard::Interrupted(); }
 
-JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
-  progress->UnitsDiffer();  // the gradient of one model and the audit of another, or solvers of seconds and of minutes
+JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* progress, const Job& job) {
   const auto board = std::make_shared<Board>();
+  board->name = name;
   board->job = job;
-  for (const std::string& name : names) board->entries.push_back({name, "", false, false, {}});
+  board->started.resize(count);
   std::vector<std::thread> workers;
   std::unique_lock lock(board->mutex);
-  while (board->threads < std::min<int>(threads, static_cast<int>(names.size()))) {
+  while (board->threads < std::min(threads, count)) {
     try {
       workers.emplace_back([board] { Work(board.get()); });
       ++board->threads;
@@ -111,22 +115,16 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
     }
   }
 
-  const auto num_done = [&] { return std::ranges::count(board->entries, true, &Board::Entry::done); };
   Clock::time_point give_up = Clock::time_point::max();
   int64_t reported = 0;
   while (board->threads > 0 && Clock::now() < give_up) {
     board->changed.wait_for(lock, kLook);
     if (InterruptGuard::Interrupted()) give_up = std::min(give_up, Clock::now() + kGrace);
-    const int64_t done = num_done();
-    progress->Advance(done - std::exchange(reported, done), board->AtWork());
+    progress->Advance(board->done - std::exchange(reported, board->done), board->AtWork());
   }
-  JobsEnd end;
-  for (const Board::Entry& entry : board->entries) end.started.push_back(entry.started);
-  const int64_t done = num_done();
-  end.complete = done == static_cast<int64_t>(names.size());
+  const int64_t done = board->done;
+  JobsEnd end{board->started, done == count, board->threads > 0, board->thrown};
   const std::string at_work = board->AtWork();
-  end.abandoned = board->threads > 0;
-  end.thrown = board->thrown;
   lock.unlock();
   for (std::thread& worker : workers) {
     if (end.abandoned) {
@@ -137,11 +135,17 @@ JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Pro
   }
   if (InterruptGuard::Interrupted() && !end.complete && !interrupt_said.exchange(true)) {
     progress->Finish();
-    std::cerr << "interrupted" << (at_work.empty() ? "" : " at " + at_work) << "; " << done << " of " << names.size()
+    std::cerr << "interrupted" << (at_work.empty() ? "" : " at " + at_work) << "; " << done << " of " << count
               << " were done" << std::endl;
   }
   if (end.abandoned) EndWithoutWaiting();
   return end;
+}
+
+JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {
+  progress->UnitsDiffer();
+  return RunJobsOrAbandon(
+      static_cast<int>(names.size()), [names](int i) { return names[i]; }, threads, progress, job);
 }
 
 bool RunJobs(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job) {

@@ -18,6 +18,9 @@ namespace saltus {
 using SayNote = std::function<void(const std::string& note)>;
 using Job = std::function<void(int index, const SayNote& say)>;
 
+// The name of a job, for a person.
+using JobName = std::function<std::string(int index)>;
+
 // For jobs to ask: InterruptGuard::Interrupted().
 bool AskedToStop();
 
@@ -28,10 +31,12 @@ struct JobsEnd {
   std::exception_ptr thrown;  // by the first job that has thrown, if any has
 };
 
-// Calls job(i) for i = 0..names.size()-1 on `threads` threads, each once, until interrupted. Which jobs are at work
+// Calls job(i) for i = 0..count-1 on `threads` threads, each once, until interrupted. Which jobs are at work
 // stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
 // ask AskedToStop(), have 0.7 s to come back before the program goes on without them. What they use must therefore not
 // go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
+JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* progress, const Job& job);
+// Runs jobs with these names. They take seconds and minutes, so that the progress says nothing of the time left.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 // Runs jobs that use data of the caller: if they do not return, the process ends here, with the exit code of a failed

@@ -141,17 +141,17 @@ std::vector<Program> MakePrograms() {
        "Computes many points of some options, and prints one row of CSV for each",
        {"--scene=FILE|--program=COMMAND --sweep=\"stiffness=1e2:1e5:log:7; steps=120,240\" [--contact=LIST] "
         "[--solver=LIST|none]"},
-       {{"Points", Words("sweep=POINTS program=COMMAND point_seconds=S retry_failed shard=I/N merge")},
+       {{"Points", Words("sweep=POINTS program=COMMAND point_seconds=S retry_failed shard=I/N")},
         kScene,
         kModelsAndSimulators,
         kSolvers,
         kSurrogate,
         kFeedback,
         kOutput},
-       "With --output_dir, every finished point is written to DIR/sweep.sqlite immediately, and the same command "
-       "continues after an interruption or a crash. At the end, DIR has sweep.csv, sweep.npz and figures.\n"
-       "On many machines, run 'mpirun -n K saltus_sweep ...' (with --enable-recovery the job survives ranks that "
-       "die), or --shard=1/N ... --shard=N/N and then --merge."},
+       "With --output_dir, the row of every finished point is appended to DIR/sweep.csv immediately, and the same "
+       "command continues after an interruption. At the end, DIR has sweep.npz and report.html, too.\n"
+       "On many machines, run --shard=1/N to --shard=N/N with the same --output_dir, and join the files "
+       "DIR/sweep.shard-*-of-N.csv with one header into DIR/sweep.csv."},
       {"saltus_identify",
        "Fits parameters of a scene to recordings of its motion, with confidence intervals",
        {"--scene=FILE --recording=FILE,... --unknown=restitution,mass.BALL [--contact=LIST] [--json]"},

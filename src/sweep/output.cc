@@ -74,19 +74,23 @@ std::string PlaceOf(const SweepStudy& study, int64_t point) {
   return "point " + std::to_string(point) + " (" + values + ")";
 }
 
-std::vector<StoredPoint> AllPoints(const SweepStore& store) {
+std::vector<StoredPoint> StoredPoints(const SweepStore& store, PointRange range) {
   std::vector<StoredPoint> points;
-  store.ForEach([&](int64_t point, PointResult result) { points.push_back({point, std::move(result)}); });
+  for (int64_t point = range.begin; point < range.end; ++point) {
+    if (const PointResult* result = store.Find(point)) points.push_back({point, *result});
+  }
   return points;
 }
 
 Table SweepTable(const SweepStudy& study, const std::vector<StoredPoint>& points) {
   std::vector<Column> columns;
   for (const std::string& name : study.columns()) columns.push_back({name});
+  columns.push_back({kStatusColumn});
   Table table(columns);
   for (const StoredPoint& point : points) {
     std::vector<Cell> row;
     for (const SweepValue& value : point.result.row) row.push_back(CellOf(value));
+    row.emplace_back(ToString(point.result.status));
     table.AddRow(std::move(row));
   }
   return table;
@@ -98,6 +102,9 @@ NpzArrays SweepArrays(const SweepStudy& study, const std::vector<StoredPoint>& p
   for (const StoredPoint& point : points) numbers.push_back(point.point);
   arrays["point"] = {{static_cast<int64_t>(points.size())}, std::move(numbers)};
   for (size_t i = 0; i < study.columns().size(); ++i) arrays[study.columns()[i]] = ColumnArray(points, i);
+  std::vector<std::string> statuses;
+  for (const StoredPoint& point : points) statuses.emplace_back(ToString(point.result.status));
+  arrays[kStatusColumn] = {{static_cast<int64_t>(points.size())}, std::move(statuses)};
   return arrays;
 }
 
@@ -106,7 +113,7 @@ Json SweepJson(const SweepStudy& study, const std::vector<StoredPoint>& points) 
   for (const StoredPoint& point : points) {
     Json object = {{"point", point.point}};
     for (size_t i = 0; i < study.columns().size(); ++i) object[study.columns()[i]] = point.result.row[i];
-    object["status"] = ToString(point.result.status);
+    object[kStatusColumn] = ToString(point.result.status);
     list.push_back(std::move(object));
   }
   Json document = Json::object();
@@ -177,7 +184,7 @@ class Solved {
                     tally.without,
                     seconds.empty() ? Cell() : Cell(seconds[seconds.size() / 2]),
                     seconds.empty() ? Cell() : Cell(seconds.back()),
-                    tally.memory});
+                    tally.memory > 0 ? Cell(tally.memory) : Cell()});
     }
     return table;
   }

@@ -20,8 +20,8 @@ struct StoredPoint {
 // "point 3 (stiffness=100, contact=event)"
 std::string PlaceOf(const SweepStudy& study, int64_t point);
 
-// In ascending order.
-std::vector<StoredPoint> AllPoints(const SweepStore& store);
+// Returns the stored points of a range, in ascending order.
+std::vector<StoredPoint> StoredPoints(const SweepStore& store, PointRange range);
 
 Table SweepTable(const SweepStudy& study, const std::vector<StoredPoint>& points);
 

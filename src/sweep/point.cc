@@ -88,7 +88,7 @@ void AppendFeedback(const Json& feedback, SweepRow* row) {
   }
 }
 
-// Appends the feedback study of a solution, in one thread: points are computed in several processes. A reason why there
+// Appends the feedback study of a solution, in one thread: points are computed in several threads. A reason why there
 // is none is added to an empty remark.
 void AppendFeedback(const Request& request, const Scene& scene, const std::vector<double>& initial,
                     const std::vector<double>& control, const std::vector<double>& durations, SweepRow* row,
@@ -108,12 +108,14 @@ PointStatus StatusOf(Termination termination) {
   return failed ? PointStatus::kFailed : PointStatus::kComputed;
 }
 
-PointResult SolvePoint(const Request& request, double seconds, bool with_memory, PointResult result) {
-  const Clock::time_point deadline =
-      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
+// The most memory that a solver took is measured of control problems that are solved alone.
+enum class Memory { kNone, kMeasured, kUnknown };
+
+PointResult SolvePoint(const Request& request, double seconds, const StopRequest& stop, Memory memory,
+                       PointResult result) {
   SolverOptions options = request.options;
-  if (seconds > 0) options.stop = [&] { return Clock::now() >= deadline; };
-  if (with_memory) ForgetPeakMemory();
+  options.stop = stop;
+  if (memory == Memory::kMeasured) ForgetPeakMemory();
   SolvedRun run;
   run.report = Solve(request.solvers[0],
                      {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
@@ -141,7 +143,10 @@ PointResult SolvePoint(const Request& request, double seconds, bool with_memory,
     for (const double value : parameters) Append({value}, &result.row);
     AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
   }
-  if (with_memory) Append({PeakMemory() >= 0 ? SweepValue(PeakMemory()) : SweepValue()}, &result.row);
+  if (memory != Memory::kNone) {
+    const double most = memory == Memory::kMeasured ? PeakMemory() : -1;
+    Append({most >= 0 ? SweepValue(most) : SweepValue()}, &result.row);
+  }
   const bool stopped = report.termination == Termination::kInterrupted;
   const Termination termination = stopped ? Termination::kFailed : report.termination;
   const std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
@@ -160,18 +165,21 @@ std::vector<double> NumbersIn(const Json& json) {
   return numbers;
 }
 
-PointResult GradientPoint(const Request& request, PointResult result) {
+PointResult GradientPoint(const Request& request, double seconds, const StopRequest& stop, PointResult result) {
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
   const Contact contact = ContactNamed(request.contacts[0], request.scene);
-  const ModelGradient gradient = surrogate ? ComputeSurrogate(contact, request.scene, request.precision, *surrogate)
-                                           : ComputeGradient(contact, request.scene, request.precision);
+  const ModelGradient gradient =
+      surrogate ? ComputeSurrogate(contact, request.scene, request.precision, *surrogate, /*threads=*/1, stop)
+                : ComputeGradient(contact, request.scene, request.precision, stop);
   if (!gradient.ok()) {
-    const bool failed = HasFailed(contact.name(), request.scene) || !IsNotApplicable(gradient, request.scene);
+    const bool stopped = stop && stop();
+    const bool failed =
+        stopped || HasFailed(contact.name(), request.scene) || !IsNotApplicable(gradient, request.scene);
     result.status = failed ? PointStatus::kFailed : PointStatus::kNotApplicable;
     result.row.resize(result.row.size() + 5);
     if (request.feedback) AppendFeedback(Json::object(), &result.row);
     if (HasStandardError(surrogate)) result.row.emplace_back();
-    Append({gradient.reason}, &result.row);
+    Append({stopped ? TimeLimitReason(seconds) : gradient.reason}, &result.row);
     return result;
   }
   SweepValue error;
@@ -308,13 +316,17 @@ std::vector<std::string> ResultColumns(const SweepStudy& study) {
 
 std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
 
-PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds) {
+PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds, const StopRequest& stop, bool alone) {
+  const Clock::time_point deadline =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
+  const StopRequest stop_or_late = [&] { return (seconds > 0 && Clock::now() >= deadline) || (stop && stop()); };
   try {
     if (KeptProgram() != nullptr) return ProgramPoint(study, point, seconds, StartRow(study, point));
     const Request request = study.At(point);
     PointResult result = StartRow(study, point);
-    return study.solving() ? SolvePoint(request, seconds, study.generates(), std::move(result))
-                           : GradientPoint(request, std::move(result));
+    if (!study.solving()) return GradientPoint(request, seconds, stop_or_late, std::move(result));
+    const Memory memory = !study.generates() ? Memory::kNone : alone ? Memory::kMeasured : Memory::kUnknown;
+    return SolvePoint(request, seconds, stop_or_late, memory, std::move(result));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
   } catch (const Json::exception& error) {

@@ -27,9 +27,12 @@ namespace saltus {
 //   reason.
 std::vector<std::string> ResultColumns(const SweepStudy& study);
 
-// Computes a point. A solver is stopped after `seconds` (0: never), and then the row holds what it had reached. All but
-// the columns "seconds" and "memory_mib" of a point that is not stopped is the same on every call.
-PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds);
+// Computes a point, on the thread that calls. It is stopped after `seconds` (0: never) or once `stop` returns true; the
+// row then holds what a solver had reached. All but the columns "seconds" and "memory_mib" of a point that is not
+// stopped is the same on every call. The latter is empty unless the point is computed `alone`, as the memory of one
+// thread is not known.
+PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds, const StopRequest& stop = nullptr,
+                         bool alone = true);
 
 // Returns the reason of a point that was stopped after so many seconds.
 std::string TimeLimitReason(double seconds);

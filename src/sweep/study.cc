@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <sstream>
 
+#include "base/number_text.h"
+#include "output/table.h"
 #include "programs/json_output.h"
 #include "programs/simulators.h"
 #include "saltus/control/contact_sequence.h"
@@ -41,6 +43,12 @@ std::vector<std::string> Lines(const std::string& text) {
 std::string SequenceText(const Request& request) {
   if (request.options.sequence) return ContactSequenceToString(request.scene, *request.options.sequence);
   return request.options.search ? "auto" : "fixed";
+}
+
+// How values of options are told from others: numbers however they are written.
+std::string KeyOf(const std::string& cell) {
+  const std::optional<double> number = FromText<double>(cell);
+  return (number ? Cell(*number).Exact() : cell) + '\n';
 }
 
 // A value that a JSON pointer leads to, or "nothing".
@@ -96,7 +104,16 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   for (const std::string& result : ResultColumns(*this)) {
     // An option may bear the name of a result.
     const bool taken = std::ranges::find(options_, result) != options_.end();
-    columns_.push_back(taken ? result + "_done" : result);
+    columns_.push_back(taken ? result + std::string(kDoneSuffix) : result);
+  }
+  for (const SweepBlock& block : blocks_) {
+    std::map<std::string, int64_t>& row_of_cells = row_of_cells_.emplace_back();
+    std::vector<int64_t>& first_rows = first_rows_.emplace_back();
+    for (const SweepRow& row : block.rows) {
+      std::string key;
+      for (const SweepValue& value : row) key += KeyOf(CellOf(value).Exact());
+      first_rows.push_back(row_of_cells.try_emplace(key, std::ssize(first_rows)).first->second);
+    }
   }
 }
 
@@ -121,6 +138,34 @@ SweepRow SweepStudy::Values(int64_t point) const {
   SweepRow values;
   for (const Place& place : places_) values.push_back(blocks_[place.block].rows[rows[place.block]][place.column]);
   return values;
+}
+
+int64_t SweepStudy::FirstLike(int64_t point) const {
+  CHECK(0 <= point && point < size_);
+  int64_t first = 0, points = 1;
+  for (size_t b = blocks_.size(); b-- > 0;) {
+    const int64_t count = std::ssize(first_rows_[b]);
+    first += first_rows_[b][point % count] * points;
+    point /= count;
+    points *= count;
+  }
+  return first;
+}
+
+std::optional<int64_t> SweepStudy::FindPoint(const std::vector<std::string>& cells) const {
+  CHECK_EQ(cells.size(), places_.size());
+  std::vector<std::vector<std::string>> keys(blocks_.size());
+  for (size_t b = 0; b < blocks_.size(); ++b) keys[b].resize(blocks_[b].options.size());
+  for (size_t i = 0; i < cells.size(); ++i) keys[places_[i].block][places_[i].column] = KeyOf(cells[i]);
+  int64_t point = 0;
+  for (size_t b = 0; b < blocks_.size(); ++b) {
+    std::string joined;
+    for (const std::string& key : keys[b]) joined += key;
+    const auto found = row_of_cells_[b].find(joined);
+    if (found == row_of_cells_[b].end()) return std::nullopt;
+    point = point * std::ssize(first_rows_[b]) + found->second;
+  }
+  return point;
 }
 
 Request SweepStudy::At(int64_t point) const {
@@ -204,19 +249,6 @@ std::optional<PointStatus> FindPointStatus(const std::string& text) {
     if (text == ToString(status)) return status;
   }
   return std::nullopt;
-}
-
-std::string Encode(const PointResult& result) {
-  Json json = result.row;
-  json.insert(json.begin(), ToString(result.status));
-  std::string bytes;
-  Json::to_cbor(json, bytes);
-  return bytes;
-}
-
-PointResult DecodePointResult(const std::string& bytes) {
-  const Json json = Json::from_cbor(bytes);
-  return {FindPointStatus(json.at(0).get<std::string>()).value(), SweepRow(json.begin() + 1, json.end())};
 }
 
 }  // namespace saltus

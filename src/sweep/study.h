@@ -5,8 +5,10 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "programs/program.h"
@@ -28,10 +30,15 @@ struct PointResult {
   bool operator==(const PointResult&) const = default;
 };
 
-// Converts results to bytes (CBOR, RFC 8949), to send between processes; every double keeps its bits. Precondition of
-// the latter: bytes that the former made.
-std::string Encode(const PointResult& result);
-PointResult DecodePointResult(const std::string& bytes);
+// The column of the status, after all others in tables and files.
+inline constexpr char kStatusColumn[] = "status";
+// Follows the name of a result in the header of its column where an option has that name, too.
+inline constexpr std::string_view kDoneSuffix = "_done";
+
+// A contiguous part of the points of a study.
+struct PointRange {
+  int64_t begin = 0, end = 0;  // `end` is not one of them
+};
 
 class SweepStudy {
  public:
@@ -60,6 +67,11 @@ class SweepStudy {
   // The values of options() at a point. Precondition, here and below: 0 <= point < size().
   SweepRow Values(int64_t point) const;
 
+  // The first point whose options have the same values: an option may list a value twice.
+  int64_t FirstLike(int64_t point) const;
+  // The first point whose options are written so in a CSV file, in the order of options(), if there is one.
+  std::optional<int64_t> FindPoint(const std::vector<std::string>& cells) const;
+
   // Returns the task at a point: one contact model and, if solving, one solver. Throws InputError, with key and
   // expectation, if the values make no valid scene or are impossible for a solver.
   Request At(int64_t point) const;
@@ -76,6 +88,9 @@ class SweepStudy {
   int64_t size_ = 1;
   std::vector<std::string> options_;
   std::vector<std::string> columns_;
+  // The first row of each block by its cells, and the first row like each row.
+  std::vector<std::map<std::string, int64_t>> row_of_cells_;
+  std::vector<std::vector<int64_t>> first_rows_;
   // Where each of options_ stands.
   struct Place {
     size_t block, column;

@@ -1,26 +1,26 @@
-// `saltus_sweep`: many points of some options, on all cores and many machines, with every finished point kept.
+// `saltus_sweep`: many points of some options, on all cores or as a job array, with every finished point kept.
 #include <gflags/gflags.h>
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <iostream>
 #include <memory>
-#include <regex>
+#include <mutex>
 #include <string_view>
 #include <utility>
 
 #include "base/interrupt.h"
 #include "base/number_text.h"
 #include "output/table.h"
+#include "programs/parallel.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
 #include "saltus/scene/scene_file.h"
 #include "scene/control_problems.h"
-#include "sweep/executor.h"
-#include "sweep/figures.h"
 #include "sweep/options.h"
 #include "sweep/output.h"
+#include "sweep/point.h"
+#include "sweep/store.h"
 
 DEFINE_string(
     sweep, "",
@@ -31,16 +31,28 @@ DEFINE_string(program, "",
               "program of a hybrid system, with or without flags of its own, in place of --scene; its options are its "
               "parameters, initial states, duration, steps, iterations, learning_rate and solver");
 DEFINE_double(point_seconds, 0, "time limit of each point, s; a point that takes longer fails (default: no limit)");
-DEFINE_string(shard, "", "compute only the I-th of N parts, I = 1..N; --merge joins the parts");
-DEFINE_bool(merge, false, "merge the shards in --output_dir instead of computing");
+DEFINE_string(shard, "", "compute only the I-th of N parts, I = 1..N, into DIR/sweep.shard-I-of-N.csv");
 DEFINE_bool(retry_failed, false, "compute the failed points of --output_dir again");
-
-DECLARE_int32(threads);
 
 namespace saltus {
 namespace {
 
 constexpr size_t kMostRowsInReport = 500;
+
+// One of several parts of a study.
+struct Shard {
+  int index = 1;
+  int count = 1;
+
+  // Parts are contiguous, so that their files in the order of their names are the file of the whole.
+  PointRange Points(int64_t size) const { return {size * (index - 1) / count, size * index / count}; }
+  // Results of a part do not stand in the way of those of the whole.
+  std::string BaseName() const {
+    if (count == 1) return "sweep";
+    const std::string last = std::to_string(count), number = std::to_string(index);
+    return "sweep.shard-" + std::string(last.size() - number.size(), '0') + number + "-of-" + last;
+  }
+};
 
 Shard ReadShard(const std::string& text) {
   if (text.empty()) return {};
@@ -56,70 +68,24 @@ void CheckFlags() {
   if (!(FLAGS_point_seconds >= 0) || std::isinf(FLAGS_point_seconds)) {
     throw InputError("--point_seconds must be a number >= 0");
   }
-  const bool parts = !FLAGS_shard.empty() || FLAGS_merge || FLAGS_retry_failed;
-  if (parts && OutputDirFromFlags().empty()) {
-    throw InputError("--shard, --merge and --retry_failed need --output_dir, where the points are kept");
+  if ((!FLAGS_shard.empty() || FLAGS_retry_failed) && OutputDirFromFlags().empty()) {
+    throw InputError("--shard and --retry_failed need --output_dir, where the points are kept");
   }
-  if (FLAGS_merge && !FLAGS_shard.empty()) throw InputError("--merge takes all shards, expected no --shard with it");
 }
-
-// Throws InputError if the store cannot be used: the user has to correct the reason before the sweep can go on.
-template <typename T>
-T OrInputError(StatusOr<T> result) {
-  if (!result.ok()) throw InputError(result.status().message());
-  return std::move(*result);
-}
-
-std::string ShardName(Shard shard) {
-  return "shard-" + std::to_string(shard.index) + "-of-" + std::to_string(shard.count);
-}
-
-// Returns the base name of output files, which differs for shards, so that these do not replace those of the whole.
-std::string BaseName(Shard shard) { return shard.count == 1 ? "sweep" : "sweep." + ShardName(shard); }
 
 std::string ReportPath(const SweepStudy& study, const std::string& base) {
   return study.request().output_dir + "/" + (base == "sweep" ? "" : base + ".") + "report.html";
 }
 
-std::vector<std::string> ShardStores(const std::string& directory) {
-  static const std::regex name("sweep\\.shard-[0-9]+-of-[0-9]+\\.sqlite");
-  std::vector<std::string> paths;
-  for (const auto& entry : std::filesystem::directory_iterator(directory)) {
-    if (std::regex_match(entry.path().filename().string(), name)) paths.push_back(entry.path().string());
-  }
-  std::ranges::sort(paths);
-  return paths;
-}
-
-void MergeShards(const SweepStudy& study, SweepStore* store) {
-  const std::vector<std::string> paths = ShardStores(study.request().output_dir);
-  if (paths.empty()) {
-    throw InputError("--merge: no shards in '" + study.request().output_dir + "'; expected sweep.shard-*.sqlite there");
-  }
-  for (const std::string& path : paths) {
-    const SweepStore shard = OrInputError(SweepStore::Open(path, study));
-    const int64_t added = OrInputError(store->Merge(shard));
-    if (study.request().progress == ProgressMode::kNone) continue;
-    std::cerr << path << ": " << shard.size() << " points, " << added << " of them new" << std::endl;
-  }
-}
-
 bool HasSolvedTable(const SweepStudy& study) { return study.generates() && study.solving(); }
 
-// One page of what failed, the figures and the first rows.
-void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points,
-                 const std::vector<SweepFigure>& figures, const std::string& base) {
+// One page of what failed and the first rows.
+void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
   const Request& request = study.request();
   Page page = StartPage(request.scene);
   page.AddHeading("Points");
   page.AddPreformatted(Summary(study, points));
   if (HasSolvedTable(study)) page.AddTable(SolvedTable(study, points), "The problems that each solver solves.");
-  if (!figures.empty()) page.AddHeading("Figures");
-  for (const SweepFigure& figure : figures) {
-    std::string caption = figure.name;
-    std::ranges::replace(caption, '_', ' ');
-    page.AddFigure(figure.figure, caption);
-  }
   const std::vector<StoredPoint> first(points.begin(), points.begin() + std::min(points.size(), kMostRowsInReport));
   page.SetResults(SweepJson(study, first));
   page.AddHeading("Rows");
@@ -139,15 +105,7 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
   WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
   if (HasSolvedTable(study)) WriteTextFile(directory + "/" + base + ".solved.csv", SolvedTable(study, points).ToCsv());
   OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
-  if (InterruptGuard::Interrupted()) return;  // figures take seconds
-  const std::vector<SweepFigure> figures = MakeSweepFigures(study, points);
-  for (const SweepFigure& figure : figures) {
-    const std::string path = directory + "/" + base + "." + figure.name;
-    const Status status = WriteFigure(figure.figure, path);
-    // The results stand without figures: gnuplot may be missing.
-    if (!status.ok()) std::cerr << "no figure " << path << ": " << status.message() << std::endl;
-  }
-  WriteReport(study, points, figures, base);
+  WriteReport(study, points, base);
 }
 
 void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& points, const std::string& base) {
@@ -167,50 +125,57 @@ void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& point
 }
 
 // Writes what there is and says how it went.
-int Report(const SweepStudy& study, const SweepStore& store, Shard shard) {
-  const std::vector<StoredPoint> points = AllPoints(store);
-  WriteResults(study, points, BaseName(shard));
-  const int64_t wanted = (study.size() - shard.index + shard.count) / shard.count;
-  const int64_t missing = wanted - static_cast<int64_t>(points.size());
-  const bool some_done =
-      std::ranges::any_of(points, [](const StoredPoint& p) { return p.result.status == PointStatus::kComputed; });
-  if (missing > 0 ||
-      std::ranges::any_of(points, [](const StoredPoint& p) { return p.result.status != PointStatus::kComputed; })) {
-    std::cerr << Summary(study, points);
-  }
-  if (missing > 0 && InterruptGuard::Interrupted()) std::cerr << "interrupted; ";
+int Report(const SweepStudy& study, const std::vector<StoredPoint>& points, Shard shard) {
+  WriteResults(study, points, shard.BaseName());
+  const PointRange range = shard.Points(study.size());
+  const int64_t missing = range.end - range.begin - static_cast<int64_t>(points.size());
+  const auto is_done = [](const StoredPoint& point) { return point.result.status == PointStatus::kComputed; };
+  if (missing > 0 || !std::ranges::all_of(points, is_done)) std::cerr << Summary(study, points);
   if (missing > 0) std::cerr << missing << " points are missing; the same command goes on with them" << std::endl;
-  return missing == 0 && some_done ? kDone : kAnswerFailed;
+  return missing == 0 && std::ranges::any_of(points, is_done) ? kDone : kAnswerFailed;
 }
 
-int Workers(const SweepCluster* cluster) {
-  const int threads = ThreadsFromFlags();
-  if (cluster == nullptr || FLAGS_threads > 0) return threads;
-  return std::max(1, threads / cluster->ranks_here());
-}
+// The state that threads share. After an interrupt they may go on until the process ends.
+struct Sweep {
+  Sweep(const SweepStudy& swept, Shard shard)
+      : study(swept), store(study.request().output_dir, shard.BaseName(), study) {}
 
-int RunSweep(const SweepStudy& study, SweepCluster* cluster) {
+  const SweepStudy study;
+  std::mutex mutex;  // guards what follows
+  SweepStore store;
+};
+
+int RunSweep(const SweepStudy& study) {
   const Shard shard = ReadShard(FLAGS_shard);
-  const std::string& directory = study.request().output_dir;
-  SweepStore store = OrInputError(
-      SweepStore::Open(directory.empty() ? ":memory:" : directory + "/" + BaseName(shard) + ".sqlite", study));
-  if (FLAGS_merge) {
-    MergeShards(study, &store);
-    return Report(study, store, shard);
+  const PointRange range = shard.Points(study.size());
+  const auto sweep = std::make_shared<Sweep>(study, shard);
+  if (FLAGS_retry_failed) sweep->store.ForgetFailed();
+  std::vector<int64_t> points;
+  for (int64_t point = range.begin; point < range.end; ++point) {
+    const int64_t first = study.FirstLike(point);
+    const bool computed_with_first = first != point && first >= range.begin;
+    if (sweep->store.Find(point) == nullptr && !computed_with_first) points.push_back(point);
   }
-  if (FLAGS_retry_failed) OrInputError(store.ForgetFailed());
-  const std::vector<int64_t> points = PendingPoints(study, shard, store, [&] {
-    if (cluster != nullptr) cluster->Tick();
-  });
   if (!points.empty()) {
-    LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
-    const std::unique_ptr<SweepExecutor> shared = cluster == nullptr ? nullptr : cluster->Share(study, &local);
-    SweepExecutor* executor = shared == nullptr ? &local : shared.get();
-    Progress progress(
-        study.request().progress, stderr, "sweep " + study.request().scene.name, static_cast<int64_t>(points.size()));
-    OrOutputError(RunPoints(study, points, executor, &store, &progress));
+    Progress progress(study.request().progress, stderr, "sweep " + study.request().scene.name, std::ssize(points));
+    const int threads = ThreadsFromFlags();
+    const JobsEnd end = RunJobsOrAbandon(
+        static_cast<int>(points.size()),
+        [sweep, points](int i) { return PlaceOf(sweep->study, points[i]); },
+        threads,
+        &progress,
+        [sweep, points, alone = threads == 1](int i, const SayNote&) {
+          PointResult result = ComputePoint(sweep->study, points[i], FLAGS_point_seconds, AskedToStop, alone);
+          const std::lock_guard lock(sweep->mutex);
+          // An interrupt may have cut it short.
+          if (!AskedToStop()) sweep->store.Add(points[i], std::move(result));
+        });
+    if (end.thrown) std::rethrow_exception(end.thrown);
   }
-  return Report(study, store, shard);
+  std::unique_lock lock(sweep->mutex);
+  const std::vector<StoredPoint> stored = StoredPoints(sweep->store, range);
+  lock.unlock();
+  return Report(study, stored, shard);
 }
 
 // Adds simulators; they are swept alone unless contact models are asked for too.
@@ -252,7 +217,7 @@ void AskProgram() {
   KeepProgram(std::move(program));
 }
 
-int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
+int Run(const std::vector<std::string>& arguments) {
   Request request;
   ProgramDefaults defaults;
   const auto generate = [&defaults](const std::string& name) {
@@ -269,10 +234,7 @@ int RunRank(const std::vector<std::string>& arguments, SweepCluster* cluster) {
   if (!ReadRequest(defaults, &request)) return kDone;
   CheckFlags();
   AddSimulators(arguments, &request);
-  const SweepStudy study(request, ParseSweep(FLAGS_sweep, request.scene));
-  if (cluster == nullptr || cluster->rank() == 0) return RunSweep(study, cluster);
-  LocalExecutor local(study, Workers(cluster), FLAGS_point_seconds);
-  return cluster->Serve(study, &local) ? kDone : kAnswerFailed;
+  return RunSweep(SweepStudy(request, ParseSweep(FLAGS_sweep, request.scene)));
 }
 
 }  // namespace
@@ -281,15 +243,7 @@ int SweepMain(int argc, char** argv) {
   const std::vector<std::string> arguments(argv, argv + argc);
   return RunMain(argc, argv, FindProgram("saltus_sweep"), [&arguments] {
     const InterruptGuard guard;
-    const std::unique_ptr<SweepCluster> cluster = JoinCluster();
-    if (cluster == nullptr || cluster->rank() == 0) return RunRank(arguments, cluster.get());
-    try {
-      return RunRank(arguments, cluster.get());
-    } catch (const InputError& error) {
-      // Rank 0 reports it. An exit code that is not 0 would make mpirun end rank 0, perhaps before it has.
-      cluster->Decline(error.what());
-      return kDone;
-    }
+    return Run(arguments);
   });
 }
 

@@ -392,7 +392,7 @@ class Maker:
             "segment": lambda: rng.choice(["1e-9", "-1", "nan", "0.1"]), "starts": lambda: rng.choice(["0", "1", "-1"]),
             "law": lambda: rng.choice(["network", "network:0", "network:99999", "impulse:2", "x"]), "events": lambda: rng.choice(["affine", "profile:2", "x"]),
             "loss": lambda: rng.choice(["none", "cauchy", "x"]), "loss_scale": lambda: random_number(rng),
-            "shard": lambda: rng.choice(["1/2", "0/1", "3/2", "x", "1/99999999999"]), "merge": lambda: "true", "retry_failed": lambda: "true",
+            "shard": lambda: rng.choice(["1/2", "0/1", "3/2", "x", "1/99999999999"]), "retry_failed": lambda: "true",
             "point_seconds": lambda: rng.choice(["1", "-1", "nan"]), "no_such_flag": lambda: "1", "flagfile": lambda: "/nonexistent",
             "fromenv": lambda: "steps", "minloglevel": lambda: "4", "v": lambda: "0", "undefok": lambda: "x",
         }
@@ -509,7 +509,7 @@ class Maker:
             os.mkdir(place)
             elsewhere = os.path.join(run.folder, "elsewhere")
             os.mkdir(elsewhere)
-            for name in ["report.html", "sweep.csv", "sweep.npz", "sweep.sqlite"]:
+            for name in ["report.html", "sweep.csv", "sweep.npz", "sweep.study.json"]:
                 at = os.path.join(place, name)
                 kind = rng.randrange(4)
                 if kind == 0:

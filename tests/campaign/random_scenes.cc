@@ -1,12 +1,22 @@
 // Random scenes by the exact contact model, as many as wanted: see checks.h. One line for each thing that was counted,
 // and for each kind of failure and of refusal the first seeds that show it. Scenes run in processes, so that one that
 // crashes or does not end is a failure of its own. Not part of the tests but for a few scenes.
+#include <fcntl.h>
 #include <gflags/gflags.h>
+#include <glog/logging.h>
+#include <poll.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
+#include <csignal>
 #include <cstdio>
+#include <cstring>
 #include <iostream>
+#include <optional>
 #include <sstream>
 
 #include "base/interrupt.h"
@@ -16,7 +26,6 @@
 #include "output/table.h"
 #include "programs/program.h"
 #include "saltus/scene/scene_file.h"
-#include "sweep/executor.h"
 
 DEFINE_int64(scenes, 1000, "how many");
 DEFINE_int64(seed, 1, "of the first scene; the next has the next");
@@ -66,22 +75,60 @@ Counts RunScene(int64_t seed, bool gradient) {
   return counts;
 }
 
+// A process that checks one scene and writes what it counts into a pipe.
+struct Child {
+  using Clock = std::chrono::steady_clock;
+
+  int64_t seed = 0;
+  pid_t process = -1;
+  int pipe = -1;
+  std::string text;
+  Clock::time_point deadline;
+
+  static Child Start(int64_t seed) {
+    int ends[2];
+    PCHECK(pipe2(ends, O_CLOEXEC) == 0);
+    Child child{
+        seed, fork(), ends[0], "", Clock::now() + std::chrono::milliseconds(int64_t(1e3 * FLAGS_scene_seconds))};
+    PCHECK(child.process >= 0);
+    if (child.process == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGKILL);
+      const std::string text = Encode(RunScene(seed, FLAGS_gradient_every > 0 && seed % FLAGS_gradient_every == 0));
+      _exit(write(ends[1], text.data(), text.size()) == std::ssize(text) ? 0 : 1);
+    }
+    close(ends[1]);
+    return child;
+  }
+
+  // Returns what the process has counted or how it ended, std::nullopt while it is at work.
+  std::optional<Counts> Finish(bool readable) {
+    std::array<char, 4096> part;
+    const ssize_t size = readable ? read(pipe, part.data(), part.size()) : -1;
+    if (size > 0) text.append(part.data(), size);
+    const bool late = Clock::now() >= deadline;
+    if (size != 0 && !late) return std::nullopt;
+    if (late) kill(process, SIGKILL);
+    int status = 0;
+    waitpid(process, &status, 0);
+    close(pipe);
+    if (WIFEXITED(status) && WEXITSTATUS(status) == 0) return Decode(text);
+    const std::string how = late                  ? "hangs"
+                            : WIFSIGNALED(status) ? std::string("crash: ") + strsignal(WTERMSIG(status))
+                                                  : "crash: exit code " + std::to_string(WEXITSTATUS(status));
+    return Counts{{"scenes", 1}, {campaign::kFailure + how, 1}};
+  }
+};
+
 class Tally {
  public:
-  void Add(const WorkerPool::Result& result) {
-    Counts counts;
-    if (result.end == WorkerPool::End::kAnswered) counts = Decode(result.text);
-    if (result.end == WorkerPool::End::kDied)
-      counts = {{"scenes", 1}, {campaign::kFailure + ("crash: " + result.text), 1}};
-    if (result.end == WorkerPool::End::kTooLate)
-      counts = {{"scenes", 1}, {campaign::kFailure + std::string("hangs"), 1}};
+  void Add(int64_t seed, const Counts& counts) {
     for (const auto& [what, number] : counts) {
       total_[what] += number;
       const bool failure = what.starts_with(campaign::kFailure);
       failed_ = failed_ || failure;
       if (!failure && !what.starts_with(campaign::kRefusal)) continue;
       std::vector<int64_t>& seeds = seeds_[what];
-      seeds.insert(std::upper_bound(seeds.begin(), seeds.end(), result.task), result.task);
+      seeds.insert(std::upper_bound(seeds.begin(), seeds.end(), seed), seed);
       seeds.resize(std::min(seeds.size(), kSeedsShown));
     }
   }
@@ -118,9 +165,6 @@ int RunOne() {
 int RunAll() {
   using Clock = std::chrono::steady_clock;
   const InterruptGuard guard;
-  WorkerPool pool(ThreadsFromFlags(), FLAGS_scene_seconds, [](int64_t seed) {
-    return Encode(RunScene(seed, FLAGS_gradient_every > 0 && seed % FLAGS_gradient_every == 0));
-  });
   Progress progress(ProgressFromFlags(), stderr, "random scenes", FLAGS_scenes);
   const Clock::time_point start = Clock::now();
   const auto go_on = [&] {
@@ -130,10 +174,18 @@ int RunAll() {
   const int64_t end = FLAGS_seed + FLAGS_scenes;
   int64_t next = FLAGS_seed;
   Tally tally;
-  for (bool more = true; (more = more && next < end && go_on()) || pool.HasBusy();) {
-    while (more && next < end && pool.HasIdle()) pool.Start(next++);
-    for (const WorkerPool::Result& result : pool.Wait(std::chrono::milliseconds(100))) {
-      tally.Add(result);
+  std::vector<Child> children;
+  const size_t most = ThreadsFromFlags();
+  for (bool more = true; (more = more && next < end && go_on()) || !children.empty();) {
+    while (more && next < end && children.size() < most) children.push_back(Child::Start(next++));
+    std::vector<pollfd> pipes;
+    for (const Child& child : children) pipes.push_back({child.pipe, POLLIN, 0});
+    poll(pipes.data(), pipes.size(), 100);
+    for (size_t i = children.size(); i-- > 0;) {
+      const std::optional<Counts> counts = children[i].Finish(pipes[i].revents != 0);
+      if (!counts) continue;
+      tally.Add(children[i].seed, *counts);
+      children.erase(children.begin() + static_cast<std::ptrdiff_t>(i));
       progress.Advance();
     }
   }

@@ -302,8 +302,8 @@ void CheckFile(const std::string& path) {
   } else if (kind == ".html") {
     EXPECT_THAT(text, HasSubstr("</html>")) << path;
     EXPECT_EQ(NoNumberIn(WithoutScripts(text)), "") << path;
-  } else if (kind == ".sqlite") {
-    EXPECT_EQ(text.substr(0, 6), "SQLite") << path;
+  } else if (kind == ".json") {
+    EXPECT_TRUE(json::accept(text)) << path;
   } else if (kind == ".md") {
     EXPECT_FALSE(text.empty()) << path;
     EXPECT_EQ(NoNumberIn(text), "") << path;

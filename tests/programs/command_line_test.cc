@@ -172,7 +172,7 @@ TEST(CommandLine, HelpHasTheOwnFlagsOnly) {
       {"two_balls", {"--scene=FILE", "--solver=LIST", "--width_sweep"}, {"--given", "--sweep", "--discs"}},
       {"saltus_audit", {"--scene=FILE", "--given=FILE", "--surrogate=NAME"}, {"--solver", "--iterations", "--sweep"}},
       {"saltus_solve", {"--scene=FILE", "--solver=LIST", "--memory_limit=MIB"}, {"--given", "--width_sweep"}},
-      {"saltus_sweep", {"--sweep=POINTS", "--merge", "--iterations=N", "mpirun"}, {"--given", "--discs"}},
+      {"saltus_sweep", {"--sweep=POINTS", "--shard=I/N", "--iterations=N"}, {"--given", "--discs"}},
       {"saltus_scene",
        {"--kind=NAME", "--discs=N", "(default: 100)"},
        {"--scene=", "--contact", "--json", "--threads"}},

@@ -425,7 +425,8 @@ TEST(HybridSweep, SweepsParametersStatesAndSteps) {
   EXPECT_EQ(gradients.exit_code, 0) << gradients.errors;
   EXPECT_THAT(
       gradients.output,
-      HasSubstr("e,g,y,duration,loss,norm_dinitial,norm_dcontrol,norm_dparameters,relative_error,events,reason\n"));
+      HasSubstr(
+          "e,g,y,duration,loss,norm_dinitial,norm_dcontrol,norm_dparameters,relative_error,events,reason,status\n"));
   EXPECT_THAT(gradients.output, HasSubstr("accumulate"));  // with e = 0.5
   const Outcome solves =
       RunCommand(BuildFolder() + "/bin/" + program + "bouncing_ball --solver=ceres_lm --sweep=\"e=0.97,0.98\"");

@@ -35,6 +35,9 @@ bool MakeDevice(const std::string& path, unsigned minor) {
 
 const std::string kBalls = SceneFlag("two_balls") + "--contact=event --steps=24 --progress=none ";
 
+// Files of a sweep that are read again, and must be regular ones.
+bool IsOfStore(const std::string& name) { return name == "sweep.csv" || name == "sweep.study.json"; }
+
 class OutputFiles : public testing::TestWithParam<std::string> {
  protected:
   OutputFiles() : folder_(testing::TempDir() + "output_files_" + std::to_string(getpid())) {
@@ -56,12 +59,12 @@ class OutputFiles : public testing::TestWithParam<std::string> {
     return names;
   }
 
-  // A folder in which each of the names but the database stands for something else.
+  // A folder in which each of the names but those of the store stands for something else.
   void Fill(const std::string& name, const std::vector<std::string>& names,
             const std::function<bool(std::string)>& make) {
     fs::create_directories(folder_ / name);
     for (const std::string& file : names) {
-      if (file == "sweep.sqlite") continue;
+      if (IsOfStore(file)) continue;
       if (!make(At(name + "/" + file))) GTEST_SKIP() << "devices cannot be made here";
     }
   }
@@ -75,7 +78,7 @@ TEST_P(OutputFiles, LinksAreFollowedAndStay) {
   fs::create_directories(folder_ / "links");
   for (std::size_t i = 0; i < names.size(); ++i) {
     fs::create_symlink("../targets/" + names[i], At("links/" + names[i]));
-    if (i % 2 == 0 && names[i] != "sweep.sqlite") std::ofstream(At("targets/" + names[i])) << "old";  // else dangling
+    if (i % 2 == 0 && !IsOfStore(names[i])) std::ofstream(At("targets/" + names[i])) << "old";  // else dangling
   }
   const Outcome outcome = RunInto("links");
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
@@ -97,7 +100,7 @@ TEST_P(OutputFiles, DevicesAreWrittenThrough) {
   if (IsSkipped()) return;
   EXPECT_EQ(RunInto("null").exit_code, 0);
   for (const std::string& name : names) {
-    if (name == "sweep.sqlite") continue;
+    if (IsOfStore(name)) continue;
     EXPECT_TRUE(fs::is_character_file(fs::symlink_status(At("null/" + name)))) << name;
   }
 }
@@ -112,7 +115,7 @@ TEST_P(OutputFiles, FullDevicesAreErrors) {
   EXPECT_THAT(outcome.errors, AllOf(HasSubstr("error: "), HasSubstr("cannot write: No space left")));
   EXPECT_FALSE(outcome.output.empty());
   for (const std::string& name : names) {
-    if (name == "sweep.sqlite") continue;
+    if (IsOfStore(name)) continue;
     EXPECT_TRUE(fs::is_character_file(fs::symlink_status(At("full/" + name)))) << name;
   }
 }
@@ -145,10 +148,10 @@ INSTANTIATE_TEST_SUITE_P(Programs, OutputFiles,
                                              "--recording=" + SourceFolder() + "/problems/drops/drop_1.csv " +
                                              "--law=network:1 --starts=2 --progress=none "));
 
-// SQLite writes into whatever there is, so what is no database is not given to it.
-TEST(Database, WhatIsNoRegularFileIsRefused) {
-  const std::string folder = testing::TempDir() + "output_files_database_" + std::to_string(getpid());
-  for (const std::string name : {"sweep.sqlite", "sweep.sqlite-wal"}) {
+// Rows are appended to a file that is read again, so it is a regular one.
+TEST(Store, WhatIsNoRegularFileIsRefused) {
+  const std::string folder = testing::TempDir() + "output_files_store_" + std::to_string(getpid());
+  for (const std::string name : {"sweep.csv", "sweep.study.json"}) {
     fs::remove_all(folder);
     fs::create_directories(folder);
     const std::string path = folder + "/" + name;

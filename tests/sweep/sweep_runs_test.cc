@@ -1,10 +1,9 @@
-// saltus_sweep as a user runs it, and as the world treats it: killed, interrupted, in parts, on several ranks.
+// saltus_sweep as a user runs it, and as the world treats it: killed, interrupted, in parts.
 //
 // Where something happens to a sweep in its midst, some of its points wait at gates (gate_model.h) until they are let
 // on: no sweep is over before a test has done to it what it wants.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sqlite3.h>
 
 #include <algorithm>
 #include <chrono>
@@ -12,6 +11,8 @@
 #include <filesystem>
 #include <map>
 #include <random>
+#include <set>
+#include <sstream>
 #include <thread>
 
 #include "base/csv.h"
@@ -29,11 +30,11 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
 
-constexpr int kManyPoints = 1'000;
-constexpr int kGates = 10;
+constexpr int kManyPoints = 2'000;
+constexpr int kGates = 20;
 constexpr int kPointsPerGate = kManyPoints / kGates;  // of which one waits
 const char kCheapSweep[] =
-    " --contact=direct_toi --solver=none --steps=6 --sweep='stiffness=1:1000:lin:1000' --progress=none --threads=2";
+    " --contact=direct_toi --solver=none --steps=6 --sweep='stiffness=1:2000:lin:2000' --progress=none --threads=2";
 
 // A program of its own process group, started by a shell.
 class Background {
@@ -75,26 +76,21 @@ class Background {
   pid_t process_;
 };
 
-// In which run of the program each point was stored.
-std::map<int64_t, int64_t> StoredPoints(const std::string& store) {
-  std::map<int64_t, int64_t> points;
-  sqlite3* database = nullptr;
-  sqlite3_stmt* query = nullptr;
-  EXPECT_EQ(sqlite3_open(store.c_str(), &database), SQLITE_OK);
-  // A program that was killed a moment ago may not be gone yet.
-  sqlite3_busy_timeout(database, 10'000);
-  if (sqlite3_prepare_v2(database, "SELECT point, run FROM points", -1, &query, nullptr) == SQLITE_OK) {
-    while (sqlite3_step(query) == SQLITE_ROW) {
-      const bool once = points.emplace(sqlite3_column_int64(query, 0), sqlite3_column_int64(query, 1)).second;
-      EXPECT_TRUE(once) << "stored twice";
-    }
+// The complete lines of a file of rows but its header, each once.
+std::set<std::string> StoredRows(const std::string& file) {
+  std::istringstream text(ContentsOf(file));
+  std::set<std::string> rows;
+  std::set<std::string> points;
+  std::string line;
+  std::getline(text, line);
+  while (std::getline(text, line) && !text.eof()) {
+    rows.insert(line);
+    EXPECT_TRUE(points.insert(line.substr(0, line.find(','))).second) << "stored twice: " << line;
   }
-  sqlite3_finalize(query);
-  sqlite3_close(database);
-  return points;
+  return rows;
 }
 
-bool Contains(const std::map<int64_t, int64_t>& all, const std::map<int64_t, int64_t>& some) {
+bool Contains(const std::set<std::string>& all, const std::set<std::string>& some) {
   return std::includes(all.begin(), all.end(), some.begin(), some.end());
 }
 
@@ -121,7 +117,7 @@ class SweepRunsTest : public testing::Test {
     return BuildFolder() + "/bin/saltus_sweep" + SceneFlag("two_balls") + more + " --output_dir=" + directory_;
   }
   std::string Cheap(const std::string& more = "") const { return Command(kCheapSweep + (" " + more)); }
-  std::string Store() const { return directory_ + "/sweep.sqlite"; }
+  std::string Store() const { return directory_ + "/sweep.csv"; }
 
   // A sweep of as many points, of which one in the middle of each kPointsPerGate waits at a gate of its own. The gates
   // are new (a process that is dying may still leave its mark at others) and closed.
@@ -154,14 +150,14 @@ class SweepRunsTest : public testing::Test {
 
   // Starts a gated sweep with the first gates open, waits until a point waits at another and then for a random time, in
   // which others are computed, and kills it. What was stored before must still be there. Returns what is stored then.
-  std::map<int64_t, int64_t> RunAndKill(const std::string& command, int open, const std::map<int64_t, int64_t>& before,
-                                        const std::function<void(Background*)>& end) {
+  std::set<std::string> RunAndKill(const std::string& command, int open, const std::set<std::string>& before,
+                                   const std::function<void(Background*)>& end) {
     OpenGates(open);
     Background program(command);
     EXPECT_TRUE(program.WaitUntil([&] { return GatesReached(open) > 0; }));
     std::this_thread::sleep_for(std::chrono::microseconds(std::uniform_int_distribution(0, 8'000)(random_)));
     end(&program);
-    std::map<int64_t, int64_t> after = StoredPoints(Store());
+    std::set<std::string> after = StoredRows(Store());
     EXPECT_TRUE(Contains(after, before)) << "a finished point was lost or computed again";
     EXPECT_GE(after.size(), static_cast<size_t>(open * kPointsPerGate));
     EXPECT_LT(after.size(), static_cast<size_t>(kManyPoints));
@@ -186,48 +182,55 @@ class SweepRunsTest : public testing::Test {
 std::string SweepRunsTest::undisturbed_;
 
 TEST_F(SweepRunsTest, KilledAtManyMomentsItLosesNothingAndComputesNothingTwice) {
-  std::map<int64_t, int64_t> points;
-  for (int i = 0; i < kGates - 1; ++i) {
-    points = RunAndKill(Gated(), i, points, [](Background* program) { program->End(SIGKILL); });
+  std::set<std::string> rows;
+  for (int i = 0; i < kGates; ++i) {
+    rows = RunAndKill(Gated(), i, rows, [](Background* program) { program->End(SIGKILL); });
   }
   const std::string undisturbed = UndisturbedGated();
   const Outcome outcome = RunWithOpenGates(Gated());
   EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-  const std::map<int64_t, int64_t> all = StoredPoints(Store());
+  const std::set<std::string> all = StoredRows(Store());
   EXPECT_EQ(all.size(), static_cast<size_t>(kManyPoints));
-  EXPECT_TRUE(Contains(all, points));
+  EXPECT_TRUE(Contains(all, rows));
   EXPECT_TRUE(outcome.output == undisturbed);
+  EXPECT_TRUE(ContentsOf(Store()) == undisturbed);
   // And once more: nothing is left to compute.
-  EXPECT_TRUE(RunWithOpenGates(Gated()).output == undisturbed);
-  EXPECT_EQ(StoredPoints(Store()), all);
+  const std::string again = Gated();
+  EXPECT_TRUE(RunCommand(again).output == undisturbed);
+  EXPECT_EQ(GatesReached(), 0);
 }
 
 TEST_F(SweepRunsTest, TheNumberOfThreadsChangesNothing) {
   EXPECT_TRUE(RunCommand(Cheap("--threads=5")).output == undisturbed_);
 }
 
-TEST_F(SweepRunsTest, ThreeShardsMergedAreTheWhole) {
-  for (const char* shard : {"1/3", "3/3"}) {
+TEST_F(SweepRunsTest, FourShardsWithOneHeaderAreTheWhole) {
+  for (const char* shard : {"4/4", "1/4", "3/4"}) {
     EXPECT_EQ(RunCommand(Cheap(std::string("--shard=") + shard)).exit_code, 0);
   }
-  const Outcome incomplete = RunCommand(Cheap("--merge"));
-  EXPECT_EQ(incomplete.exit_code, 1);
-  EXPECT_THAT(incomplete.errors, HasSubstr("333 points are missing"));
-  const Outcome shard = RunCommand(Cheap("--shard=2/3"));
-  EXPECT_EQ(std::count(shard.output.begin(), shard.output.end(), '\n'), 334);
-  const Outcome outcome = RunCommand(Cheap("--merge"));
+  // Joins the files by the command on the page on sweeps.
+  const std::string join =
+      "awk 'FNR > 1 || NR == 1' " + directory_ + "/sweep.shard-*-of-4.csv >" + directory_ + "/sweep.csv";
+  ASSERT_EQ(RunCommand(join).exit_code, 0);
+  const std::string files = ContentsOf(Store());
+  EXPECT_EQ(std::count(files.begin(), files.end(), '\n'), 1 + 3 * kManyPoints / 4);
+  const Outcome shard = RunCommand(Cheap("--shard=2/4"));
+  EXPECT_EQ(std::count(shard.output.begin(), shard.output.end(), '\n'), 1 + kManyPoints / 4);
+  ASSERT_EQ(RunCommand(join).exit_code, 0);
+  EXPECT_TRUE(ContentsOf(Store()) == undisturbed_);
+  const Outcome outcome = RunCommand(Cheap());
   EXPECT_EQ(outcome.exit_code, 0);
   EXPECT_THAT(outcome.errors, IsEmpty()) << "--progress=none";
   EXPECT_TRUE(outcome.output == undisturbed_);
-  EXPECT_TRUE(ReadFile(directory_ + "/sweep.csv").value() == undisturbed_);
+  EXPECT_TRUE(std::filesystem::exists(directory_ + "/report.html"));
 }
 
-TEST_F(SweepRunsTest, AShardOfAnotherStudyIsNotMerged) {
+TEST_F(SweepRunsTest, AShardOfAnotherStudyIsRefused) {
   const std::string small = " --contact=direct --solver=none --steps=6 --progress=none --sweep=stiffness=";
   ASSERT_EQ(RunCommand(Command(small + "1,2,3 --shard=1/2")).exit_code, 0);
-  const Outcome outcome = RunCommand(Command(small + "1,2,4 --merge"));
+  const Outcome outcome = RunCommand(Command(small + "1,2,4 --shard=2/2"));
   EXPECT_EQ(outcome.exit_code, 2);
-  EXPECT_THAT(outcome.errors, AllOf(HasSubstr("sweep.shard-1-of-2.sqlite"), HasSubstr("another study")));
+  EXPECT_THAT(outcome.errors, AllOf(HasSubstr("sweep.study.json"), HasSubstr("another study")));
 }
 
 TEST_F(SweepRunsTest, AnotherStudyIsRefused) {
@@ -235,7 +238,7 @@ TEST_F(SweepRunsTest, AnotherStudyIsRefused) {
   ASSERT_EQ(RunCommand(Command(small + "6")).exit_code, 0);
   const Outcome outcome = RunCommand(Command(small + "7"));
   EXPECT_EQ(outcome.exit_code, 2);
-  EXPECT_THAT(outcome.errors, AllOf(HasSubstr("sweep.sqlite"), HasSubstr("steps: 6"), HasSubstr("steps: 7")));
+  EXPECT_THAT(outcome.errors, AllOf(HasSubstr("sweep.study.json"), HasSubstr("steps: 6"), HasSubstr("steps: 7")));
   EXPECT_THAT(outcome.output, IsEmpty());
 }
 
@@ -247,7 +250,7 @@ TEST_F(SweepRunsTest, AnInterruptStopsItCleanly) {
   ASSERT_TRUE(csv.ok()) << csv.status().message();
   EXPECT_GT(csv->rows.size(), 0u);
   EXPECT_LT(csv->rows.size(), static_cast<size_t>(kManyPoints));
-  EXPECT_EQ(csv->rows.size(), StoredPoints(Store()).size());
+  EXPECT_EQ(csv->rows.size(), StoredRows(Store()).size());
   for (const std::vector<std::string>& row : csv->rows) {
     EXPECT_EQ(row[*csv->Find("reason")], "");
     EXPECT_NE(row[*csv->Find("loss")], "");
@@ -255,7 +258,7 @@ TEST_F(SweepRunsTest, AnInterruptStopsItCleanly) {
 }
 
 TEST_F(SweepRunsTest, AFailedPointIsARowAndCanBeTriedAgain) {
-  // It never ends by itself. Whether its worker heeds the limit or is stopped for it is the machine's choice.
+  // It never ends by itself.
   const std::string sweep = " --contact=direct_toi --solver=gd --sweep='iterations=1000000000' --progress=none";
   const Outcome outcome = RunCommand(Command(sweep + " --point_seconds=0.1"));
   EXPECT_EQ(outcome.exit_code, 1);  // nothing came of any point
@@ -281,7 +284,7 @@ TEST_F(SweepRunsTest, APointThatIsNotApplicableIsARow) {
   EXPECT_EQ(csv->rows[0][*csv->Find("termination")], "not_applicable");
 }
 
-TEST_F(SweepRunsTest, WritesTableArraysAndFigures) {
+TEST_F(SweepRunsTest, WritesArraysAndAReport) {
   const Outcome outcome =
       RunCommand(Command(" --contact=direct,direct_toi --solver=none --sweep='steps=60:480:log:4;restitution=0.5,0.9' "
                          "--progress=none"));
@@ -289,11 +292,8 @@ TEST_F(SweepRunsTest, WritesTableArraysAndFigures) {
   const StatusOr<NpzArrays> arrays = ReadNpz(directory_ + "/sweep.npz");
   ASSERT_TRUE(arrays.ok()) << arrays.status().message();
   EXPECT_EQ(arrays->at("steps").shape, std::vector<int64_t>{16});
-  for (const std::string name :
-       {"loss_against_steps", "loss_against_restitution", "gradient_error_against_dt", "loss_map_steps_restitution"}) {
-    EXPECT_TRUE(std::filesystem::exists(directory_ + "/sweep." + name + ".png")) << name;
-    EXPECT_TRUE(std::filesystem::exists(directory_ + "/sweep." + name + ".svg")) << name;
-  }
+  EXPECT_EQ(arrays->at("status"), (NpyArray{{16}, std::vector<std::string>(16, "done")}));
+  EXPECT_THAT(ContentsOf(directory_ + "/report.html"), HasSubstr("16 points: 16 done"));
 }
 
 // The part of problems that each solver solves, from the rows of the sweep.
@@ -315,7 +315,7 @@ std::map<std::string, double> SolvedParts(const CsvDocument& csv) {
 TEST_F(SweepRunsTest, ControlProblemsBySeedComeWithATableOfWhatIsSolved) {
   const Outcome outcome = RunCommand(BuildFolder() +
                                      "/bin/saltus_sweep --contact=event --solver=gd,ceres_lm --sweep='seed=0,1,10' "
-                                     "--iterations=5 --steps=20 --progress=none --output_dir=" +
+                                     "--iterations=5 --steps=20 --progress=none --threads=1 --output_dir=" +
                                      directory_);
   ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
   const StatusOr<CsvDocument> csv = ParseCsv(outcome.output);
@@ -391,9 +391,7 @@ TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
                {"--shard=4/3 --output_dir=" + directory_, "1..n"},
                {"--shard=1of3 --output_dir=" + directory_, "--shard=1of3"},
                {"--shard=1/3", "--output_dir"},
-               {"--merge", "--output_dir"},
-               {"--merge --output_dir=" + directory_, "no shards"},
-               {"--merge --shard=1/2 --output_dir=" + directory_, "--merge takes all shards"},
+               {"--retry_failed", "--output_dir"},
                {"--point_seconds=-1", "--point_seconds"}};
   for (const auto& [flags, message] : cases) {
     const Outcome outcome = RunCommand(base + flags);
@@ -401,95 +399,6 @@ TEST_F(SweepRunsTest, WrongUseIsExitCodeTwo) {
     EXPECT_THAT(outcome.errors, HasSubstr(message)) << flags;
   }
 }
-
-#ifdef SALTUS_MPIEXEC
-
-// More ranks than cores, by whom it may be; leaks are MPI's own.
-std::string OnRanks(int ranks, const std::string& command, const std::string& settings = "") {
-  return "env OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1 "
-         "ASAN_OPTIONS=detect_leaks=0 " +
-         settings + " " SALTUS_MPIEXEC " -n " + std::to_string(ranks) + " " + command;
-}
-
-// A command for OnRanks that leaves the id of every rank's process in a file.
-std::string WithProcessIds(const std::string& command, const std::string& file) {
-  return "sh -c 'echo $$ >" + file + ".$OMPI_COMM_WORLD_RANK; exec \"$@\"' sh " + command;
-}
-
-// Precondition: that rank is at work.
-pid_t ReadProcessId(const std::string& file) {
-  pid_t process = 0;
-  EXPECT_TRUE(std::ifstream(file) >> process) << file;
-  return process;
-}
-
-class SweepOnRanksTest : public SweepRunsTest {};
-
-TEST_F(SweepOnRanksTest, TheNumberOfRanksChangesNothing) {
-  for (const int ranks : {1, 2, 4}) {
-    const Outcome outcome = RunCommand(OnRanks(ranks, Cheap("--threads=1")));
-    EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-    EXPECT_TRUE(outcome.output == undisturbed_) << ranks << " ranks";
-    EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kManyPoints));
-    std::filesystem::remove_all(directory_);
-  }
-}
-
-TEST_F(SweepOnRanksTest, KilledOnAnyNumberOfRanksItGoesOnWithAnother) {
-  const std::string ids = scratch_ + "/rank";
-  std::map<int64_t, int64_t> points;
-  int open = 0;
-  for (const int ranks : {4, 2, 1}) {
-    // Rank 0 is killed, which has the store; mpirun then ends the others.
-    const std::string command = OnRanks(ranks, WithProcessIds(Gated("--threads=1"), ids));
-    points = RunAndKill(command, open++, points, [&](Background* program) {
-      kill(ReadProcessId(ids + ".0"), SIGKILL);
-      program->Wait();
-    });
-  }
-  const std::string undisturbed = UndisturbedGated();
-  const Outcome outcome = RunWithOpenGates(OnRanks(2, Gated("--threads=1")));
-  EXPECT_EQ(outcome.exit_code, 0) << outcome.errors;
-  EXPECT_TRUE(outcome.output == undisturbed);
-  EXPECT_TRUE(Contains(StoredPoints(Store()), points));
-}
-
-TEST_F(SweepOnRanksTest, ARankThatDiesLosesOnlyItsCurrentPoint) {
-  constexpr int kRanks = 3;
-  const std::string ids = scratch_ + "/rank";
-  Background program(OnRanks(kRanks, WithProcessIds(Gated("--threads=1"), ids), "OMPI_MCA_orte_enable_recovery=1"));
-  // Each rank computes a point at a time, so that now each has one that waits.
-  ASSERT_TRUE(program.WaitUntil([&] { return GatesReached() == kRanks; }));
-  EXPECT_EQ(kill(ReadProcessId(ids + ".2"), SIGKILL), 0);
-  OpenGates(kGates);
-  EXPECT_EQ(program.Wait(), 0);  // and does end
-  EXPECT_EQ(StoredPoints(Store()).size(), static_cast<size_t>(kManyPoints));
-  EXPECT_TRUE(ReadFile(directory_ + "/sweep.csv").value() == UndisturbedGated());
-}
-
-TEST_F(SweepOnRanksTest, WrongInputIsSaidOnceAndEndsAllRanks) {
-  const Outcome outcome = RunCommand(OnRanks(3, Command(" --sweep=colour=1")));
-  EXPECT_NE(outcome.exit_code, 0);
-  const size_t first = outcome.errors.find("colour");
-  ASSERT_NE(first, std::string::npos);
-  EXPECT_EQ(outcome.errors.find("found 'colour'", first + 1), std::string::npos);
-}
-
-TEST_F(SweepOnRanksTest, WithoutRankZeroTheOthersEnd) {
-  constexpr int kRanks = 3;
-  const std::string ids = scratch_ + "/rank";
-  Background program(OnRanks(kRanks, WithProcessIds(Gated("--threads=1"), ids), "OMPI_MCA_orte_enable_recovery=1"));
-  ASSERT_TRUE(program.WaitUntil([&] { return GatesReached() == kRanks; }));
-  const pid_t others[] = {ReadProcessId(ids + ".1"), ReadProcessId(ids + ".2")};
-  EXPECT_EQ(kill(ReadProcessId(ids + ".0"), SIGKILL), 0);
-  // Though their points never end. One that spins on hangs here.
-  for (const pid_t rank : others) {
-    while (kill(rank, 0) == 0) std::this_thread::sleep_for(10ms);
-  }
-  program.Wait();  // mpirun has no opinion on ranks that it was told to do without
-}
-
-#endif
 
 }  // namespace
 }  // namespace saltus

@@ -1,19 +1,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sqlite3.h>
-#include <sys/wait.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <cmath>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
-#include <limits>
-#include <map>
-#include <sstream>
-#include <stdexcept>
 
 #include "folders.h"
-#include "sweep/executor.h"
+#include "programs/run_program.h"
 #include "sweep/output.h"
 #include "sweep/point.h"
 #include "sweep/store.h"
@@ -22,7 +18,6 @@ namespace saltus {
 namespace {
 
 using testing::AllOf;
-using testing::ElementsAre;
 using testing::HasSubstr;
 
 SweepStudy Study(const std::string& sweep = "stiffness=1:10:lin:10", int steps = 480) {
@@ -38,7 +33,7 @@ class SweepStoreTest : public testing::Test {
   void SetUp() override { std::filesystem::remove_all(directory_), std::filesystem::create_directories(directory_); }
   void TearDown() override { std::filesystem::remove_all(directory_); }
 
-  std::string Path(const std::string& name = "sweep.sqlite") const { return directory_ + "/" + name; }
+  std::string Path(const std::string& name = "sweep.csv") const { return directory_ + "/" + name; }
 
   // A row whose numbers any rounding would change.
   static PointResult Row(const SweepStudy& study, int64_t point) {
@@ -48,205 +43,179 @@ class SweepStoreTest : public testing::Test {
                                     SweepValue(5e-324),
                                     SweepValue(2.0),
                                     SweepValue(),
-                                    SweepValue("it's \"ü\"")}) {
+                                    SweepValue("it's \"ü\",\non two lines")}) {
       result.row.push_back(value);
     }
     CHECK_EQ(result.row.size(), study.columns().size());
     return result;
   }
 
-  static std::map<int64_t, PointResult> Contents(const SweepStore& store) {
-    std::map<int64_t, PointResult> rows;
-    store.ForEach([&](int64_t point, PointResult result) { rows[point] = std::move(result); });
-    return rows;
+  // The error of opening the store.
+  std::string ErrorOf(const SweepStudy& study) const {
+    try {
+      const SweepStore store(directory_, "sweep", study);
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "none";
   }
 
   std::string directory_ = testing::TempDir() + "/sweep_store_" + std::to_string(getpid());
 };
 
-// A database that something else has written to, or that is damaged: the error is said, and nothing is aborted.
-TEST_F(SweepStoreTest, OthersMayNotHaveWrittenToIt) {
-  const SweepStudy study = Study();
-  const auto error_after = [&](const std::string& sql) -> std::string {
-    std::filesystem::remove(Path());
-    {
-      StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-      EXPECT_TRUE(store->Add(2, Row(study, 2)).ok());
-    }
-    sqlite3* database = nullptr;
-    EXPECT_EQ(sqlite3_open(Path().c_str(), &database), SQLITE_OK);
-    EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(database);
-    sqlite3_close(database);
-    StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-    if (!store.ok()) return store.status().message();
-    try {
-      (void)store->size();
-      (void)store->Has(2);
-      (void)Contents(*store);
-    } catch (const std::runtime_error& error) {
-      return error.what();
-    }
-    return "none";
-  };
-  EXPECT_EQ(error_after("SELECT 1"), "none");
-  EXPECT_THAT(error_after("DROP TABLE points"), HasSubstr("no such table: points"));
-  EXPECT_THAT(error_after("UPDATE points SET status = 'finished'"), HasSubstr("a point that no sweep has stored"));
-  EXPECT_THAT(error_after("ALTER TABLE points ADD COLUMN more"), HasSubstr("columns"));
-  EXPECT_THAT(error_after("UPDATE study SET value = 'words'"), HasSubstr("not one that a sweep writes"));
-  EXPECT_THAT(error_after("UPDATE study SET value = ' ' || value"), HasSubstr("written in another way"));
-
-  // Pages of points overwritten by zeros.
-  EXPECT_EQ(error_after("VACUUM"), "none");
-  const std::uintmax_t size = std::filesystem::file_size(Path());
-  std::fstream file(Path(), std::ios::in | std::ios::out | std::ios::binary);
-  file.seekp(4096);
-  for (std::uintmax_t i = 4096; i < size; ++i) file.put('\0');
-  file.close();
-  const StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-  if (store.ok()) {
-    EXPECT_THROW((void)Contents(*store), std::runtime_error);
-  }
-}
-
 TEST_F(SweepStoreTest, GivesBackWhatItWasGivenAfterReopening) {
   const SweepStudy study = Study();
   for (const int64_t point : {7, 2}) {
-    StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-    ASSERT_TRUE(store.ok()) << store.status().message();
-    EXPECT_FALSE(store->Has(point));
-    EXPECT_TRUE(store->Add(point, Row(study, point)).ok());
-    EXPECT_TRUE(store->Has(point));
+    SweepStore store(directory_, "sweep", study);
+    EXPECT_EQ(store.Find(point), nullptr);
+    store.Add(point, Row(study, point));
+    EXPECT_EQ(*store.Find(point), Row(study, point));
   }
-  const StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-  ASSERT_TRUE(store.ok()) << store.status().message();
-  const std::map<int64_t, PointResult> rows = Contents(*store);
-  ASSERT_EQ(rows.size(), 2u);
-  EXPECT_EQ(rows.at(7), Row(study, 7));
-  EXPECT_TRUE(std::signbit(rows.at(7).row[3].get<double>()));
-  EXPECT_EQ(PendingPoints(study, {}, *store), (std::vector<int64_t>{0, 1, 3, 4, 5, 6, 8, 9}));
-  EXPECT_EQ(PendingPoints(study, {2, 3}, *store), (std::vector<int64_t>{1, 4}));
+  const SweepStore store(directory_, "sweep", study);
+  for (int64_t point = 0; point < study.size(); ++point)
+    EXPECT_EQ(store.Find(point) != nullptr, point == 7 || point == 2);
+  EXPECT_EQ(*store.Find(7), Row(study, 7));
+  EXPECT_EQ(store.Find(7)->row[2].type(), Json::value_t::number_float);
+  EXPECT_TRUE(std::signbit(store.Find(7)->row[3].get<double>()));
+  EXPECT_EQ(StoredPoints(store, {3, 10}).size(), 1u);
 }
 
-TEST_F(SweepStoreTest, RefusesAPointThatItHas) {
+// Wherever a process was killed that wrote a row, the rows before it are there and the store goes on.
+TEST_F(SweepStoreTest, IsWholeWhereverItIsCut) {
   const SweepStudy study = Study();
-  StatusOr<SweepStore> store = SweepStore::Open(":memory:", study);
-  ASSERT_TRUE(store.ok()) << store.status().message();
-  PointResult second = Row(study, 3);
-  second.row[1] = "other";
-  ASSERT_TRUE(store->Add(3, Row(study, 3)).ok());
-  EXPECT_FALSE(store->Add(3, second).ok());
-  EXPECT_EQ(Contents(*store).at(3), Row(study, 3));
-  EXPECT_TRUE(store->Add(4, Row(study, 4)).ok());
+  constexpr int kPoints = 3;
+  std::vector<size_t> ends;
+  {
+    SweepStore store(directory_, "sweep", study);
+    ends.push_back(std::filesystem::file_size(Path()));
+    for (int point = 0; point < kPoints; ++point) {
+      store.Add(point, Row(study, point));
+      ends.push_back(std::filesystem::file_size(Path()));
+    }
+  }
+  const std::string whole = ContentsOf(Path());
+  for (size_t length = 0; length <= whole.size(); ++length) {
+    std::ofstream(Path(), std::ios::binary) << whole.substr(0, length);
+    SweepStore store(directory_, "sweep", study);
+    int complete = 0;
+    while (complete < kPoints && ends[complete + 1] <= length) ++complete;
+    for (int point = 0; point < kPoints; ++point) {
+      const PointResult* found = store.Find(point);
+      ASSERT_EQ(found != nullptr, point < complete) << "cut at " << length;
+      if (found != nullptr) {
+        ASSERT_EQ(*found, Row(study, point));
+      }
+    }
+    for (int point = complete; point < kPoints; ++point) store.Add(point, Row(study, point));
+    ASSERT_TRUE(ContentsOf(Path()) == whole) << "cut at " << length;
+  }
 }
 
-#if SQLITE_VERSION_NUMBER >= 3031000  // sqlite3_hard_heap_limit64
-TEST_F(SweepStoreTest, MemoryThatRunsOutIsAnErrorAndLeavesTheStoreAsItWas) {
-  const SweepStudy study = Study();
-  StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-  ASSERT_TRUE(store.ok()) << store.status().message();
-  ASSERT_TRUE(store->Add(3, Row(study, 3)).ok());
-  PointResult large = Row(study, 4);
-  large.row.back() = std::string(1 << 20, 'x');
-  // SQLite may take no more memory than it has taken already and a little.
-  sqlite3_hard_heap_limit64(sqlite3_memory_used() + (1 << 16));
-  const Status full = store->Add(4, large);
-  sqlite3_hard_heap_limit64(0);
-  EXPECT_THAT(full.message(), AllOf(HasSubstr(Path()), HasSubstr("out of memory")));
-  EXPECT_FALSE(store->Has(4));
-  EXPECT_EQ(Contents(*store).at(3), Row(study, 3));
-  EXPECT_TRUE(store->Add(4, large).ok());
-  EXPECT_EQ(Contents(*store).at(4), large);
+TEST_F(SweepStoreTest, RowsAreFoundInAnyOrderAndByNumbersHoweverWritten) {
+  const SweepStudy study = Study("stiffness=1,2;damping=10,20,30");
+  {
+    SweepStore store(directory_, "sweep", study);
+    PointResult row = Row(study, 4);
+    row.row.back() = "plain";
+    store.Add(4, row);
+  }
+  std::string text = ContentsOf(Path());
+  const size_t at = text.find("\n2,20,event,");
+  ASSERT_NE(at, std::string::npos) << text;
+  text.replace(at, 5, "\n2.0,2e1");
+  std::ofstream(Path()) << text;
+  const SweepStore store(directory_, "sweep", study);
+  ASSERT_NE(store.Find(4), nullptr);
+  EXPECT_EQ(store.Find(4)->row[1], SweepValue(20.0));
+  EXPECT_EQ(store.Find(3), nullptr);
 }
-#endif
+
+TEST_F(SweepStoreTest, PointsWithTheSameOptionsHaveOneRow) {
+  const SweepStudy study = Study("stiffness=1,2,1;damping=5,5");
+  EXPECT_EQ(study.FirstLike(5), 0);
+  EXPECT_EQ(study.FirstLike(3), 2);
+  {
+    SweepStore store(directory_, "sweep", study);
+    store.Add(5, Row(study, 5));
+  }
+  const SweepStore store(directory_, "sweep", study);
+  for (const int64_t point : {0, 1, 4, 5}) EXPECT_NE(store.Find(point), nullptr) << point;
+  for (const int64_t point : {2, 3}) EXPECT_EQ(store.Find(point), nullptr) << point;
+}
 
 TEST_F(SweepStoreTest, RefusesAnotherStudyAndSaysWhatDiffers) {
   const SweepStudy study = Study(), other = Study("stiffness=1:10:lin:10", 240);
-  ASSERT_TRUE(SweepStore::Open(Path(), study).ok());
-  EXPECT_THAT(SweepStore::Open(Path(), other).status().message(),
-              AllOf(HasSubstr(Path()), HasSubstr("another study"), HasSubstr("steps: 240"), HasSubstr("--output_dir")));
-  EXPECT_TRUE(SweepStore::Open(Path(), study).ok());
+  EXPECT_EQ(ErrorOf(study), "none");
+  EXPECT_THAT(ErrorOf(other),
+              AllOf(HasSubstr("sweep.study.json"),
+                    HasSubstr("another study"),
+                    HasSubstr("steps: 240"),
+                    HasSubstr("--output_dir")));
+  EXPECT_EQ(ErrorOf(study), "none");
+  std::filesystem::remove(Path("sweep.study.json"));
+  EXPECT_THAT(ErrorOf(study), AllOf(HasSubstr("sweep.csv has rows"), HasSubstr("not known of which study")));
 }
 
-TEST_F(SweepStoreTest, RefusesWhatIsNoStore) {
+TEST_F(SweepStoreTest, RefusesRowsThatAreNoneOfTheStudy) {
   const SweepStudy study = Study();
-  std::ofstream(Path("text")) << std::string(5000, 'x');
-  EXPECT_THAT(SweepStore::Open(Path("text"), study).status().message(), HasSubstr("not a database"));
-  sqlite3* database = nullptr;
-  ASSERT_EQ(sqlite3_open(Path("other").c_str(), &database), SQLITE_OK);
-  sqlite3_exec(database, "CREATE TABLE recipes (name)", nullptr, nullptr, nullptr);
-  sqlite3_close(database);
-  EXPECT_THAT(SweepStore::Open(Path("other"), study).status().message(), HasSubstr("not one of sweeps"));
-  EXPECT_THAT(SweepStore::Open("/nonexistent/sweep.sqlite", study).status().message(), HasSubstr("/nonexistent"));
-}
-
-TEST_F(SweepStoreTest, AnEmptyFileIsANewStore) {
-  const SweepStudy study = Study();
-  std::ofstream(Path()).flush();  // what a sweep leaves that is killed while it makes the store
-  EXPECT_TRUE(SweepStore::Open(Path(), study).ok());
-}
-
-TEST_F(SweepStoreTest, IsWholeWhereverItsLogIsCut) {
-  const SweepStudy study = Study();
-  constexpr int kPoints = 3;
-  const pid_t child = fork();
-  if (child == 0) {
-    StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-    bool ok = store.ok();
-    for (int point = 0; ok && point < kPoints; ++point) ok = store->Add(point, Row(study, point)).ok();
-    _exit(ok ? 0 : 1);  // as if killed: nothing is closed
-  }
-  int status = 0;
-  ASSERT_EQ(waitpid(child, &status, 0), child);
-  ASSERT_EQ(status, 0);
-  std::ostringstream log;
-  log << std::ifstream(Path() + "-wal", std::ios::binary).rdbuf();
-  const size_t size = log.str().size();
-  constexpr size_t kStride = 1030;  // a quarter of a page in the log
-  ASSERT_GT(size, kPoints * 4 * kStride);
-
-  int64_t last = 0;
-  for (size_t length = 0; length < size + kStride; length += kStride) {
-    const std::string cut = Path("cut" + std::to_string(length));
-    std::filesystem::copy_file(Path(), cut);
-    std::ofstream(cut + "-wal", std::ios::binary) << log.str().substr(0, length);
-    const StatusOr<SweepStore> store = SweepStore::Open(cut, study);
-    ASSERT_TRUE(store.ok()) << length << " of " << size << ": " << store.status().message();
-    EXPECT_GE(store->size(), last);
-    last = store->size();
-    for (const auto& [point, row] : Contents(*store)) EXPECT_EQ(row, Row(study, point));
-  }
-  EXPECT_EQ(last, kPoints);
+  const std::string header = SweepHeader(study);
+  const std::string row = SweepLine(Row(study, 1));
+  const auto error_of = [&](const std::string& text) {
+    std::ofstream(Path()) << text;
+    return ErrorOf(study);
+  };
+  EXPECT_EQ(error_of(""), "none");
+  EXPECT_EQ(error_of(header + row), "none");
+  EXPECT_THAT(error_of("name,minutes\nsoup,20\n"), HasSubstr("the columns are none of this sweep"));
+  EXPECT_THAT(error_of(header + "2.5" + row.substr(1)), HasSubstr("line 2: no row of this sweep"));
+  EXPECT_THAT(error_of(header + row.substr(0, row.size() - 5) + "finished\n"),
+              HasSubstr("line 2: no row of this sweep"));
+  EXPECT_THAT(error_of(header + "2,event\n"), HasSubstr("line 2: 2 fields"));
+  EXPECT_THAT(error_of(std::string("\0\0\n", 3)), HasSubstr("the columns are none of this sweep"));
+  std::filesystem::remove(Path());
+  std::filesystem::create_directories(Path());
+  EXPECT_THAT(ErrorOf(study), HasSubstr("it is a directory, expected a regular file or none"));
 }
 
 TEST_F(SweepStoreTest, HasOneUserAtATime) {
   const SweepStudy study = Study();
-  StatusOr<SweepStore> store = SweepStore::Open(Path(), study);
-  ASSERT_TRUE(store.ok()) << store.status().message();
-  EXPECT_THAT(SweepStore::Open(Path(), study).status().message(), HasSubstr("in use by another process"));
+  const SweepStore store(directory_, "sweep", study);
+  EXPECT_THAT(ErrorOf(study), HasSubstr("in use by another process"));
 }
 
-TEST_F(SweepStoreTest, MergesWhatIsMissing) {
+// A full disk: the row is not there, the rows before it are, and the store goes on once there is room.
+TEST_F(SweepStoreTest, ARowThatDoesNotFitLeavesTheFileAsItWas) {
   const SweepStudy study = Study();
-  StatusOr<SweepStore> a = SweepStore::Open(Path("a"), study), b = SweepStore::Open(Path("b"), study);
-  ASSERT_TRUE(a.ok() && b.ok());
-  for (const int64_t point : {0, 3}) ASSERT_TRUE(a->Add(point, Row(study, point)).ok());
-  for (const int64_t point : {3, 5, 6}) ASSERT_TRUE(b->Add(point, Row(study, point)).ok());
-  const StatusOr<int64_t> added = a->Merge(*b);
-  ASSERT_TRUE(added.ok()) << added.status().message();
-  EXPECT_EQ(*added, 2);
-  EXPECT_EQ(a->size(), 4);
-  EXPECT_EQ(Contents(*a).at(6), Row(study, 6));
+  SweepStore store(directory_, "sweep", study);
+  store.Add(3, Row(study, 3));
+  const std::string before = ContentsOf(Path());
+  const auto previous = std::signal(SIGXFSZ, SIG_IGN);
+  rlimit limit;
+  ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &limit), 0);
+  const rlimit small = {before.size() + 10, limit.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &small), 0);
+  EXPECT_THROW(store.Add(4, Row(study, 4)), OutputError);
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &limit), 0);
+  std::signal(SIGXFSZ, previous);
+  EXPECT_EQ(store.Find(4), nullptr);
+  EXPECT_TRUE(ContentsOf(Path()) == before);
+  store.Add(4, Row(study, 4));
+  EXPECT_TRUE(ContentsOf(Path()) == before + SweepLine(Row(study, 4)));
 }
 
 TEST_F(SweepStoreTest, ForgetsFailedPointsOnly) {
   const SweepStudy study = Study();
-  StatusOr<SweepStore> store = SweepStore::Open(":memory:", study);
-  ASSERT_TRUE(store.ok());
-  ASSERT_TRUE(store->Add(0, Row(study, 0)).ok());
-  ASSERT_TRUE(store->Add(1, FailedPoint(study, 1, "why")).ok());
-  EXPECT_EQ(*store->ForgetFailed(), 1);
-  EXPECT_TRUE(store->Has(0));
-  EXPECT_FALSE(store->Has(1));
+  {
+    SweepStore store(directory_, "sweep", study);
+    store.Add(0, Row(study, 0));
+    store.Add(1, FailedPoint(study, 1, "why"));
+    store.ForgetFailed();
+    EXPECT_NE(store.Find(0), nullptr);
+    EXPECT_EQ(store.Find(1), nullptr);
+    store.Add(1, Row(study, 1));
+  }
+  const SweepStore store(directory_, "sweep", study);
+  EXPECT_EQ(*store.Find(1), Row(study, 1)) << "the last row of a point counts";
 }
 
 TEST(SweepOutput, SummaryGroupsReasons) {
@@ -265,21 +234,13 @@ TEST(SweepOutput, ArraysHoldEveryColumn) {
   const SweepStudy study = Study();
   const std::vector<StoredPoint> points = {{0, ComputePoint(study, 0, 0)}, {4, FailedPoint(study, 4, "why")}};
   const NpzArrays arrays = SweepArrays(study, points);
-  EXPECT_EQ(arrays.size(), study.columns().size() + 1);
+  EXPECT_EQ(arrays.size(), study.columns().size() + 2);
   EXPECT_EQ(arrays.at("point"), (NpyArray{{2}, std::vector<int64_t>{0, 4}}));
   EXPECT_EQ(arrays.at("stiffness"), (NpyArray{{2}, std::vector<double>{1, 5}}));
   EXPECT_EQ(arrays.at("contact"), (NpyArray{{2}, std::vector<std::string>{"event", "event"}}));
   const auto& losses = std::get<std::vector<double>>(arrays.at("loss").data);
   EXPECT_NEAR(losses[0], 2.0591435061, 1e-9);  // the exact loss of the initial guess
   EXPECT_TRUE(std::isnan(losses[1]));
-}
-
-TEST(SweepPoint, TravelsAsBytesWithoutLosingBits) {
-  const PointResult result{
-      PointStatus::kNotApplicable,
-      {0.1, -0.0, 1e-320, 3.0, int64_t{1} << 60, {}, std::string("ü"), std::numeric_limits<double>::max()}};
-  EXPECT_EQ(DecodePointResult(Encode(result)), result);
-  EXPECT_TRUE(std::signbit(DecodePointResult(Encode(result)).row[1].get<double>()));
 }
 
 // A limit that is over at once stops a solver where it first looks at the clock: in its first rollout.

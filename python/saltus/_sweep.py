@@ -1,0 +1,145 @@
+"""Many points of some options, on all cores or on the workers of a cluster."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
+from typing import Any, Callable, Mapping, Sequence, Union
+
+import numpy as np
+
+from . import _saltus
+from ._scene import Scene, SceneLike, as_scene
+
+Grid = Union[str, Mapping[Any, Sequence[Any]]]
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else repr(float(value))
+
+
+def _spec(grid: Grid) -> str:
+    """Returns a grid as the text of saltus_sweep --sweep."""
+    if isinstance(grid, str):
+        return grid
+    blocks = []
+    for name, values in grid.items():
+        if isinstance(name, tuple):
+            rows = ",".join("(" + ",".join(map(_text, row)) + ")" for row in values)
+            blocks.append(f"({','.join(name)})={rows}")
+        else:
+            blocks.append(f"{name}={','.join(map(_text, values))}")
+    return "; ".join(blocks)
+
+
+def _points(grid: Mapping[Any, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Returns every combination of the values of a grid, the last option fastest."""
+    blocks = []
+    for name, values in grid.items():
+        names = name if isinstance(name, tuple) else (name,)
+        rows = values if isinstance(name, tuple) else [(value,) for value in values]
+        blocks.append([dict(zip(names, row)) for row in rows])
+    return [{key: value for block in blocks_of_point for key, value in block.items()} for blocks_of_point in itertools.product(*blocks)]
+
+
+@lru_cache(maxsize=4)
+def _cached_study(key: tuple[Any, ...]) -> _saltus.SweepStudy:
+    text, *arguments = key
+    return _saltus.SweepStudy(Scene._of_text(text, "scene"), *arguments)
+
+
+def _scene_row(key: tuple[Any, ...], seconds: float, index: int) -> dict[str, Any]:
+    """Computes a point in another process, which keeps the study for the next one."""
+    return _cached_study(key).point(index, seconds)
+
+
+def _called_row(problem: Callable[..., Mapping[str, Any]], values: dict[str, Any]) -> dict[str, Any]:
+    return {**values, **problem(**values), "reason": "", "status": "done"}
+
+
+def _failed_call(values: dict[str, Any], reason: str) -> dict[str, Any]:
+    return {**values, "reason": reason, "status": "failed"}
+
+
+def _column(values: list[Any]) -> np.ndarray[Any, Any]:
+    if any(isinstance(value, str) for value in values):
+        return np.array(["" if value is None else value for value in values], dtype=str)
+    return np.array([np.nan if value is None else value for value in values], dtype=float)
+
+
+def sweep(
+    problem: SceneLike | Callable[..., Mapping[str, Any]],
+    grid: Grid,
+    client: Any = None,
+    *,
+    contact: str | Sequence[str] = "event",
+    solver: str | Sequence[str] | None = None,
+    precision: str = "double",
+    iterations: int = 1000,
+    learning_rate: float | None = None,
+    point_seconds: float = 0,
+    threads: int = 0,
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Computes every point of a grid, and returns the columns of the table by their names.
+
+    Of a scene, rows and columns are those of saltus_sweep. Without a solver a row has the loss at the initial guess and
+    the error of its gradient. A point that is impossible, raises or takes too long is a row with its ``reason`` and the
+    ``status`` "failed".
+
+    Args:
+        problem: a Scene, a dict or the path of a scene file; or a function that is called with the options of a point as
+            keyword arguments, and returns numbers and text by their names.
+        grid: values of each option, such as ``{"stiffness": [1e3, 1e4], "steps": [120, 240]}``: every combination, the
+            last option fastest. A tuple of names has a list of tuples. Of a scene also the text of ``--sweep``.
+        client: where the points are computed: a ``distributed.Client`` of Dask, whose scheduler computes the points of a
+            worker that dies again, or any other executor with ``submit``. Default: threads of this process.
+        contact: names of contact models.
+        solver: names of solvers.
+        precision: arithmetic of the contact model, "double" or "float".
+        iterations: largest number of iterations of a solver.
+        learning_rate: step size of gradient descent; default: that of the published experiment.
+        point_seconds: time limit of a point of a scene, s; 0 is no limit.
+        threads: number of threads without a client; 0 is one per core.
+
+    Raises:
+        ValueError: an argument or an option is wrong.
+    """
+    study = None
+    inputs: Sequence[Any]
+    failed: Callable[[Any, str], dict[str, Any]]
+    if callable(problem):
+        if isinstance(grid, str):
+            raise ValueError("grid: found text, expected a dict of the values of each argument of the function")
+        inputs, task, failed = _points(grid), partial(_called_row, problem), _failed_call
+    else:
+        scene = as_scene(problem)
+        contacts = (contact,) if isinstance(contact, str) else tuple(contact)
+        solvers = () if solver is None else (solver,) if isinstance(solver, str) else tuple(solver)
+        arguments = (_spec(grid), contacts, solvers, precision, iterations, learning_rate)
+        study = _saltus.SweepStudy(scene, *arguments)
+        inputs, failed = range(len(study)), study.failed
+        if client is None:
+            task = partial(_local_row, study, point_seconds)
+        else:
+            task = partial(_scene_row, (scene.to_yaml(), *arguments), point_seconds)
+    executor = ThreadPoolExecutor(threads or os.cpu_count()) if client is None else client
+    rows = []
+    try:
+        futures = [executor.submit(task, value) for value in inputs]
+        for value, future in zip(inputs, futures):
+            error = future.exception()
+            rows.append(future.result() if error is None else failed(value, f"{type(error).__name__}: {error}"))
+    finally:
+        if client is None:
+            if study is not None:
+                study.stop()
+            executor.shutdown(cancel_futures=True)
+    last = ("reason", "status")
+    names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in last]
+    return {name: _column([row.get(name) for row in rows]) for name in (*names, *last)}
+
+
+def _local_row(study: _saltus.SweepStudy, seconds: float, index: int) -> dict[str, Any]:
+    return study.point(index, seconds)

@@ -1,0 +1,134 @@
+"""Sweeps: the rows of saltus_sweep, functions, executors, workers that die, figures."""
+
+import csv
+import io
+import os
+import signal
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from conftest import BIN, SOURCE
+
+import saltus
+import saltus.plot
+
+TWO_BALLS = SOURCE / "problems" / "two_balls.yaml"
+
+
+def printed(*flags):
+    command = [BIN / "saltus_sweep", f"--scene={TWO_BALLS}", "--progress=none", *flags]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return list(csv.DictReader(io.StringIO(done.stdout)))
+
+
+def assert_same(table, rows, without=()):
+    assert list(table) == list(rows[0])
+    for name in table:
+        if name in without:
+            continue
+        expected = [row[name] for row in rows]
+        if table[name].dtype.kind == "f":
+            np.testing.assert_array_equal(table[name], [float(text) if text else np.nan for text in expected])
+        else:
+            assert list(table[name]) == expected
+
+
+def test_rows_are_those_of_the_program():
+    grid = {"stiffness": [1e3, 1e4], "steps": [60, 120]}
+    rows = printed("--sweep=stiffness=1e3,1e4;steps=60,120", "--contact=compliant_warp,direct", "--solver=none")
+    assert_same(saltus.sweep(TWO_BALLS, grid, contact=["compliant_warp", "direct"]), rows)
+    rows = printed("--sweep=(contact,solver)=(direct_toi,gd),(event,ceres_lm); striker.mass=1,2", "--iterations=5")
+    pairs = {("contact", "solver"): [("direct_toi", "gd"), ("event", "ceres_lm")], "striker.mass": [1, 2]}
+    assert_same(saltus.sweep(TWO_BALLS, pairs, iterations=5), rows, ["seconds"])
+
+
+def test_impossible_points_are_rows():
+    table = saltus.sweep(TWO_BALLS, {"restitution": [0.5, 1.5]}, contact="direct")
+    assert list(table["status"]) == ["done", "failed"]
+    assert "restitution" in table["reason"][1] and np.isnan(table["loss"][1])
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"grid": {"colour": [1]}}, "colour"),
+        ({"grid": {"seed": [1]}}, "takes the place of the scene"),
+        ({"grid": {"steps": [1]}, "contact": "none"}, "contact"),
+        ({"grid": {"steps": [1]}, "solver": "none"}, "solver"),
+        ({"grid": {"steps": [1]}, "iterations": -1}, "iterations"),
+    ],
+)
+def test_wrong_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        saltus.sweep(TWO_BALLS, **arguments)
+
+
+def area(width, height):
+    if width > 2:
+        raise ValueError("too wide")
+    return {"area": width * height, "shape": "square" if width == height else "oblong"}
+
+
+def test_functions_are_called_with_the_options():
+    with ThreadPoolExecutor(2) as pool:
+        for client in (None, pool):
+            table = saltus.sweep(area, {"width": [1, 2, 3], "height": [1, 2]}, client)
+            assert list(table) == ["width", "height", "area", "shape", "reason", "status"]
+            np.testing.assert_array_equal(table["area"], [1, 2, 2, 4, np.nan, np.nan])
+            assert list(table["shape"]) == ["square", "oblong", "oblong", "square", "", ""]
+            assert list(table["reason"][4:]) == ["ValueError: too wide"] * 2
+
+
+def slow_square(x, folder):
+    """Kills its worker, once."""
+    mark = os.path.join(folder, "killed")
+    if x == 7:
+        try:
+            os.close(os.open(mark, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return {"square": x * x}
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"square": x * x}
+
+
+def test_dask_computes_all_rows_though_a_worker_is_killed(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.environ.get("PYTHONPATH", ""), str(SOURCE / "python" / "tests")]))
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, local_directory=str(tmp_path)
+    ) as cluster, distributed.Client(cluster) as client:
+        table = saltus.sweep(slow_square, {"x": list(range(20)), "folder": [str(tmp_path)]}, client)
+        assert (tmp_path / "killed").exists()
+        np.testing.assert_array_equal(table["square"], np.arange(20.0) ** 2)
+        grid = {"stiffness": list(np.geomspace(1e2, 1e4, 10)), "steps": [30, 60]}
+        there = saltus.sweep(TWO_BALLS, grid, client, contact=["compliant_warp"])
+        here = saltus.sweep(TWO_BALLS, grid, contact=["compliant_warp"])
+        for name in here:
+            np.testing.assert_array_equal(there[name], here[name])
+
+
+def test_figures():
+    x, y = (each.ravel() for each in np.meshgrid([1e2, 1e3, 1e4], np.linspace(0, 1, 50), indexing="ij"))
+    values = y.copy()
+    values[-1] = 1e6  # one extreme point
+    status = np.full(150, "done")
+    status[0] = "failed"
+    table = {"stiffness": x, "damping": y, "loss": values, "flat": np.ones(150), "reason": np.full(150, ""), "status": status}
+    figure = saltus.plot.heat_maps(table, "stiffness", "damping")
+    maps = [ax for ax in figure.axes if ax.get_title()]
+    assert [ax.get_title() for ax in maps] == ["loss"]
+    (mesh,) = maps[0].collections
+    assert mesh.norm.vmax < 1.1 and maps[0].get_xscale() == "log" and maps[0].get_yscale() == "linear"
+    assert mesh.get_array().mask.sum() == 1
+    drawn = mesh.get_array().reshape(50, 3)
+    assert drawn[10, 1] == pytest.approx(values[60])
+    assert saltus.plot.heat_maps(table, "stiffness", "damping", ["flat"]).axes[0].get_title() == "flat"
+    with pytest.raises(ValueError, match="at least two values"):
+        saltus.plot.heat_maps(table, "flat", "damping")
+    (line,) = saltus.plot.curves(table, "stiffness", "loss", reduce=np.max).lines
+    np.testing.assert_allclose(line.get_ydata(), [1, 1, 1e6])
+    plt.close("all")
