@@ -126,29 +126,52 @@ def test_what_is_not_asked_for_may_have_no_derivative():
     assert run.termination == "converged" and run.loss < 1e-20
 
 
-def test_fit_of_drag_is_refused_at_rest_and_right_beside_it():
-    """A ball dropped with quadratic drag: hypot has no derivative at rest, where the drag is to be found."""
-    def at_speed(vx):
-        fall = saltus.HybridSystem(
-            states={"m": ["x", "y", "vx", "vy"]}, parameters=["c"],
-            flow={"m": lambda t, x, u, p: [x[2], x[3], -p[0] * np.hypot(x[2], x[3]) * x[2],
-                                           -9.81 - p[0] * np.hypot(x[2], x[3]) * x[3]]})
-        problem = saltus.HybridProblem(fall, mode="m", initial=[0, 10, vx, 0], parameters=[0.1], duration=1.0)
-        problem.costs = [saltus.terminal([None, 5.9, None, None])]
-        return problem
+def dropped(drag):
+    """A ball dropped with quadratic drag c, which is to be found: y(1) = 10 - log(cosh(sqrt(9.81 c))) / c."""
+    fall = saltus.HybridSystem(
+        states={"m": ["x", "y", "vx", "vy"]}, parameters=["c"],
+        flow={"m": lambda t, x, u, p: [x[2], x[3], -drag(p[0], x[2], x[3])[0], -9.81 - drag(p[0], x[2], x[3])[1]]})
+    problem = saltus.HybridProblem(fall, mode="m", initial=[0, 10, 0, 0], parameters=[0.1], duration=1.0)
+    problem.costs = [saltus.terminal([None, 5.9, None, None])]
+    return problem
 
-    # y(1) = 10 - log(cosh(sqrt(9.81 c))) / c at rest.
-    right = [0.134273062159674]
-    for solver in ("ceres_phases", "ceres_lm"):
-        run = saltus.solve(at_speed(0), solver=solver, optimize=["c"])
-        assert run.termination == "failed"
-        assert "the flow in mode 'm' at t = 0 has no finite derivative of vx by vx" in run.reason
-        assert_allclose(saltus.solve(at_speed(1e-9), solver=solver, optimize=["c"]).parameters, right, rtol=1e-7)
-    # The gradient by the drag, swept backward, does not depend on the derivatives of hypot: its factor is zero.
-    for solver in ("ceres_lbfgs", "gd"):
-        run = saltus.solve(at_speed(0), solver=solver, optimize=["c"])
+
+def product_of_norm(c, v, w):
+    return c * v * np.linalg.norm([v, w]), c * w * np.linalg.norm([v, w])
+
+
+DRAGS = {
+    "hypot": lambda c, v, w: (c * np.hypot(v, w) * v, c * np.hypot(v, w) * w),
+    "norm": product_of_norm,
+    "root of squares, factor first": lambda c, v, w: (v * c * (v * v + w * w) ** 0.5, w * (c * np.sqrt(v * v + w * w))),
+    "quotient": lambda c, v, w: (v / (1 / (c + 1) + np.hypot(v, w)) * (np.hypot(v, w) / (c + 1) + np.hypot(v, w) ** 2) * c,
+                                 w / (1 / (c + 1) + np.hypot(v, w)) * (np.hypot(v, w) / (c + 1) + np.hypot(v, w) ** 2) * c),
+}
+
+
+@pytest.mark.parametrize("drag", DRAGS)
+def test_a_product_with_a_factor_of_zero_needs_no_derivative_of_the_other_one(drag):
+    """v hypot(v, w) has the derivative zero at rest, where hypot has none."""
+    problem = dropped(DRAGS[drag])
+    found = saltus.final_derivatives(problem)
+    assert found.remark == ""
+    rate = math.sqrt(9.81 * 0.1)
+    assert_allclose(found.by_parameters.ravel()[:2], [0, 5.136784684775591], rtol=1e-9, atol=1e-12)
+    assert_allclose(found.by_initial, [[1, 0, math.atan(math.sinh(rate)) / rate, 0], [0, 1, 0, math.tanh(rate) / rate],
+                                       [0, 0, 1 / math.cosh(rate), 0], [0, 0, 0, 1 / math.cosh(rate) ** 2]], rtol=1e-9, atol=1e-12)
+    for solver in ("ceres_phases", "ceres_lm", "ceres_lbfgs", "gd"):
+        run = saltus.solve(problem, solver=solver, optimize=["c"])
         assert run.termination == "converged"
-        assert_allclose(run.parameters, right, rtol=1e-6)
+        assert_allclose(run.parameters, [0.134273062159674], rtol=1e-6)
+
+
+def test_products_of_roots_keep_their_derivatives():
+    """sqrt(y) sqrt(y) is y, and sqrt(y) hypot(y, v) has no derivative by y at zero: none of these is called zero."""
+    by_y = (lambda x: [np.sqrt(x[0]) * np.sqrt(x[0]), 0], "of y by y")
+    by_v = (lambda x: [0, np.sqrt(x[0]) * np.hypot(x[0], x[1])], "of v by y")
+    for flow, text in (by_y, by_v):
+        found = saltus.final_derivatives(problem_of(flow=flow, initial=[0, 0], costs=[]))
+        assert text in found.remark
 
 
 # ------------------------------------------------------------------------------------------------ values that are none

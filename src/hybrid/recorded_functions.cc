@@ -64,6 +64,10 @@ constexpr KnownOperation kOperations[] = {
     {Operation::kAcosh, "acosh", 1, [](double a, double, double) { return std::acosh(a); }},
     {Operation::kAtanh, "atanh", 1, [](double a, double, double) { return std::atanh(a); }},
     {Operation::kErf, "erf", 1, [](double a, double, double) { return std::erf(a); }},
+    {Operation::kProductTerm,
+     "product_term",
+     3,
+     [](double a, double b, double c) { return a == 0 && std::isnan(b) && std::isfinite(c) ? 0.0 : a * b; }},
 };
 
 constexpr int kMostMultiplications = 4;  // powers up to this are products
@@ -219,6 +223,9 @@ class RecordedFunction::Builder {
       if (b == c) return b;
       return Add({operation, a, b, c, 0});
     }
+    if (operation == Operation::kProductTerm) {
+      return IsConstant(a) || IsConstant(b) ? Make(Operation::kMultiply, a, b) : Add({operation, a, b, c, 0});
+    }
     if (IsConstant(a) && (b < 0 || IsConstant(b))) {
       return Constant(Apply(operation, nodes_[a].value, b < 0 ? 0 : nodes_[b].value, 0));
     }
@@ -320,6 +327,18 @@ class RecordedFunction::Builder {
     }
   }
 
+  // Whether a node's value is continuous and need not have a derivative, as that of hypot at rest.
+  bool HasKink(int at) { return ParticularsOf(at) == kRoot; }
+  int ParticularsOf(int at) {
+    const auto [known, is_new] = particulars_.try_emplace(at, 0);
+    if (!is_new) return known->second;
+    const Node node = nodes_[at];
+    using enum Operation;
+    int found = node.operation == kSqrt || node.operation == kPower ? kRoot : node.operation == kAtan2 ? kAngle : 0;
+    for (int j = 0; j < NumOperands(node.operation); ++j) found |= ParticularsOf(std::array{node.a, node.b, node.c}[j]);
+    return particulars_[at] = found;
+  }
+
   // The derivatives of a node's value by the values of its operands; -1 where it is zero everywhere.
   std::array<int, 3> PartialsOf(int at) {
     using enum Operation;
@@ -331,6 +350,7 @@ class RecordedFunction::Builder {
       case kSubtract:
         return {Constant(1), Constant(-1), -1};
       case kMultiply:
+      case kProductTerm:
         return {b, a, -1};
       case kDivide:
         return {Make(kDivide, Constant(1), b), Make(kNegate, Make(kDivide, at, b)), -1};
@@ -367,8 +387,16 @@ class RecordedFunction::Builder {
       for (int j = 0; j < NumOperands(node.operation); ++j) {
         if (partials[j] < 0) continue;
         const Derivative of_operand = DerivativeOf(operands[j]);
+        // Where one factor is zero, and has a derivative, the other one need only be continuous: as hypot(v, w) is in
+        // v hypot(v, w) at rest.
+        const bool of_product =
+            node.operation == Operation::kMultiply || (node.operation == Operation::kDivide && j == 1);
+        const bool with_kink = of_product && HasKink(operands[j]);
+        const Derivative beside = with_kink ? DerivativeOf(operands[1 - j]) : Derivative();
         for (const auto& [input, inner] : of_operand) {
-          const int product = Make(Operation::kMultiply, partials[j], inner);
+          const int of_other = with_kink ? beside.contains(input) ? beside.at(input) : Constant(0) : -1;
+          const int product =
+              Make(with_kink ? Operation::kProductTerm : Operation::kMultiply, partials[j], inner, of_other);
           const auto [entry, is_new] = result.try_emplace(input, product);
           if (!is_new) entry->second = Make(Operation::kAdd, entry->second, product);
         }
@@ -418,6 +446,8 @@ class RecordedFunction::Builder {
   std::vector<int> outputs_;
   std::map<std::tuple<Operation, int, int, int, std::uint64_t>, int> known_;
   std::map<int, Derivative> derivatives_;
+  static constexpr int kRoot = 1, kAngle = 2;
+  std::map<int, int> particulars_;
 };
 
 ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k) {
@@ -658,12 +688,16 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   return Keep(std::move(piece));
 }
 
-std::vector<int> RecordedSystem::SidesAt(const ModePoint& point, std::vector<int> known) const {
+std::vector<double> RecordedSystem::SwitchInputsAt(const ModePoint& point) const {
   std::vector<double> inputs;
   for (const RecordedFunction::Part& part : InputsAt(point))
     inputs.insert(inputs.end(), part.data, part.data + part.size);
   inputs.push_back(0);  // the length of a flight
-  return switches_[at(point.mode).base]->SidesAt(inputs, std::move(known));
+  return inputs;
+}
+
+std::vector<int> RecordedSystem::SidesAt(const ModePoint& point, std::vector<int> known) const {
+  return switches_[at(point.mode).base]->SidesAt(SwitchInputsAt(point), std::move(known));
 }
 
 int RecordedSystem::PieceAt(const ModePoint& point) const {
@@ -675,15 +709,15 @@ int RecordedSystem::PieceBeside(const ModePoint& point, int guard, Side side) co
   const Evaluated& piece = at(point.mode);
   const End& end = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))];
   if (side == Side::kSliding) return PieceAlong(point, guard);
-  std::vector<int> sides = piece.sides;
-  if (switches_[piece.base]->IsFloor(end.number)) {
+  const RecordedSwitches& switches = *switches_[piece.base];
+  int to = static_cast<int>(side);
+  if (switches.IsFloor(end.number)) {
     if (side == Side::kOn) return -1;
-    sides[end.number] += end.by;
-  } else if (side != Side::kOther) {
-    sides[end.number] = static_cast<int>(side);
-  } else {
-    sides[end.number] = end.slides ? end.by : -sides[end.number];
+    to = piece.sides[end.number] + end.by;
+  } else if (side == Side::kOther) {
+    to = end.slides ? end.by : -piece.sides[end.number];
   }
+  std::vector<int> sides = switches.WithSide(SwitchInputsAt(point), piece.sides, end.number, to);
   sides = SidesAt(point, std::move(sides));
   return sides.empty() ? -1 : PieceOf(piece.base, std::move(sides));
 }

@@ -64,6 +64,7 @@ enum class Operation : std::uint8_t {
   kAcosh,
   kAtanh,
   kErf,
+  kProductTerm,  // a b, in the derivative c d + a b of a product a d: 0 if a is 0, c is finite, and b does not exist
 };
 
 // The operation's value on numbers; constants and inputs have none.
@@ -231,6 +232,7 @@ class RecordedSystem final : public HybridFunctions {
   int PieceOf(int base, std::vector<int> sides) const;
   int PieceAlong(const ModePoint& point, int guard) const;
   bool PointsAt(const ModePoint& point, int number) const;
+  std::vector<double> SwitchInputsAt(const ModePoint& point) const;
   std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
 
   int size(int mode) const { return layout().state_sizes[at(mode).base]; }

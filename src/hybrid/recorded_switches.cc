@@ -205,8 +205,9 @@ RecordedSwitches::Sides RecordedSwitches::SidesAt(std::span<const double> inputs
   return sides;
 }
 
-// One pass in the order of the nodes: a switch that is not known gets its side where its number is.
-RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> inputs, Sides known) const {
+// Returns the values of all nodes, in one pass in their order: a switch that is not known gets its side where its
+// number is.
+std::vector<double> RecordedSwitches::ValuesOf(std::span<const double> inputs, Sides* known) const {
   std::vector<double> values(nodes_.size());
   for (std::size_t i = 0; i < nodes_.size(); ++i) {
     const Node& node = nodes_[i];
@@ -221,7 +222,7 @@ RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> 
       values[i] = Apply(node.operation, at(node.a), at(node.b), at(node.c));
       continue;
     }
-    int& side = known[number];
+    int& side = (*known)[number];
     if (side == kIrrelevant) {
       const double value = values[switches_[number].node];
       if (IsFloor(number)) {
@@ -235,6 +236,33 @@ RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> 
                 : node.operation == kAbs       ? side * at(node.a)
                                                : side;
   }
+  return values;
+}
+
+RecordedSwitches::Sides RecordedSwitches::WithSide(std::span<const double> inputs, Sides sides, int number,
+                                                   int side) const {
+  constexpr double kSame = 1e-9;  // relative: values of a number that does not jump
+  Sides all = sides;
+  const std::vector<double> before = ValuesOf(inputs, &all);
+  sides[number] = side;
+  for (bool jumps = true; jumps;) {
+    jumps = false;
+    all = sides;
+    const std::vector<double> after = ValuesOf(inputs, &all);
+    for (int other = 0; other < count(); ++other) {
+      const double from = before[switches_[other].node], to = after[switches_[other].node];
+      if (other == number || sides[other] == kIrrelevant ||
+          std::abs(to - from) <= kSame * (std::abs(to) + std::abs(from)))
+        continue;
+      sides[other] = kIrrelevant;
+      jumps = true;
+    }
+  }
+  return sides;
+}
+
+RecordedSwitches::Sides RecordedSwitches::RelevantSides(std::span<const double> inputs, Sides known) const {
+  ValuesOf(inputs, &known);
   // Collects the switches on which the functions depend, and on which the numbers of these switches depend.
   Piece piece(*this, known);
   for (const std::vector<int>& outputs : outputs_) {

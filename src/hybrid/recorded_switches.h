@@ -38,6 +38,10 @@ class RecordedSwitches {
   // list if a switch has one side below, and another one above the zero of a number along which the motion slides.
   Sides SidesAt(std::span<const double> inputs, Sides known) const;
 
+  // The sides beside a piece, with another side of one switch: the sides of numbers that jump with it become
+  // irrelevant, for SidesAt to find. Integer parts, and what is computed from them, are such numbers.
+  Sides WithSide(std::span<const double> inputs, Sides sides, int number, int side) const;
+
   // A function in a piece. Its inputs are followed by the integer parts, of all switches that have one.
   // Precondition: the function does not depend on a switch along which the motion slides.
   ExpressionGraph Function(int function, const Sides& sides) const;
@@ -69,6 +73,7 @@ class RecordedSwitches {
   std::vector<int> Sliding(const Sides& sides) const;
   // The sides above zero of some of the numbers along which the motion slides, and below zero of the others.
   Sides Corner(Sides sides, std::span<const int> above) const;
+  std::vector<double> ValuesOf(std::span<const double> inputs, Sides* known) const;
   Sides RelevantSides(std::span<const double> inputs, Sides known) const;
 
   // A graph of nodes of a piece: those that its outputs need.
