@@ -8,7 +8,9 @@
 #include "convert.h"
 #include "programs/solve_output.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/global/global_bound.h"
 #include "saltus/solve/solver.h"
+#include "saltus/solve/solvers_by_name.h"
 
 namespace saltus::python {
 namespace {
@@ -102,6 +104,44 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
 }
 
+// Sequences by the names of their pairs.
+py::list BoundsToPython(const Scene& scene, const std::vector<SequenceBound>& bounds) {
+  py::list list;
+  for (const SequenceBound& bound : bounds) {
+    py::dict item;
+    item["sequence"] = ContactSequenceToString(scene, bound.sequence);
+    item["repeated"] = std::vector<bool>(bound.repeated.begin(), bound.repeated.end());
+    item["open"] = bound.open;
+    item["lower_bound"] = bound.lower;
+    item["boxes"] = bound.boxes;
+    list.append(item);
+  }
+  return list;
+}
+
+// What is proved, and what has stopped it: an exception or None.
+py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds, std::size_t boxes) {
+  if (const std::optional<SceneError> error = Validate(scene)) throw py::value_error(error->ToString());
+  if (const std::string why = WhyNotBounded(scene); !why.empty()) throw py::value_error(why);
+  if (!std::isfinite(loss)) throw py::value_error("loss: expected a finite number");
+  if (!(gap > 0)) throw py::value_error("gap: expected a number > 0");
+  if (!(seconds >= 0)) throw py::value_error("seconds: expected a number >= 0");
+  Computation computation;
+  GlobalBound bound;
+  computation.Run([&] {
+    bound = BoundGlobally(scene, loss, {.gap = gap, .seconds = seconds, .boxes = boxes, .stop = computation.stop()});
+  });
+  py::dict result;
+  result["loss"] = bound.upper;
+  result["lower_bound"] = bound.lower;
+  result["gap"] = bound.gap();
+  result["boxes"] = bound.boxes;
+  result["complete"] = !bound.interrupted;
+  result["left"] = BoundsToPython(scene, bound.left);
+  result["excluded"] = BoundsToPython(scene, bound.excluded);
+  return py::make_tuple(result, computation.StoppedBy());
+}
+
 }  // namespace
 
 void BindSolve(py::module_* module) {
@@ -155,7 +195,19 @@ void BindSolve(py::module_* module) {
       py::arg("threads"),
       py::arg("memory_limit"),
       py::arg("keep_iterates"));
-  module->def("solvers", [] { return SummariesOf(AllSolvers()); });
+  module->def("solvers", [] {
+    std::vector<SolverEntry> solvers = AllSolvers();
+    solvers.insert(solvers.end(), SolversByName().begin(), SolversByName().end());
+    return SummariesOf(solvers);
+  });
+  module->def("bound_globally",
+              &BoundScene,
+              py::arg("scene"),
+              py::arg("loss"),
+              py::kw_only(),
+              py::arg("gap"),
+              py::arg("seconds"),
+              py::arg("boxes"));
 }
 
 }  // namespace saltus::python

@@ -15,7 +15,7 @@
 Scenes          load_scene, Scene, SceneError
 Motions         rollout, loss_and_gradient, linearize: each takes a Scene, a dict or the path of a scene file
 Repeated use    Simulation (one scene, evaluated many times), Batch (many points, on all cores)
-Optimisation    solve, solvers
+Optimisation    solve, solvers, bound_globally
 Sweeps          sweep: many points of some options, on all cores or with a distributed.Client of Dask
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
@@ -64,7 +64,7 @@ from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient,
 from ._saltus import __version__
 from ._scene import Scene, SceneError, load_scene
 from ._simulate import Batch, EndState, Simulation, linearize, loss_and_gradient, rollout
-from ._solve import audit, contact_models, solve, solvers
+from ._solve import audit, bound_globally, contact_models, solve, solvers
 from ._sweep import sweep
 
 __all__ = [
@@ -93,6 +93,7 @@ __all__ = [
     "WrongGradient",
     "__version__",
     "audit",
+    "bound_globally",
     "contact_models",
     "cost",
     "effort",

@@ -128,6 +128,41 @@ def solve(
     return run
 
 
+def bound_globally(
+    scene: SceneLike, loss: float, *, gap: float = 1e-6, seconds: float = 0.0, boxes: int = 0
+) -> dict[str, Any]:
+    """Bounds the loss of all controls from below, rigorously, over all sequences of impacts.
+
+    Ctrl-C raises KeyboardInterrupt, which has what is proved until then as its attribute ``bound``.
+
+    Args:
+        scene: a Scene, a dict or the path of a scene file: discs and planes without friction, with a quadratic effort and
+            quadratic terminal costs.
+        loss: that of a known motion, such as ``solve(scene, "event", "mode_search")["exact_loss"]``.
+        gap: ends as soon as ``loss`` less the bound is at most this.
+        seconds: limit of time; 0 is no limit.
+        boxes: limit of the number of boxes; 0 is no limit.
+
+    Returns:
+        A dict of ``loss``, ``lower_bound``, ``gap``, ``boxes``, ``complete`` (whether the gap was reached), and the parts of
+        all motions that are ``left`` and ``excluded``, each with its ``sequence`` of the impacts that decide about the
+        loss, ``repeated`` by impact (the pair may touch again before one of its discs touches another one), ``open``
+        (any impacts follow), ``lower_bound`` and ``boxes``.
+
+    Raises:
+        ValueError: the bound does not support the scene, or an option is wrong.
+    """
+    expect("a number", loss=loss, gap=gap, seconds=seconds)
+    expect("a whole number", boxes=boxes)
+    found, stopped_by = _saltus.bound_globally(
+        as_scene(scene), float(loss), gap=float(gap), seconds=float(seconds), boxes=boxes
+    )
+    if stopped_by is not None:
+        stopped_by.bound = found
+        raise stopped_by
+    return found
+
+
 def audit(
     scene: SceneLike | HybridProblem,
     contact: Any = None,

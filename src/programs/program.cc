@@ -30,6 +30,7 @@
 #include "programs/saved_solution.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
+#include "saltus/solve/solvers_by_name.h"
 #include "solve/control_guess.h"
 
 DEFINE_string(scene, "", "scene file in YAML");
@@ -509,6 +510,13 @@ void ApplySceneFlags(Scene* scene) {
   }
 }
 
+std::vector<std::string> ReadSolvers(const std::string& list) {
+  std::vector<std::string> known = NameList(AllSolvers());
+  if (list == "all") return known;
+  for (const SolverEntry& solver : SolversByName()) known.emplace_back(solver.name);
+  return ReadNames("solver", list, known);
+}
+
 Precision PrecisionFromFlags() {
   if (FLAGS_precision != "double" && FLAGS_precision != "float") {
     throw InputError("--precision=" + FLAGS_precision + "; expected double or float");
@@ -523,6 +531,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   }
   if (FLAGS_solver == "list") {
     PrintList(AllSolvers());
+    PrintList(SolversByName());
     return false;
   }
   if (FLAGS_surrogate == "list") {
@@ -536,7 +545,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   const bool descends = IsGiven("learning_rate") || FLAGS_rate_per_time || IsGiven("surrogate");
   const std::string by_default = descends && defaults.solver == "auto" ? "gd" : defaults.solver;
   const std::string solver = FLAGS_solver.empty() ? by_default : FLAGS_solver;
-  if (solver != kNoSolver) request->solvers = ReadNames("solver", solver, NameList(AllSolvers()));
+  if (solver != kNoSolver) request->solvers = ReadSolvers(solver);
   request->precision = PrecisionFromFlags();
   request->scene = defaults.generated ? *defaults.generated : LoadScene(path);
   ApplySceneFlags(&request->scene);

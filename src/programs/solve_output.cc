@@ -91,7 +91,8 @@ std::string MeaningOf(const Certificate& certificate) {
     case kNotApplicable:
       return certificate.reason;
     case kGlobal:
-      return "a lower bound proves that no control on as many intervals has a lower loss";
+      return certificate.reason.empty() ? "a lower bound proves that no control on as many intervals has a lower loss"
+                                        : certificate.reason;
     case kStationary:
     case kStationaryOnGrid:
       break;

@@ -9,6 +9,7 @@
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
+#include "saltus/solve/solvers_by_name.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
 #include "solve/design_descent.h"
@@ -17,6 +18,7 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/phase_solution.h"
+#include "solve/search/global_search.h"
 #include "solve/search/mode_search.h"
 #include "solve/search/phase_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
@@ -49,7 +51,9 @@ std::string WhyNotLeastSquares(const SolveRequest& request) {
 
 std::string UnknownSolver(std::string_view name) {
   std::string known;
-  for (const SolverEntry& solver : AllSolvers()) known += (known.empty() ? "" : ", ") + std::string(solver.name);
+  for (const auto* solvers : {&AllSolvers(), &SolversByName()}) {
+    for (const SolverEntry& solver : *solvers) known += (known.empty() ? "" : ", ") + std::string(solver.name);
+  }
   return "found '" + std::string(name) + "', expected a solver: " + known;
 }
 
@@ -276,9 +280,24 @@ const std::vector<SolverEntry>& AllSolvers() {
   return solvers;
 }
 
+const std::vector<SolverEntry>& SolversByName() {
+  static const std::vector<SolverEntry>& solvers =
+      *new std::vector<SolverEntry>{{"global",
+                                     "mode_search, and a rigorous lower bound over all controls",
+                                     WhyNotGlobal,
+                                     SolveByGlobal,
+                                     true,
+                                     false,
+                                     false,
+                                     true}};
+  return solvers;
+}
+
 const SolverEntry* FindSolver(std::string_view name) {
-  for (const SolverEntry& solver : AllSolvers()) {
-    if (solver.name == name) return &solver;
+  for (const auto* solvers : {&AllSolvers(), &SolversByName()}) {
+    for (const SolverEntry& solver : *solvers) {
+      if (solver.name == name) return &solver;
+    }
   }
   return nullptr;
 }

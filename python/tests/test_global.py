@@ -1,0 +1,41 @@
+"""Lower bounds over all controls."""
+
+from pathlib import Path
+
+import pytest
+
+import saltus
+
+SCENE = str(Path(__file__).resolve().parents[2] / "problems" / "two_balls.yaml")
+TWO_BALLS = 1.396542160123
+
+
+def test_two_balls_is_bounded():
+    proof = saltus.bound_globally(SCENE, TWO_BALLS + 1e-9)
+    assert proof["complete"]
+    assert TWO_BALLS - 1e-6 <= proof["lower_bound"] <= TWO_BALLS + 1e-9
+    assert proof["gap"] == pytest.approx(TWO_BALLS + 1e-9 - proof["lower_bound"])
+    assert proof["left"][0]["sequence"] == "striker-target"
+    assert not proof["left"][0]["open"]
+    assert {part["open"] for part in proof["excluded"]} == {False, True}
+
+
+def test_limits_leave_a_gap():
+    proof = saltus.bound_globally(SCENE, TWO_BALLS, boxes=100)
+    assert not proof["complete"]
+    assert proof["lower_bound"] < TWO_BALLS
+    assert proof["left"]
+
+
+def test_the_solver_has_the_verdict():
+    run = saltus.solve(SCENE, "event", "global")
+    assert run["certificate"]["verdict"] == "global"
+    assert "no control has a loss below 1.39654" in run["certificate"]["reason"]
+    assert "global" in saltus.solvers()
+
+
+def test_what_is_not_supported_is_refused():
+    scene = saltus.load_scene(SCENE).to_dict()
+    scene["contact"]["friction"] = 0.1
+    with pytest.raises(ValueError, match="friction"):
+        saltus.bound_globally(scene, 1.0)

@@ -1,0 +1,125 @@
+#include "solve/search/global_search.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <utility>
+
+#include "saltus/global/global_bound.h"
+#include "saltus/simulate/exact_run.h"
+#include "scene/units.h"
+#include "solve/phases/ceres_event.h"
+#include "solve/phases/phase_solution.h"
+#include "solve/search/mode_search.h"
+
+namespace saltus {
+namespace {
+
+constexpr double kWorkOfBox = 50;      // as SearchOptions::work
+constexpr int kFineSteps = 4800;       // on which the best control is all but that of any number of intervals
+constexpr double kRelativeGap = 1e-6;  // of the loss
+
+// Solves along the sequence of the solution on more intervals, and takes the result if it is better.
+void Refine(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
+  if (request.scene.steps >= kFineSteps || !WhyNotEventPhases(request).empty()) return;
+  const ExactRun run =
+      SimulateExactly(request.scene, report->initial_state, report->control, report->durations, options.stop);
+  if (!run.ok || !run.only_impacts) return;
+  SolveRequest fine = request;
+  fine.scene.steps = kFineSteps;
+  SolverOptions along = options;
+  along.sequence = run.contacts;
+  along.callback = nullptr;
+  along.guess = ControlGuess{report->control, report->durations};
+  SolveReport finer = SolveByCeresEvent(fine, along);
+  if (finer.control.empty() || !(finer.final_loss < report->final_loss)) return;
+  const ExactRun exact =
+      SimulateExactly(request.scene, finer.initial_state, finer.control, finer.durations, options.stop);
+  if (!exact.ok || !(exact.loss < report->final_loss)) return;
+  report->final_loss = exact.loss;
+  report->losses.push_back(exact.loss);
+  ++report->iterations;
+  report->initial_state = std::move(finer.initial_state);
+  report->control = std::move(finer.control);
+  report->durations = std::move(finer.durations);
+  report->certificate = std::move(finer.certificate);
+}
+
+std::string Digits(double number, int digits) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.*g", digits, number);
+  return text;
+}
+
+// "striker-target and these again (6.2e-05 above)", of the least bounds in the list.
+std::string Describe(const SolveRequest& request, const std::vector<SequenceBound>& bounds) {
+  constexpr size_t kMost = 4;
+  std::string text;
+  for (size_t i = 0; i < std::min(bounds.size(), kMost); ++i) {
+    const SequenceBound& bound = bounds[i];
+    const bool again = std::ranges::count(bound.repeated, 1) > 0;
+    text += (i == 0 ? "" : "; ") + ContactSequenceToString(request.scene, bound.sequence) +
+            (bound.open ? " and any others"
+             : again    ? " and these again"
+                        : "") +
+            ", at least " + Digits(ConvertLoss(bound.lower, request.scene.units, Units()), 6);
+  }
+  return text + (bounds.size() > kMost ? "; and " + std::to_string(bounds.size() - kMost) + " more" : "");
+}
+
+// The bound, the gap, and which sequences of impacts are excluded or left.
+std::string Describe(const SolveRequest& request, const GlobalBound& bound) {
+  const auto in_si = [&](double loss) { return ConvertLoss(loss, request.scene.units, Units()); };
+  std::string text = "no control has a loss below " + Digits(in_si(bound.lower), 12) + ", a gap of " +
+                     Digits(in_si(bound.upper) - in_si(bound.lower), 2) + " after " + std::to_string(bound.boxes) +
+                     " boxes";
+  if (!bound.excluded.empty()) text += "; excluded: " + Describe(request, bound.excluded);
+  if (bound.interrupted) {
+    text += "; left: " + Describe(request, bound.left) + "; allow more with search_work or search_seconds";
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string WhyNotGlobal(const SolveRequest& request) {
+  if (std::string why = WhyNotModeSearch(request); !why.empty()) return why;
+  if (!request.terms.empty()) return "the global bound does not support user-defined cost terms";
+  return WhyNotBounded(request.scene);
+}
+
+SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& options) {
+  SolverOptions searching = options;
+  searching.search = true;
+  SolveReport report = SolveByModeSearch(request, searching);
+  report.solver = "global";
+  if (report.control.empty() || report.termination == Termination::kInterrupted) return report;
+  Refine(request, options, &report);
+
+  const SearchOptions& limits = options.search_options;
+  GlobalOptions global{
+      .gap = kRelativeGap * report.final_loss,
+      .seconds = limits.seconds,
+      .boxes = static_cast<std::size_t>(std::max(limits.work > 0 ? 1.0 : 0.0, limits.work / kWorkOfBox)),
+      .memory = limits.memory,
+      .stop = options.stop};
+  if (options.status) {
+    global.progress = [&](const GlobalBound& bound) { options.status(Describe(request, bound)); };
+  }
+  const GlobalBound bound = BoundGlobally(request.scene, report.final_loss, global);
+  if (report.searched) report.searched->lower_bound = std::max(report.searched->lower_bound, bound.lower);
+  if (!report.certificate) {
+    report.certificate = Certify(request.scene, report.initial_state, report.control, report.durations, options.stop);
+  }
+  const std::string proved = Describe(request, bound);
+  if (bound.gap() <= global.gap) {
+    report.termination = Termination::kConverged;
+    report.certificate->verdict = Certificate::Verdict::kGlobal;
+    report.certificate->reason = proved;
+  } else {
+    report.termination = options.stop && options.stop() ? Termination::kInterrupted : Termination::kIterationLimit;
+    report.reason = proved;
+  }
+  return report;
+}
+
+}  // namespace saltus
