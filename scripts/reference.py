@@ -246,9 +246,9 @@ class Programs:
 
     @functools.cache
     def solvers(self):
-        """The names of all solvers but auto, whose runs have the name of another one."""
+        """The names of all solvers but auto, whose runs have the name of another one, and global, which runs mode_search."""
         names = [line.split()[0] for line in self.run("saltus_solve", "--solver=list").stdout.splitlines() if line.strip()]
-        return [name for name in names if name != "auto"]
+        return [name for name in names if name not in ("auto", "global")]
 
     @functools.cache
     def support(self, made, key):
