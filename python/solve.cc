@@ -104,7 +104,7 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
 }
 
-// Sequences by the names of their pairs.
+// Returns sequences by the names of their pairs, with their bounds.
 py::list BoundsToPython(const Scene& scene, const std::vector<SequenceBound>& bounds) {
   py::list list;
   for (const SequenceBound& bound : bounds) {
@@ -119,7 +119,7 @@ py::list BoundsToPython(const Scene& scene, const std::vector<SequenceBound>& bo
   return list;
 }
 
-// What is proved, and what has stopped it: an exception or None.
+// Returns the bound, and the exception that has stopped it, or None.
 py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds, std::size_t boxes) {
   if (const std::optional<SceneError> error = Validate(scene)) throw py::value_error(error->ToString());
   if (const std::string why = WhyNotBounded(scene); !why.empty()) throw py::value_error(why);

@@ -11,7 +11,7 @@ namespace saltus {
 // a box counts as kWorkOfBox. Precondition: WhyNotGlobal is empty.
 SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& options);
 
-// What it cannot take; empty if it can.
+// Returns the part of the request that the solver does not support; empty if it supports all.
 std::string WhyNotGlobal(const SolveRequest& request);
 
 }  // namespace saltus
