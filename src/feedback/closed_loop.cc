@@ -89,7 +89,9 @@ class ScenePlant final : public Plant {
     interval.simulator->Step(full_, force_, next_, &touches_);
     full_.swap(next_);
     for (int b = 0; b < bodies; ++b) std::copy_n(full_.data() + b * full, size, x_.data() + b * size);
-    touch_events_.Add(touches_, [&](std::size_t i) { events_.push_back(LabelOf(touches_[i].candidate, k)); });
+    touch_events_.Add(touches_, [&](std::size_t i) {
+      if (!interval.LastsFromStart(touches_[i])) events_.push_back(LabelOf(touches_[i].candidate, k));
+    });
     return x_.allFinite();
   }
 

@@ -36,8 +36,7 @@ std::vector<SceneEvent> PlannedEvents(const SceneIntervals& motion) {
     const std::span<const Touch> touches = motion.touches(k);
     touch_events.Add(touches, [&](std::size_t i) {
       const Touch& touch = touches[i];
-      const bool at_start = motion[k].begin == 0 && touch.time <= kAtStart * motion[k].length;
-      if (at_start && touch.kind == ContactKind::kSustained) return;
+      if (motion[k].LastsFromStart(touch)) return;
       const Candidate& pair = touch.candidate;
       SceneEvent& event = events.emplace_back(SceneEvent{LabelOf(pair, k), i, {}});
       if (!scene.bodies[pair.a].fixed) event.discs.push_back(pair.a);
@@ -45,6 +44,10 @@ std::vector<SceneEvent> PlannedEvents(const SceneIntervals& motion) {
     });
   }
   return events;
+}
+
+bool SceneIntervals::Interval::LastsFromStart(const Touch& touch) const {
+  return begin == 0 && touch.time >= 0 && touch.time <= kAtStart * length && touch.kind == ContactKind::kSustained;
 }
 
 SceneIntervals::SceneIntervals(const Simulator& simulator) : whole_(simulator.scene()) {

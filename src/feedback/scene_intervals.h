@@ -20,6 +20,8 @@ class SceneIntervals {
     double begin = 0, length = 0;          // s
     const Simulator* simulator = nullptr;  // none of an interval without length
     int step = 0;                          // of the simulator
+    // Whether a touch in the interval is a contact that lasts from the start of the motion, which is no event.
+    bool LastsFromStart(const Touch& touch) const;
   };
 
   // The steps of one simulator, which outlives this object.

@@ -33,6 +33,46 @@ std::string TouchesOf(const SceneIntervals& motion, int k) {
   return names;
 }
 
+// The first contact that comes to rest while another contact of one of its discs does, as text, and how many more there
+// are: their bounces accumulate together, in an order that every disturbance changes. Empty if there is none.
+std::string ContactsThatRestTogether(const SceneIntervals& motion) {
+  constexpr int kLast = 3;  // impacts of a contact before it rests that are the end of its bounces
+  const Scene& scene = motion.simulator().scene();
+  struct Impact {
+    Candidate pair;
+    double time = 0;    // s
+    bool ends = false;  // the contact lasts from then on
+  };
+  std::vector<Impact> impacts;
+  const auto moves_in = [&](int body, const Candidate& pair) {
+    return !scene.bodies[body].fixed && (body == pair.a || (!pair.plane && body == pair.b));
+  };
+  std::string first;
+  int count = 0;
+  for (int k = 0; k < motion.size(); ++k) {
+    for (const Touch& touch : motion.touches(k)) {
+      const Candidate& pair = touch.candidate;
+      const double time = motion[k].begin + touch.time;
+      if (touch.time >= 0 && touch.kind == ContactKind::kImpact) impacts.push_back({pair, time});
+      if (touch.time < 0 || touch.kind != ContactKind::kSustained) continue;
+      int own = 0;
+      const Impact* other = nullptr;
+      for (auto at = impacts.rbegin(); at != impacts.rend() && own < kLast && !(at->ends && at->pair == pair); ++at) {
+        own += at->pair == pair;
+        if (at->pair == pair || at->ends) continue;
+        if (moves_in(pair.a, at->pair) || (!pair.plane && moves_in(pair.b, at->pair))) other = &*at;
+      }
+      if (own == kLast && other != nullptr && ++count == 1) {
+        first = "the contacts of " + NamesOf(scene, pair) + " and of " + NamesOf(scene, other->pair) +
+                " come to rest together at t = " + ToText(time, 6) + " s";
+      }
+      impacts.push_back({pair, time, true});
+    }
+  }
+  if (count > 1) first += ", and " + std::to_string(count - 1) + " more do so";
+  return first;
+}
+
 // Where derivatives do not say what small disturbances do, or only from one side.
 std::string RemarkOn(const SceneIntervals& motion, const Scene& at_start) {
   std::vector<Tie> ties;
@@ -53,6 +93,10 @@ std::string RemarkOn(const SceneIntervals& motion, const Scene& at_start) {
   add(TiesToString(ties));
   if (unresolved > 0) {
     add(DescribeUnresolved(unresolved, motion.size()) + ": probabilities ignore the impacts in them");
+  }
+  if (const std::string together = ContactsThatRestTogether(motion); !together.empty()) {
+    add(together +
+        ": disturbances change the order of their last impacts, and derivatives do not describe what follows");
   }
   for (const SceneEvent& event : PlannedEvents(motion)) {
     const Touch& touch = motion.touches(event.label.interval)[event.touch];

@@ -142,6 +142,55 @@ TEST(SceneFeedback, DiscsThatComeToRest) {
   }
 }
 
+// A disc lies on the ground from the start and is struck within the first interval: its contact from the start is no
+// event, in the plan and in a run.
+TEST(SceneFeedback, ContactsFromTheStartThatAreStruck) {
+  Scene scene = OnTheGround(0, 0);
+  scene.control.initial = {{0, 0}};
+  scene.bodies.push_back({.name = "striker", .radius = 0.1, .mass = 1, .position = {0.02, 0.32}, .velocity = {0, -2}});
+  const ScenePlan planned = PlanOf(scene);
+  ASSERT_EQ(planned.reason, "");
+  ASSERT_FALSE(planned.plan.events.empty());
+  EXPECT_EQ(planned.plan.events[0].interval, 0);
+  EXPECT_NE(planned.plan.events[0].c, 1) << "the first event is the impact of the two discs";
+  const Regulator regulator = Regulate(planned);
+  for (const Regulator* with : {static_cast<const Regulator*>(nullptr), &regulator}) {
+    const ClosedLoopRun run = UndisturbedRun(scene, planned, with);
+    EXPECT_TRUE(run.ok && run.as_planned) << (with != nullptr);
+    EXPECT_LE((run.final_state - planned.plan.states.back()).norm(), 1e-9);
+  }
+}
+
+// A disc in a corner, with another that falls onto it: all contacts come to rest together, and an error of 1e-8 leads
+// to another motion than the linearization has. A single disc that bounces until it lies has no remark
+// (DiscsThatComeToRest).
+TEST(SceneFeedback, ContactsThatRestTogether) {
+  Scene scene;
+  scene.name = "corner";
+  scene.duration = 0.6;
+  scene.steps = 28;
+  scene.gravity = Vec2d(0, -9.8);
+  scene.bodies = {{.name = "low", .radius = 0.13, .mass = 1.3, .position = {0, 0.312}, .velocity = {0.1, -1.2}},
+                  {.name = "high", .radius = 0.13, .mass = 1, .position = {0, 0.6}}};
+  const double s = std::sqrt(0.5);
+  scene.planes = {{.name = "right", .point = {0, 0}, .normal = {-s, s}},
+                  {.name = "left", .point = {0, 0}, .normal = {s, s}}};
+  scene.contact = {.restitution = 0.66, .friction = 0.9};
+  scene.optimize = Optimize::kNone;
+  const ScenePlan planned = PlanOf(scene);
+  ASSERT_EQ(planned.reason, "");
+  EXPECT_NE(planned.remark.find("come to rest together"), std::string::npos) << planned.remark;
+  VectorXd change = VectorXd::Zero(planned.plan.states[0].size());
+  change.head(4) << 1, -0.5, 0.7, 0.3;
+  change *= 1e-8;
+  Plan moved = planned.plan;
+  moved.states[0] += change;
+  const auto plant = MakePlant(Contact("event"), scene, planned.lengths);
+  const ClosedLoopRun run = RunClosedLoop(moved, {}, {}, 1, 0, plant.get());
+  for (const LinearInterval& interval : planned.linear.intervals) change = interval.A * change;
+  EXPECT_GT((run.final_state - planned.plan.states.back() - change).norm(), 1e-3 * change.norm());
+}
+
 // A disc strikes two at once: any error decides which is first.
 TEST(SceneFeedback, ImpactsAtTheSameTime) {
   Scene scene;
