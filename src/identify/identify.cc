@@ -24,18 +24,19 @@ namespace {
 using Kind = Unknown::Kind;
 
 constexpr double kHorizons[] = {0.15, 0.3, 0.5, 0.7, 0.85, 1};  // shares of the samples that fits begin with
-constexpr double kWideLoss = 10;           // times the loss scale, while the motion is not found yet
-constexpr double kGainOfSearch = 1e-8;     // share of the cost that an iteration must gain, before Polish()
-constexpr double kFits = 1.25;             // misfit of a motion that is found
-constexpr double kContradicts = 2.5;       // misfit that noise does not make
-constexpr double kFewestDegrees = 4;       // of freedom, of which an interval is computed
-constexpr double kFewOutliers = 0.12;      // share of samples, of a motion that is found
-constexpr double kMostOutliers = 1.0 / 3;  // that noise and slips of the pen do not make
-constexpr double kMostScatter = 0.1;       // estimated sigma, of the extent of the motion, of a fit that says something
-constexpr double kMostWaves = 0.01;        // the same, if residuals are systematic
-constexpr double kAsWell = 2;   // squares of the interval's quantile by which a motion explains samples as well
-constexpr int kScreened = 100;  // starts that are compared, by kind of line
-constexpr int kFitted = 5;      // times the starts, of which these are fitted a little
+constexpr double kWideLoss = 10;             // times the loss scale, while the motion is not found yet
+constexpr double kGainOfSearch = 1e-8;       // share of the cost that an iteration must gain, before Polish()
+constexpr double kFits = 1.25;               // misfit of a motion that is found
+constexpr double kContradicts = 2.5;         // misfit that noise does not make
+constexpr double kFewestDegrees = 4;         // of freedom, of which an interval is computed
+constexpr double kFewestBesideOutliers = 6;  // the same, where it is open too which samples are outliers
+constexpr double kFewOutliers = 0.12;        // share of samples, of a motion that is found
+constexpr double kMostOutliers = 1.0 / 3;    // that noise and slips of the pen do not make
+constexpr double kMostScatter = 0.1;  // estimated sigma, of the extent of the motion, of a fit that says something
+constexpr double kMostWaves = 0.01;   // the same, if residuals are systematic
+constexpr double kAsWell = 2;         // squares of the interval's quantile by which a motion explains samples as well
+constexpr int kScreened = 100;        // starts that are compared, by kind of line
+constexpr int kFitted = 5;            // times the starts, of which these are fitted a little
 constexpr double kGainOfScreening = 0.1;  // share of the cost that an iteration of these must gain
 constexpr int kFewLeft = 20;              // the same, below which one outlier may look like noise
 constexpr double kNoOutlier = 0.005;      // estimated sigma, of the extent of the motion, that then is no outlier
@@ -254,6 +255,12 @@ class Identification {
   }
 
  private:
+  // A motion, and the sigma that its residuals have.
+  struct Found {
+    FitPoint point;
+    double sigma = 0;
+  };
+
   std::string WhyNot() {
     if (recordings_.empty()) return "found no recordings, expected at least one";
     for (Recording& recording : recordings_) {
@@ -551,7 +558,7 @@ class Identification {
       const bool known = !sequences.insert(SequenceOf(fit)).second;
       const double before = best.cost;
       const bool same = best.ok && std::abs(fit.cost - before) < 1e-6 * before;
-      others_.push_back(fit.point);
+      others_.push_back({fit.point, problem_.sigma * (states_sigma_ ? 1 : MisfitOf(problem_, fit))});
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
       // Without a stated sigma, or with many outliers, a fit must be found again, from another start.
       const bool again = same && known && IsClose(best);
@@ -595,18 +602,31 @@ class Identification {
   }
 
   // A robust loss bounds what one outlier does to a fit, but not what many do. Of the motions that were found, that is
-  // taken on which samples without outliers lie best, and these alone are fitted.
+  // taken on which samples without outliers lie best, and these alone are fitted. If no sigma is stated, each motion
+  // has its own, as outliers look like noise of the sigma of a wrong motion, and the motions are compared by the scale
+  // of Yohai and Zamar (1988), which is sigma^2 times the mean loss.
   FitResult DropOutliers(FitResult fit) {
-    std::vector<FitPoint> points = others_;
-    points.push_back(fit.point);
+    std::vector<Found> all = others_;
+    all.push_back({fit.point, problem_.sigma});
+    // Outliers have made the sigma of a motion larger, too.
+    const std::size_t count = states_sigma_ ? 0 : all.size();
+    for (std::size_t i = 0; i < count; ++i) all.push_back({all[i].point, all[i].sigma / 2});
     problem_.drops_outliers = true;
-    std::optional<FitResult> best;
-    for (const FitPoint& point : points) {
+    double best_sigma = problem_.sigma, least = std::numeric_limits<double>::infinity();
+    for (const auto& [point, sigma] : all) {
+      SetSigma(sigma);
       FitResult next = MinimizeFrom(problem_, point, options_.loss_scale);
       Count(next);
-      if (next.ok && (!best || next.cost < best->cost)) best = std::move(next);
+      if (!next.ok) continue;
+      next = EstimateSigma(std::move(next));
+      const double scale = problem_.sigma * problem_.sigma * next.cost;
+      if (!(scale < least)) continue;
+      least = scale;
+      best_sigma = problem_.sigma;
+      fit = std::move(next);
     }
-    return best ? *best : fit;
+    SetSigma(best_sigma);
+    return fit;
   }
 
   // Estimates sigma if none is stated, leaves out many outliers, holds what the data leave open, and takes the
@@ -616,7 +636,7 @@ class Identification {
     fit = EstimateSigma(std::move(fit));
     if (options_.loss != RobustLoss::kNone && NumbersLeft() >= kFewLeft &&
         OutlierShareOf(problem_, fit) >= kFewOutliers) {
-      fit = EstimateSigma(DropOutliers(std::move(fit)));
+      fit = DropOutliers(std::move(fit));
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
     too_few_ = WhyTooFew(fit);  // before unknowns are held, which then take no number of the samples
@@ -642,11 +662,12 @@ class Identification {
     if (!HasResiduals() || left >= kManyLeft) return "";
     const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
     const std::string remedy = "; take more samples, or let fewer parameters be unknown";
-    if (left < kFewLeft && confidence.degrees < kFewestDegrees) {
+    const double share = OutlierShareOf(problem_, fit), fewest = share > 0 ? kFewestBesideOutliers : kFewestDegrees;
+    if (left < kFewLeft && confidence.degrees < fewest) {
       return "too few samples to judge: with " + std::to_string(fit.num_fitted) +
              FormatNumbers(" unknowns, %.2g degrees of freedom remain without the outliers, expected at least %.2g",
                            std::max(0.0, confidence.degrees),
-                           kFewestDegrees) +
+                           fewest) +
              remedy;
     }
     const std::string outlier = "too few samples to judge: their scatter is that of outliers, ";
@@ -654,7 +675,7 @@ class Identification {
     if (!states_sigma_ && (left < kFewLeft ? sigma > kNoOutlier : sigma > kMostWaves && sigma < kMostScatter)) {
       return outlier + FormatNumbers("by %.2g %% of the extent of the motion", 100 * sigma) + remedy;
     }
-    if (states_sigma_ && left < kFewLeft && !confidence.is_noise) {
+    if (states_sigma_ && (left < kFewLeft || share >= kFewOutliers) && !confidence.is_noise) {
       return outlier + FormatNumbers("by %.2g times their sigma", std::sqrt(confidence.scatter)) + remedy;
     }
     return "";
@@ -697,6 +718,12 @@ class Identification {
       report_.verdict = FitVerdict::kNotDetermined;
       report_.reason = HasResiduals() ? "the samples do not determine any unknown"
                                       : "the samples have no more numbers than there are unknowns";
+    } else if (outliers >= kFewOutliers && CountOutlierRuns(problem_, fit).Systematic()) {
+      report_.verdict = FitVerdict::kNotJudged;
+      report_.reason =
+          FormatNumbers("%.0f %% of the samples are outliers that follow each other, which slips do not do: ",
+                        100 * outliers) +
+          "the model may be wrong there; fit the recordings one by one, or leave these samples out if they are wrong";
     } else if (outliers >= kMostOutliers) {
       report_.verdict = FitVerdict::kNotJudged;
       report_.reason = FormatNumbers("%.0f %% of the samples are outliers, expected less than a third", 100 * outliers);
@@ -805,7 +832,7 @@ class Identification {
     if (Interrupted() || NumbersLeft() >= kManyLeft) return;
     const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
     const double most = fit.cost + kAsWell * quantile * quantile * confidence_.scatter / 2;
-    for (const FitPoint& point : others_) {
+    for (const auto& [point, sigma] : others_) {
       const auto value = [&](const FitPoint& at, std::size_t u) {
         return FromCoordinate(report_.estimates[u].unknown, at.coordinates[u]);
       };
@@ -860,9 +887,9 @@ class Identification {
   std::vector<Segment> segments_;  // without initial states
   bool states_sigma_ = false;
   Openness open_;
-  Confidence confidence_;         // in the result
-  std::string too_few_;           // why there are too few samples
-  std::vector<FitPoint> others_;  // in which fits from other starts ended
+  Confidence confidence_;      // in the result
+  std::string too_few_;        // why there are too few samples
+  std::vector<Found> others_;  // in which fits from other starts ended
   IdentifyReport report_;
 };
 

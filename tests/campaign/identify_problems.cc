@@ -58,9 +58,16 @@ Coverage CoverageOf(int samples, double outliers, bool states_sigma) {
     count.fits += report.verdict == FitVerdict::kFits;
     count.contradicted += report.verdict == FitVerdict::kContradicted;
     if (FLAGS_print) {
-      std::printf("seed %lld, %d wrong: %s %s, misfit %.3f, sigma %.3g, cost %.4g, %d starts%s\n",
+      int named = 0, right = 0;  // outliers
+      for (const SampleResidual& at : report.residuals) {
+        named += at.outlier;
+        right += at.outlier && problem.outlier[at.sample];
+      }
+      std::printf("seed %lld, %d wrong, %d of %d outliers: %s %s, misfit %.3f, sigma %.3g, cost %.4g, %d starts%s\n",
                   static_cast<long long>(FLAGS_seed + i),
                   static_cast<int>(std::ranges::count(problem.outlier, true)),
+                  right,
+                  named,
                   FitVerdictToString(report.verdict),
                   report.reason.c_str(),
                   report.misfit,

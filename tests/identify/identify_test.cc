@@ -463,6 +463,45 @@ TEST(Identify, TooFewSamplesAreNotJudged) {
   }
 }
 
+// Without the wrong sample, more than one motion passes by the other five.
+TEST(Identify, AnOutlierAmongSixSamplesIsNotJudged) {
+  for (const bool states_sigma : {false, true}) {
+    for (const int seed : {117, 152}) {
+      const GeneratedProblem problem = FewSamples(seed, 6, 0.1, states_sigma);
+      const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+      EXPECT_EQ(report.verdict, FitVerdict::kNotJudged) << "seed " << seed;
+      EXPECT_THAT(report.reason, HasSubstr("expected at least 6"));
+    }
+  }
+}
+
+// Six of twenty samples are wrong. For another motion, with sigma twice as large, one of them is no outlier.
+TEST(Identify, OutliersDoNotPassForNoiseOfAWrongMotion) {
+  const GeneratedProblem problem = FewSamples(95, 20, 0.25, /*states_sigma=*/false);
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
+  EXPECT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  for (const SampleResidual& at : report.residuals) EXPECT_EQ(at.outlier, problem.outlier[at.sample]) << at.sample;
+  for (const Estimate& estimate : report.estimates) {
+    EXPECT_NEAR(estimate.value, TrueValue(problem, estimate.unknown), 3 * estimate.standard_error) << estimate.name;
+  }
+}
+
+// Two balls of different restitution, as of one: the second recording misses the motion after the first impact.
+TEST(Identify, OutliersThatFollowEachOtherAreNotJudged) {
+  for (const bool states_sigma : {false, true}) {
+    const GeneratedProblem problem = FewSamples(3, 60, 0, states_sigma);
+    Scene other = problem.truth;
+    other.contact.restitution -= 0.1;
+    Recording second = problem.recording;
+    for (Sample& sample : second.samples) {
+      sample.position += BouncingBallAt(sample.time, other) - BouncingBallAt(sample.time, problem.truth);
+    }
+    const IdentifyReport report = Identify("event", problem.guess, {problem.recording, second}, problem.unknowns);
+    EXPECT_EQ(report.verdict, FitVerdict::kNotJudged) << report.reason;
+    EXPECT_THAT(report.reason, HasSubstr("outliers that follow each other"));
+  }
+}
+
 // Against values of tables, which have three decimals.
 TEST(Identify, IntervalsCountDegreesOfFreedom) {
   for (const auto& [degrees, quantile] : {std::pair{3.0, 3.182},
