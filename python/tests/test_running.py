@@ -55,12 +55,17 @@ class TestCallbacks:
 
 class TestInterrupts:
     def test_a_solve_keeps_what_it_has(self, two_balls):
-        timer = interrupt_soon()
+        timers = []
+
+        def begin(iteration, loss):
+            if iteration == 1:
+                timers.append(interrupt_soon())
+
         with pytest.raises(KeyboardInterrupt) as caught:
-            saltus.solve(two_balls, "ncp", "gd", iterations=10_000_000)
-        timer.join()
+            saltus.solve(two_balls, "ncp", "gd", iterations=10_000_000, callback=begin)
+        timers[0].join()
         assert caught.value.run["termination"] == "interrupted"
-        assert caught.value.run["iterations"] >= 0
+        assert caught.value.run["iterations"] >= 1
 
     def test_batches_and_audits(self, two_balls):
         timer = interrupt_soon()
