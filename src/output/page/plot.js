@@ -286,19 +286,17 @@ const PLOTS = {
     const timed = all.map(({touches}) => touches.filter(({begin, end}) => begin === end)).find((touches) => touches.length > 0) ?? [];
     const impacts = timed.slice(0, 8).map(({a, b, wall, begin}) => (
       {value: begin, vertical: true, label: `impact of ${discs[a].name} and ${(wall ? walls : discs)[b].name}`, colour: AXIS, dash: 'dotted'}));
-    const bound = (value) => ({value, vertical: false, label: 'bound', colour: AXIS, dash: 'dashed'});
-    const add = (title, label, value, bounds) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
+    const add = (title, label, value) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
       const x = [], y = [];
       motion.ends.forEach((end, k) => { x.push(k > 0 ? motion.ends[k - 1] : 0, end); y.push(value(motion, k), value(motion, k)); });
       return seriesOf(motion.label, motion, x, y);
-    }), [...impacts, ...bounds.filter((value) => value).map(bound)]));
+    }), impacts));
     pushed.slice(0, 4).forEach((disc, c) => {
-      const {name, most_component, most_force, most_torque} = discs[disc], force = ({control}, k, j) => control[2 * (pushed.length * k + c) + j];
-      const both = (most) => (most ? [-most, most] : []);
-      ['x', 'y'].forEach((axis, j) => add(name, `force ${axis} (N)`, (motion, k) => force(motion, k, j), both(most_component)));
-      add(name, 'size of the force (N)', (motion, k) => Math.hypot(force(motion, k, 0), force(motion, k, 1)), [most_force]);
+      const {name} = discs[disc], force = ({control}, k, j) => control[2 * (pushed.length * k + c) + j];
+      ['x', 'y'].forEach((axis, j) => add(name, `force ${axis} (N)`, (motion, k) => force(motion, k, j)));
+      add(name, 'size of the force (N)', (motion, k) => Math.hypot(force(motion, k, 0), force(motion, k, 1)));
       const turned = torques?.some((torque, i) => i % pushed.length === c && torque !== 0);
-      if (turned) add(name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN, both(most_torque));
+      if (turned) add(name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN);
     });
     return {panels};
   },
