@@ -22,12 +22,15 @@ class CMakeBuild(build_ext):
         if not (build / "CMakeCache.txt").exists():
             subprocess.run(
                 ["cmake", "-S", ROOT, "-B", build, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release", "-DSALTUS_BUILD_TESTS=OFF",
-                 "-DSALTUS_BUILD_PYTHON=ON", f"-DPython_EXECUTABLE={sys.executable}"],
+                 "-DSALTUS_BUILD_PYTHON=ON", "-DBUILD_SHARED_LIBS=OFF", f"-DPython_EXECUTABLE={sys.executable}"],
                 check=True,
             )
         subprocess.run(["cmake", "--build", build, "--target", "saltus_python"], check=True)
         (module,) = (build / "python" / "saltus").glob("_saltus.*.so")
-        self.copy_file(str(module), self.get_ext_fullpath(ext.name))
+        target = pathlib.Path(self.get_ext_fullpath(ext.name))
+        self.copy_file(str(module), str(target))
+        for library in (build / "src").glob("libsaltus.so.[0-9]"):  # of a build with shared libraries
+            self.copy_file(str(library), str(target.with_name(library.name)))
 
 
 setup(

@@ -11,11 +11,19 @@ trap 'rm -rf "$work"' EXIT
 mkdir "$work/made" "$work/root" "$work/site" "$work/user"
 
 (cd "$build" && cpack -B "$work/made") >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
-programs=("$work"/made/saltus_*.deb) development=("$work"/made/libsaltus-dev_*.deb)
-for package in "${programs[0]}" "${development[0]}"; do
-  echo "== ${package##*/}: $(dpkg-deb --field "$package" Depends)"
+for package in "$work"/made/*.deb; do
+  echo "== ${package##*/}, $(stat -c %s "$package") bytes, $(dpkg-deb --field "$package" Installed-Size) KiB installed:"
+  dpkg-deb --field "$package" Depends
   dpkg-deb -x "$package" "$work/root"
 done
+for name in libsaltus0 saltus libsaltus-dev; do
+  compgen -G "$work/made/${name}_*.deb" >/dev/null || { echo "no package $name"; exit 1; }
+done
+# The programs load the libraries of the packages, not those of the build folder.
+if [[ $(ldd "$work/root/usr/bin/saltus_audit" | grep -cE "libsaltus[a-z_]*\.so\.[0-9]+ => $work/root/") != 2 ]]; then
+  ldd "$work/root/usr/bin/saltus_audit"
+  exit 1
+fi
 
 echo "== the programs"
 scene=$work/root/usr/share/saltus/problems/two_balls.yaml
@@ -50,7 +58,7 @@ cp -r "$source"/{CMakeLists.txt,README.md,LICENSE,pyproject.toml,setup.py,python
 wheel=("$work"/made/saltus-*.whl)
 "$python" -m zipfile -e "${wheel[0]}" "$work/site"
 echo "${wheel[0]##*/} needs: $(readelf -d "$work"/site/saltus/_saltus.*.so | sed -nE 's/.*NEEDED.*\[(.*)\]/\1/p' | tr '\n' ' ')"
-PYTHONPATH=$work/site "$python" - "$scene" "$work/site" <<'PYTHON'
+cat >check.py <<'PYTHON'
 import sys
 import saltus
 assert saltus.__file__.startswith(sys.argv[2]), saltus.__file__
@@ -61,4 +69,7 @@ run = saltus.solve(scene, "event", "ceres_event")
 assert f"{run.exact_loss:.9f}" == "1.396542489", run.exact_loss
 print(verdicts, f"{run.exact_loss:.9f}")
 PYTHON
+for site in "$work/site" "$work/root/usr/lib/python3/dist-packages"; do
+  PYTHONPATH=$site "$python" check.py "$scene" "$site"
+done
 echo "The packages work."
