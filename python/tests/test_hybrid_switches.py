@@ -168,8 +168,8 @@ def test_a_remainder_as_a_guard_has_a_remark():
 
 
 def test_steps_that_are_too_few_have_a_remark():
-    system = one_mode(lambda t, x, u, p: [x[1], -x[0]], ["x", "v"])
-    problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], duration=20.0, steps_per_interval=16)
+    system = one_mode(lambda t, x, u, p: [x[1], -p[0] * x[0]], ["x", "v"], ["stiffness"])  # integrated, not flown
+    problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], parameters=[1.0], duration=20.0, steps_per_interval=16)
     motion = saltus.rollout(problem)
     error = np.max(np.abs(motion.final - [math.cos(20), -math.sin(20)]))
     assert 1e-9 < error < 2 * motion.integration_error

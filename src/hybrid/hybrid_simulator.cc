@@ -19,6 +19,8 @@ constexpr int kMostSteps = 1 << 20;         // of a motion
 constexpr int kMostGivenSteps = 1 << 24;    // likewise, that the user chooses: a few GB
 constexpr int kMostForGuards = 1 << 18;     // likewise, where only guards ask for more
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
+constexpr double kSlopeChange = 0.1;        // relative, in the part of a step in which a closed form is compared
+constexpr int kMostHalvings = 60;           // of that part
 constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
 constexpr double kRoundingOfFlow = 1e-12;   // likewise, of the largest state
 constexpr int kSameFailures = 4;            // doublings of the steps
@@ -310,29 +312,38 @@ class HybridSimulator::Impl {
   }
 
   // Compares each mode's closed form of the flow, at the first step in it that this simulator takes, with the
-  // integration over a short part of it.
+  // integration over a short part of it: shorter where the slope changes much, as that of a stiff flow does.
   std::string WrongFlight() {
     const HybridFunctions& f = system.functions();
     seen.resize(system.num_modes());
     const std::size_t most = f.most_states();
-    std::vector<double> slope(most), after(most), integrated(most), scratch((RungeKutta::kStages + 1) * most);
+    std::vector<double> slope(most), end_slope(most), after(most), integrated(most);
+    std::vector<double> scratch((RungeKutta::kStages + 1) * most);
     for (const TapeEntry& entry : run->tape().entries) {
       if (entry.kind == TapeEntry::Kind::kReset || entry.h <= 0 || seen[entry.mode]++) continue;
       const double* u = input.control.data() + entry.interval * system.num_controls();
       const double* x = &run->tape().numbers[entry.x];
-      const FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
-      if (!f.Fly(step, after.data(), nullptr)) continue;
+      FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
       const int n = system.state_size(entry.mode);
-      f.Flow(step, slope.data());
-      f.HybridFunctions::Step(step, slope.data(), scratch.data(), integrated.data(), slope.data());
       double largest = 0;
       for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(x[i]));
-      for (int i = 0; i < n; ++i) {
-        const double known = kSameFlow * std::abs(integrated[i] - x[i]) + kRoundingOfFlow * largest;
-        if (std::abs(after[i] - integrated[i]) <= known) continue;
+      f.Flow(step, slope.data());
+      for (int halvings = 0; f.Fly(step, after.data(), nullptr); ++halvings, step.h /= 2) {
+        f.HybridFunctions::Step(step, slope.data(), scratch.data(), integrated.data(), end_slope.data());
+        f.Flow({step.mode, step.t + step.h, after.data(), step.u, step.p}, end_slope.data());
+        int wrong = -1;
+        double size = 0, change = 0;
+        for (int i = 0; i < n; ++i) {
+          const double known = kSameFlow * std::abs(integrated[i] - x[i]) + kRoundingOfFlow * largest;
+          if (!(std::abs(after[i] - integrated[i]) <= known) && wrong < 0) wrong = i;
+          size = std::max(size, std::abs(slope[i]));
+          change = std::max(change, std::abs(end_slope[i] - slope[i]));
+        }
+        if (wrong < 0) break;
+        if (change > kSlopeChange * size && halvings < kMostHalvings) continue;
         return "Fly is no closed form of the flow of mode '" + system.ModeName(entry.mode) + "': " + ToText(step.h) +
-               " after t = " + ToText(step.t) + " " + system.StateName(entry.mode, i) + " is " + ToText(after[i]) +
-               " by Fly, and " + ToText(integrated[i]) + " by integration";
+               " after t = " + ToText(step.t) + " " + system.StateName(entry.mode, wrong) + " is " +
+               ToText(after[wrong]) + " by Fly, and " + ToText(integrated[wrong]) + " by integration";
       }
     }
     return "";

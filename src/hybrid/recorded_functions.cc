@@ -7,6 +7,7 @@
 #include <bit>
 #include <cmath>
 #include <map>
+#include <numeric>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -127,6 +128,73 @@ std::string WhatIsWrongWith(const ExpressionGraph& recording) {
     }
   }
   return "";
+}
+
+std::optional<std::vector<LinearFlow::Entry>> AffineDerivatives(const ExpressionGraph& graph, int columns) {
+  using enum Operation;
+  struct Form {
+    bool is_affine = true;
+    std::optional<double> number = {};  // of a value that depends on no input
+    std::map<int, double> by = {};      // inputs
+  };
+  std::vector<Form> forms;
+  const auto sum = [](const Form& a, double factor, const Form& b) {
+    Form form{a.is_affine && b.is_affine, std::nullopt, a.by};
+    for (const auto& [input, by] : b.by) form.by[input] += factor * by;
+    return form;
+  };
+  const auto scaled = [](const Form& a, double factor) {
+    Form form{a.is_affine && std::isfinite(factor), std::nullopt, a.by};
+    for (auto& [input, by] : form.by) by *= factor;
+    return form;
+  };
+  const auto is = [](const Form& a, double number) { return a.number && *a.number == number; };
+  for (const ExpressionGraph::Node& node : graph.nodes) {
+    if (node.operation == kConstant || node.operation == kInput) {
+      const bool counts = node.operation == kInput && node.a < columns;
+      forms.push_back({});
+      if (node.operation == kConstant) forms.back().number = node.value;
+      if (counts) forms.back().by[node.a] = 1;
+      continue;
+    }
+    static const Form none;
+    const auto operand = [&](int at) -> const Form& { return at < 0 ? none : forms[at]; };
+    const Form &a = operand(node.a), &b = operand(node.b), &c = operand(node.c);
+    const int operands = NumOperands(node.operation);
+    const bool numbers = a.number && (operands < 2 || b.number) && (operands < 3 || c.number);
+    Form form;
+    if (node.operation == kMultiply && (is(a, 0) || is(b, 0))) {
+      form.number = 0;
+    } else if (numbers) {
+      form.number = Apply(node.operation, *a.number, b.number.value_or(0), c.number.value_or(0));
+    } else if (node.operation == kAdd || node.operation == kSubtract) {
+      form = sum(a, node.operation == kAdd ? 1 : -1, b);
+    } else if (node.operation == kNegate) {
+      form = scaled(a, -1);
+    } else if (node.operation == kMultiply && (a.number || b.number)) {
+      form = a.number ? scaled(b, *a.number) : scaled(a, *b.number);
+    } else if (node.operation == kDivide && b.number) {
+      form = scaled(a, 1 / *b.number);
+    } else if (node.operation == kPower && is(b, 1)) {
+      form = a;
+    } else if (node.operation == kWhere && a.number) {
+      form = *a.number != 0 ? b : c;
+    } else {
+      form.is_affine = a.is_affine && b.is_affine && c.is_affine && a.by.empty() && b.by.empty() && c.by.empty();
+    }
+    if (!form.is_affine) form.by.clear();
+    forms.push_back(std::move(form));
+  }
+  std::vector<LinearFlow::Entry> entries;
+  for (std::size_t row = 0; row < graph.outputs.size(); ++row) {
+    const Form& form = forms[graph.outputs[row]];
+    if (!form.is_affine) return std::nullopt;
+    for (const auto& [input, by] : form.by) {
+      if (!std::isfinite(by)) return std::nullopt;
+      if (by != 0) entries.push_back({static_cast<int>(row), input, by});
+    }
+  }
+  return entries;
 }
 
 // A graph in which equal nodes are one, and operations on constants, zeros and ones are done away with.
@@ -613,13 +681,18 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
     }
   }
   for (std::size_t i = 0; i < modes_.size(); ++i) {
+    linear_.push_back(modes_[i].fly ? std::nullopt : LinearFlowOf(static_cast<int>(i), modes_[i].flow));
+  }
+  for (std::size_t i = 0; i < modes_.size(); ++i) {
     const Mode& mode = modes_[i];
-    Evaluated as_recorded{static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, {}, {}, {}, nullptr};
+    Evaluated as_recorded{
+        static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, nullptr, {}, {}, {}, {}};
     std::vector<const ExpressionGraph*> functions = {&mode.flow.recording()};
     for (const Transition& transition : mode.transitions) {
       as_recorded.guards.push_back(&transition.guard);
       functions.push_back(&transition.guard.recording());
     }
+    if (linear_[i]) as_recorded.linear = &*linear_[i];
     if (mode.fly) functions.push_back(&mode.fly->recording());
     auto switches = std::make_unique<const RecordedSwitches>(functions, sizes[i]);
     most_guards_ = std::max(most_guards_, static_cast<int>(mode.transitions.size()) + 2 * switches->count());
@@ -630,6 +703,14 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
 
 RecordedSystem::~RecordedSystem() {
   for (std::atomic<Evaluated*>& block : blocks_) delete[] block.load();
+}
+
+std::optional<LinearFlow> RecordedSystem::LinearFlowOf(int base, const RecordedFunction& flow) const {
+  const int n = layout().state_sizes[base], columns = n + 1 + num_parameters() + layout().num_controls;
+  if (n > LinearFlow::kMostStates) return std::nullopt;
+  const auto derivatives = AffineDerivatives(flow.recording(), columns);
+  if (!derivatives) return std::nullopt;
+  return LinearFlow(n, columns, *derivatives);
 }
 
 // Precondition: mutex_ is held, or no other thread knows of this object.
@@ -649,7 +730,7 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   const auto [known, is_new] = known_.try_emplace({base, sides}, num_modes());
   if (!is_new) return known->second;
   const RecordedSwitches& switches = *switches_[base];
-  Evaluated piece{base, nullptr, {}, nullptr, sides, {}, {}, nullptr};
+  Evaluated piece{base, nullptr, {}, nullptr, nullptr, sides, {}, {}, {}};
   if (modes_[base].fly) piece.floors = {0};  // functions of such a mode have the length of a flight as an input
   for (const double floor : switches.Floors(sides)) piece.floors.push_back(floor);
   std::vector<int> kind = sides;  // except for integer parts
@@ -672,18 +753,20 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
       along[0].outputs.resize(n);
       for (int i = 0; i < 2 * sliding; ++i) along[1 + i].outputs = {all.outputs[n + i]};
     }
-    Functions made{RecordedFunction(sliding > 0 ? along[0] : switches.Function(0, sides)), {}, {}};
+    Functions made{RecordedFunction(sliding > 0 ? along[0] : switches.Function(0, sides)), {}, {}, {}};
     for (int i = 0; i < num_guards; ++i) made.guards.emplace_back(switches.Function(1 + i, sides));
     auto next = along.begin() + (sliding > 0 ? 1 : 0);
     for (const End& end : piece.switches) {
       made.guards.emplace_back(end.slides ? *next++ : switches.Guard(end.number, end.by, sides));
     }
     if (modes_[base].fly && sliding == 0) made.fly.emplace(switches.Function(1 + num_guards, sides));
+    if (!modes_[base].fly) made.linear = LinearFlowOf(base, made.flow);
     functions = std::make_shared<const Functions>(std::move(made));
   }
   piece.of_piece = functions;
   piece.flow = &functions->flow;
   piece.fly = functions->fly ? &*functions->fly : nullptr;
+  piece.linear = functions->linear ? &*functions->linear : nullptr;
   for (const RecordedFunction& guard : functions->guards) piece.guards.push_back(&guard);
   return Keep(std::move(piece));
 }
@@ -830,7 +913,11 @@ std::span<const RecordedFunction::Part> RecordedSystem::InputsOf(const RecordedF
 void RecordedSystem::Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                           double* slope_after) const {
   const int n = size(step.mode);
-  if (Fly(step, after, nullptr)) return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
+  const LinearFlow* linear = this->at(step.mode).linear;
+  if (linear != nullptr) linear->Step(step.h, step.x, slope, after);
+  if (linear != nullptr || Fly(step, after, nullptr)) {
+    return Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
+  }
   RecordedFunction::Evaluation at(*this->at(step.mode).flow, /*with_derivatives=*/false, InputsAt(step));
   const auto flow = [&](double t, const auto& x, double* xdot) { at.Run(x, n, t, xdot); };
   EvaluateStep(n, step, flow, slope, scratch, after, slope_after);
@@ -843,6 +930,15 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   if (mode.fly != nullptr) return false;
   constexpr int kStages = cooper_verner::kStages;
   const int n = size(step.mode), columns = mode.flow->num_inputs();
+  if (mode.linear != nullptr) {
+    double slope[LinearFlow::kMostStates], state[LinearFlow::kMostStates];
+    Flow(step, slope);
+    mode.linear->Step(step.h, step.x, slope, state);
+    Flow({step.mode, step.t + step.h, state, step.u, step.p}, slope);
+    out->h = std::inner_product(slope, slope + n, after, 0.0);
+    mode.linear->PullBack(step.h, after, num_parameters(), out);
+    return true;
+  }
   RecordedFunction::Evaluation at(*mode.flow, /*with_derivatives=*/false, InputsAt(step));
   const RecordedFunction::Tape& tape = mode.flow->derivatives_;
   Memory memory;
@@ -878,6 +974,13 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
 
 bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) const {
   const RecordedFunction* fly = at(step.mode).fly;
+  if (const LinearFlow* linear = at(step.mode).linear) {
+    double slope[LinearFlow::kMostStates];
+    Flow(step, slope);
+    linear->Step(step.h, step.x, slope, after);
+    if (jacobian != nullptr) linear->Jacobian(step.h, jacobian);
+    return true;
+  }
   if (fly == nullptr) return false;
   auto [x, t, p, u, floors] = InputsAt(step);
   if (floors.size > 0) floors = {floors.data + 1, floors.size - 1};

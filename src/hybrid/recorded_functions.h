@@ -23,6 +23,7 @@
 #include <vector>
 
 #include "saltus/internal/hybrid_functions.h"
+#include "saltus/internal/linear_flow.h"
 
 namespace saltus {
 
@@ -95,6 +96,10 @@ std::string WhatIsWrongWith(const ExpressionGraph& graph);
 // zero while the motion slides.
 ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k);
 
+// Returns the derivatives of the outputs by the first `columns` inputs, where they are not zero, if the function is
+// affine in these inputs with coefficients that are numbers; otherwise nothing.
+std::optional<std::vector<LinearFlow::Entry>> AffineDerivatives(const ExpressionGraph& graph, int columns);
+
 class RecordedFunction {
  public:
   // Precondition: WhatIsWrongWith(recording) is empty.
@@ -146,6 +151,8 @@ class RecordedFunction {
 class RecordedSwitches;
 
 // Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard [x t p] or [x t p u], of a reset [x t p].
+//
+// A flow that is affine with constant coefficients has a closed form (LinearFlow), which is used if none is recorded.
 //
 // A mode whose flow or guards decide by numbers that depend on the state or the time (RecordedSwitches) is evaluated as
 // it is recorded. A motion goes through its pieces instead, which are modes of their own: they are created as the
@@ -209,6 +216,7 @@ class RecordedSystem final : public HybridFunctions {
     RecordedFunction flow;
     std::vector<RecordedFunction> guards;
     std::optional<RecordedFunction> fly;
+    std::optional<LinearFlow> linear;
   };
   // A mode as it is recorded, or a piece of one.
   struct Evaluated {
@@ -216,6 +224,7 @@ class RecordedSystem final : public HybridFunctions {
     const RecordedFunction* flow;
     std::vector<const RecordedFunction*> guards;
     const RecordedFunction* fly;
+    const LinearFlow* linear;
     std::vector<int> sides;
     std::vector<End> switches;  // the last guards
     std::vector<double> floors;
@@ -244,7 +253,10 @@ class RecordedSystem final : public HybridFunctions {
   // The inputs of a guard or a reset: without control, unless it reads it or is one of a piece.
   std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 
+  std::optional<LinearFlow> LinearFlowOf(int base, const RecordedFunction& flow) const;
+
   const std::vector<Mode> modes_;
+  std::vector<std::optional<LinearFlow>> linear_;  // of each mode, as it is recorded
   const bool slides_;
   std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
   int most_guards_ = 0;

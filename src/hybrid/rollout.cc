@@ -25,6 +25,7 @@ constexpr double kRoundingOfGuard = 1e-12;  // of the size of a guard's terms
 constexpr double kOffEquations = 0.01;      // of the change in a step: how far off its mode's equations it may end
 constexpr double kOnEquations = 1e-9;       // of the largest number of a motion: a distance that tells nothing
 constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve the guards everywhere
+constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose accuracy asks for no short steps
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
 constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
@@ -104,20 +105,14 @@ bool RolloutRun::FailAt(const FlowStep& step) {
   flow_fails_ = false;
   const int n = system_.state_size(at_.mode);
   std::vector<double> slopes(kStages * n + n), stage(n);
-  if (functions_.Fly(step, stage.data(), nullptr)) {
-    const auto found = std::ranges::find_if(stage, not_finite);
-    if (found != stage.end()) {
-      why_ = "the closed form of the flow of " + Where() + " gives no finite " +
-             system_.StateName(at_.mode, static_cast<int>(found - stage.begin()));
-      return false;
-    }
-  }
   std::copy_n(at_.slope.begin(), n, slopes.begin());
   double size = 0, change = 0;
+  bool integrates = true;
   for (int i = 0; i < n; ++i) size = std::max(size, std::abs(step.x[i]));
   for (int i = 1; i <= kStages; ++i) {
     cooper_verner::Combine(i, n, step.h, step.x, slopes.data(), stage.data());
-    if (std::ranges::any_of(stage, not_finite)) break;
+    integrates = std::ranges::none_of(stage, not_finite);
+    if (!integrates) break;
     double* slope = &slopes[i * n];
     const double t = step.t + (i < kStages ? cooper_verner::kC[i] : 1) * step.h;
     functions_.Flow({step.mode, t, stage.data(), step.u, step.p}, slope);
@@ -129,6 +124,14 @@ bool RolloutRun::FailAt(const FlowStep& step) {
     why_ = "the flow of mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(t) +
            " gives no finite derivative of " + system_.StateName(at_.mode, static_cast<int>(found - slope));
     return false;
+  }
+  if (integrates && functions_.Fly(step, stage.data(), nullptr)) {
+    const auto found = std::ranges::find_if(stage, not_finite);
+    if (found != stage.end()) {
+      why_ = "the closed form of the flow of " + Where() + " gives no finite " +
+             system_.StateName(at_.mode, static_cast<int>(found - stage.begin()));
+      return false;
+    }
   }
   why_ = "the state of " + Where() + " does not stay finite: it overflows";
   for (int i = n; i-- > 0;) {
@@ -634,7 +637,9 @@ void RolloutRun::CompareGuards(const FlowStep& step) {
   const double a = 0.1 + 0.8 * std::modf(kGolden * static_cast<double>(tape_.entries.size()), &whole), b = 1 - a;
   FlowStep within = step;
   within.h = a * step.h;
-  if (!functions_.Fly(within, state_within_.data(), nullptr)) {
+  if (functions_.Fly(within, state_within_.data(), nullptr)) {
+    unresolved_.flies = true;
+  } else {
     for (int i = 0; i < system_.state_size(step.mode); ++i) {
       state_within_[i] = b * b * (1 + 2 * a) * at_.x[i] + a * a * (1 + 2 * b) * next_state_[i] +
                          a * b * step.h * (b * at_.slope[i] - a * next_slope_[i]);
@@ -662,8 +667,8 @@ void RolloutRun::CompareGuards(const FlowStep& step) {
 }
 
 bool RolloutRun::ResolvesGuards() const {
-  return unresolved_.steps == 0 ||
-         (tape_.num_nodes >= kResolvedSteps && unresolved_.steps * kPlaces <= tape_.num_nodes);
+  const int most = unresolved_.flies ? kFlownSteps : kResolvedSteps;
+  return unresolved_.steps == 0 || (tape_.num_nodes >= most && unresolved_.steps * kPlaces <= tape_.num_nodes);
 }
 
 // Returns the earliest event of the armed guards in a step; guards that graze are noted, and disarmed if they end at 0.

@@ -54,6 +54,7 @@ class RolloutRun {
   struct Unresolved {
     int steps = 0;
     std::string what;
+    bool flies = false;  // some mode has a closed form of its flow
   };
   const Unresolved& unresolved() const { return unresolved_; }
   // Whether the steps resolve the guards, up to a few places: a guard with a kink near zero is resolved nowhere there.

@@ -187,6 +187,11 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
 RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step) {
   Linearize(step);
   const Eigen::Index columns = size_ + 1 + num_parameters_ + num_controls_ + 1;
+  if (flies_ && !projects_) {
+    Matrix jacobian(size_, columns);
+    jacobian << JacobianOfStage(0), Eigen::Map<const Eigen::VectorXd>(slopes_.data(), size_);
+    return jacobian;
+  }
   const auto seed = [&](Eigen::Index first, Eigen::Index rows) {
     Matrix out = Matrix::Zero(rows, columns);
     out.middleCols(first, rows).setIdentity();

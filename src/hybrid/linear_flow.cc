@@ -1,0 +1,170 @@
+#include "saltus/internal/linear_flow.h"
+
+#include <glog/logging.h>
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+
+namespace saltus {
+namespace {
+
+using Entry = LinearFlow::Entry;
+constexpr double kLastTerm = 0x1p-60;  // of the series, relative to the first
+constexpr int kMostParts = 64;         // of a step; more are taken by squaring
+constexpr int kSweeps = 20;            // of the balancing
+
+// Returns the smallest power of a matrix of this pattern that is zero, or 0 if there is none: the number of variables
+// on the longest path, if no path returns.
+int NilpotencyOf(const std::vector<Entry>& matrix, int size) {
+  std::vector<int> reads(size, 0), depth(size, 1);
+  for (const Entry& entry : matrix) ++reads[entry.row];
+  std::vector<int> ready;
+  for (int i = 0; i < size; ++i) {
+    if (reads[i] == 0) ready.push_back(i);
+  }
+  int deepest = 0;
+  for (size_t next = 0; next < ready.size(); ++next) {
+    deepest = std::max(deepest, depth[ready[next]]);
+    for (const Entry& entry : matrix) {
+      if (entry.column != ready[next]) continue;
+      depth[entry.row] = std::max(depth[entry.row], depth[entry.column] + 1);
+      if (--reads[entry.row] == 0) ready.push_back(entry.row);
+    }
+  }
+  return static_cast<int>(ready.size()) == size ? deepest : 0;
+}
+
+// Returns the largest sum of a row's absolute values, after changes of units (Osborne) that make it small.
+double BalancedNorm(const std::vector<Entry>& matrix, int size) {
+  Eigen::MatrixXd balanced = Eigen::MatrixXd::Zero(size, size);
+  for (const Entry& entry : matrix) balanced(entry.row, entry.column) = std::abs(entry.value);
+  double norm = balanced.rowwise().sum().maxCoeff();
+  for (int sweep = 0; sweep < kSweeps; ++sweep) {
+    for (int i = 0; i < size; ++i) {
+      const double row = balanced.row(i).sum() - balanced(i, i), column = balanced.col(i).sum() - balanced(i, i);
+      if (!(row > 0) || !(column > 0)) continue;
+      const double unit = std::sqrt(column / row), own = balanced(i, i);
+      balanced.row(i) *= unit;
+      balanced.col(i) /= unit;
+      balanced(i, i) = own;
+    }
+    norm = std::min(norm, balanced.rowwise().sum().maxCoeff());
+  }
+  return norm;
+}
+
+void Multiply(const std::vector<Entry>& matrix, const double* by, int size, double* out) {
+  std::fill_n(out, size, 0.0);
+  for (const Entry& entry : matrix) out[entry.row] += entry.value * by[entry.column];
+}
+
+}  // namespace
+
+LinearFlow::LinearFlow(int n, int columns, const std::vector<Entry>& entries) : n_(n), columns_(columns), size_(n) {
+  CHECK(n > 0 && n <= kMostStates);
+  for (const Entry& entry : entries) {
+    CHECK(std::isfinite(entry.value));
+    if (entry.column <= n) {
+      matrix_.push_back(entry);
+      transposed_.push_back({entry.column, entry.row, entry.value});
+      size_ = std::max(size_, entry.column + 1);
+    } else {
+      rest_.push_back(entry);
+    }
+  }
+  nilpotent_ = NilpotencyOf(matrix_, size_);
+  norm_ = BalancedNorm(matrix_, size_);
+}
+
+// Returns the parts of a step, so short that the series converges at once, and the terms of the series in each.
+LinearFlow::Plan LinearFlow::PlanOf(double h) const {
+  if (nilpotent_ > 0) return {1, nilpotent_};
+  const double parts = std::max(1.0, std::ceil(norm_ * std::abs(h))), part = norm_ * std::abs(h) / parts;
+  int terms = 1;
+  for (double term = 1; term > kLastTerm; ++terms) term *= part / (terms + 1);
+  return {parts, terms};
+}
+
+// Adds Psi slope to `sum`, and A Psi slope to `slope`: of the transpose for that of A.
+void LinearFlow::Sweep(const std::vector<Entry>& matrix, double h, double* slope, double* sum) const {
+  const Plan plan = PlanOf(h);
+  double change[kMostStates + 1], term[kMostStates + 1], next[kMostStates + 1];
+  const auto advance = [&] {
+    Multiply(matrix, change, size_, next);
+    for (int i = 0; i < size_; ++i) {
+      sum[i] += change[i];
+      slope[i] += next[i];
+    }
+  };
+  if (!(plan.parts <= kMostParts)) {
+    const Matrix psi = &matrix == &matrix_ ? Psi(h) : Matrix(Psi(h).transpose());
+    Eigen::Map<Eigen::VectorXd>(change, size_) = psi * Eigen::Map<const Eigen::VectorXd>(slope, size_);
+    return advance();
+  }
+  const double length = h / plan.parts;
+  for (int part = 0; part < static_cast<int>(plan.parts); ++part) {
+    for (int i = 0; i < size_; ++i) change[i] = term[i] = length * slope[i];
+    for (int k = 2; k <= plan.terms; ++k) {
+      Multiply(matrix, term, size_, next);
+      for (int i = 0; i < size_; ++i) change[i] += term[i] = next[i] * (length / k);
+    }
+    advance();
+  }
+}
+
+// Computes Psi by doubling: Psi(2 h) = 2 Psi + E Psi and E(2 h) = 2 E + E^2 with E = A Psi, the change of the state by
+// itself. Unlike squares of I + E, these keep the relative accuracy of what changes slowly in a stiff flow.
+LinearFlow::Matrix LinearFlow::Psi(double h) const {
+  int doublings = 0;
+  if (const double parts = PlanOf(h).parts; parts > 1) std::frexp(parts, &doublings);
+  const double length = std::ldexp(h, -doublings);
+  const int terms = PlanOf(length).terms;
+  Matrix a = Matrix::Zero(size_, size_);
+  for (const Entry& entry : matrix_) a(entry.row, entry.column) = entry.value;
+  Matrix term = length * Matrix::Identity(size_, size_), psi = term;
+  for (int k = 2; k <= terms; ++k) psi += term = (length / k) * (a * term).eval();
+  Matrix change = a * psi;
+  for (int i = 0; i < doublings; ++i) {
+    psi = 2 * psi + (change * psi).eval();
+    change = 2 * change + (change * change).eval();
+  }
+  return psi;
+}
+
+void LinearFlow::Step(double h, const double* x, const double* slope, double* after) const {
+  double rate[kMostStates + 1], sum[kMostStates + 1];
+  std::copy_n(slope, n_, rate);
+  std::copy_n(x, n_, sum);
+  rate[n_] = 1;  // of the time
+  sum[n_] = 0;
+  Sweep(matrix_, h, rate, sum);
+  std::copy_n(sum, n_, after);
+}
+
+void LinearFlow::Jacobian(double h, double* jacobian) const {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  Eigen::Map<RowMajor> out(jacobian, n_, columns_);
+  const Matrix psi = Psi(h);
+  out.setZero();
+  out.leftCols(n_).setIdentity();
+  const auto add = [&](const Entry& entry) { out.col(entry.column) += entry.value * psi.col(entry.row).head(n_); };
+  for (const Entry& entry : matrix_) add(entry);
+  for (const Entry& entry : rest_) add(entry);
+}
+
+void LinearFlow::PullBack(double h, const double* after, int num_parameters, StepCotangent* out) const {
+  double cotangent[kMostStates + 1], sum[kMostStates + 1] = {};
+  std::copy_n(after, n_, cotangent);
+  cotangent[n_] = 0;
+  Sweep(transposed_, h, cotangent, sum);
+  std::copy_n(cotangent, n_, out->x);
+  out->t = size_ > n_ ? cotangent[n_] : 0.0;
+  for (const Entry& entry : rest_) {
+    const int parameter = entry.column - n_ - 1;
+    double& by = parameter < num_parameters ? out->p[parameter] : out->u[parameter - num_parameters];
+    by += entry.value * sum[entry.row];
+  }
+}
+
+}  // namespace saltus
