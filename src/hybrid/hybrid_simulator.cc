@@ -74,21 +74,37 @@ class HybridSimulator::Impl {
     for (auto event = events.begin(); event != end.in1; ++event) {
       difference = std::max(difference, std::abs(event->time - (of_other++)->time) / input.duration);
     }
-    // The difference is relative to the largest value of a component in the final mode.
-    const int mode = one.tape().final_mode, n = system.state_size(mode);
     const double *at = &one.tape().numbers[one.tape().final_state],
                  *to = &other.tape().numbers[other.tape().final_state];
-    double largest = 0;
+    return std::max(difference, RelativeChange(one.tape(), [&](int i) { return std::abs(at[i] - to[i]); }));
+  }
+
+  // Returns the largest change of a component of the final state, relative to its largest value in the final mode.
+  double RelativeChange(const MotionTape& tape, const auto& change_of) const {
+    const int mode = tape.final_mode, n = system.state_size(mode);
+    const double* at = &tape.numbers[tape.final_state];
+    double relative = 0, largest = 0;
     for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(at[i]));
     for (int i = 0; i < n; ++i) {
-      if (std::abs(at[i] - to[i]) <= kRounding * largest) continue;
+      const double change = change_of(i);
+      if (change <= kRounding * largest) continue;
       double size = std::abs(at[i]);
-      for (const TapeEntry& entry : one.tape().entries) {
-        if (entry.mode == mode) size = std::max(size, std::abs(one.tape().numbers[entry.x + i]));
+      for (const TapeEntry& entry : tape.entries) {
+        if (entry.mode == mode) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
       }
-      if (size > 0) difference = std::max(difference, std::abs(at[i] - to[i]) / size);
+      if (size > 0) relative = std::max(relative, change / size);
     }
-    return difference;
+    return relative;
+  }
+
+  // Returns the error of steps that events cut, by two halves of each: a motion with twice as many steps may take the
+  // same ones. Returns that of the steps alone if the motion has no finite derivative after them.
+  double ErrorOfCutSteps(const RolloutRun& of) {
+    const MotionDerivatives::Change change = derivatives.ByHalvesOfCutSteps(input, of.tape(), of.events().size());
+    double largest = RelativeChange(of.tape(), [&](int i) { return std::abs(change.final_state[i]); });
+    for (const double time : change.times) largest = std::max(largest, std::abs(time) / input.duration);
+    const bool finite = change.final_state.allFinite() && IsFinite(change.times);
+    return finite ? largest : change.of_steps;
   }
 
   // Returns the value of HybridSimulator::IntegrationError().
@@ -96,7 +112,7 @@ class HybridSimulator::Impl {
     if (!error) {
       RolloutRun finer(system, options);
       error = finer.Run(input, 2 * steps, /*compare_guards=*/true) == RolloutEnd::kDone
-                  ? Difference(*run, finer)
+                  ? std::max(Difference(*run, finer), ErrorOfCutSteps(*run))
                   : std::numeric_limits<double>::infinity();
       unresolved = finer.unresolved().what;
     }
@@ -276,7 +292,12 @@ class HybridSimulator::Impl {
           std::swap(best, run);
         }
         if (least <= options.tolerance || (least < kRoundingOfMotion && stalls >= kStalls)) {
-          return Accept(std::move(best), least, *finer);
+          const double of_cut_steps = ErrorOfCutSteps(*best);
+          if (of_cut_steps <= std::max(least, options.tolerance) || n * input.num_intervals >= kMostWithoutEnd) {
+            return Accept(std::move(best), std::max(least, of_cut_steps), *finer);
+          }
+          least = reference = std::numeric_limits<double>::infinity();  // blind to the cut steps
+          stalls = 0;
         }
         const RolloutRun& coarse = run ? *run : *best;
         if (n * input.num_intervals >= kMostWithoutJump && HaveSameEvents(coarse, *finer)) {
@@ -286,7 +307,9 @@ class HybridSimulator::Impl {
         if (why.empty() && stalls >= kScatters && scatter <= kMostScatter && system.functions().EndsAccumulations() &&
             n * input.num_intervals >= kFewestForScatter) {
           steps = n;
-          return Accept(std::move(run ? run : best), scatter, *finer);
+          if (!run) run = std::move(best);
+          scatter = std::max(scatter, ErrorOfCutSteps(*run));
+          return Accept(std::move(run), scatter, *finer);
         }
         if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
@@ -307,7 +330,7 @@ class HybridSimulator::Impl {
   // with half the steps tells.
   bool KeepsAccuracy() {
     const double most = std::max(options.tolerance, kSameAccuracy * reached);
-    if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most) return true;
+    if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most && ErrorOfCutSteps(*run) <= most) return true;
     return Error() <= most;
   }
 

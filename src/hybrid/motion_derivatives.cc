@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "base/normal_stream.h"
 #include "base/number_text.h"
@@ -177,6 +178,92 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
     out.times[entry.event].assign(at.t.data(), at.t.data() + columns);
   }
   out.final_state.assign(at.x.data(), at.x.data() + at.x.size());
+  return out;
+}
+
+// The state after two halves of a step, less that after the whole; zero where it is rounding. Raises *relative to it.
+Eigen::VectorXd MotionDerivatives::ByHalves(const FlowStep& step, const double* after, double* relative) {
+  constexpr double kRounding = 4e-15;  // of the largest of both states
+  using Vector = Eigen::VectorXd;
+  const int n = system_.state_size(step.mode);
+  const Eigen::Map<const Vector> whole(after, n);
+  Vector middle(n), end(n);
+  FlowStep half = step;
+  half.h = 0.5 * step.h;
+  half.projects = false;
+  integrator_.Step(half, middle.data());
+  half.t += half.h;
+  half.x = middle.data();
+  half.projects = step.projects;
+  integrator_.Step(half, end.data());
+  const Eigen::Map<const Vector> before(step.x, n);
+  const double size = std::max(whole.lpNorm<Eigen::Infinity>(), before.lpNorm<Eigen::Infinity>());
+  Vector change = end - whole;
+  for (double& number : change) {
+    if (std::abs(number) <= kRounding * size) number = 0;
+    const double part = number == 0 ? 0 : std::abs(number) / size;
+    *relative = std::max(*relative, std::isfinite(part) ? part : std::numeric_limits<double>::infinity());
+  }
+  return change;
+}
+
+// The change of the state is carried on by differences: a step costs another step, where its Jacobian costs several.
+MotionDerivatives::Change MotionDerivatives::ByHalvesOfCutSteps(const HybridInput& input, const MotionTape& tape,
+                                                                std::size_t num_events) {
+  constexpr double kPart = 1e-7;  // of the size of the state: a change of it by which differences are taken
+  using Vector = Eigen::VectorXd;
+  const HybridFunctions& f = system_.functions();
+  Change out{.final_state = Vector::Zero(system_.state_size(input.mode)), .times = std::vector<double>(num_events)};
+  Vector& x = out.final_state;
+  double t = 0;
+  for (std::size_t i = 0; i < tape.entries.size(); ++i) {
+    const TapeEntry& entry = tape.entries[i];
+    const bool is_last = i + 1 == tape.entries.size(),
+               begins = i > 0 && tape.entries[i - 1].kind == TapeEntry::Kind::kReset;
+    FlowStep step = StepOf(input, tape, entry);
+    const double* after = &tape.numbers[is_last ? tape.final_state : tape.entries[i + 1].x];
+    const int n = system_.state_size(entry.mode);
+    const bool changes = !x.isZero(0) || t != 0;
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      Vector next = Vector::Zero(system_.state_size(is_last ? tape.final_mode : tape.entries[i + 1].mode));
+      if (changes) {
+        out.times[entry.event] = t;
+        f.ResetJacobian(step, entry.guard, state_.data(), reset_.data());
+        const Eigen::Map<const RungeKutta::Matrix> jacobian(
+            reset_.data(), next.size(), n + 1 + system_.num_parameters());
+        next = jacobian.leftCols(n) * x + jacobian.col(n) * t;
+      }
+      x = std::move(next);
+      continue;
+    }
+    Vector change = Vector::Zero(n);
+    if (entry.h > 0 && (begins || entry.kind == TapeEntry::Kind::kToEvent))
+      change = ByHalves(step, after, &out.of_steps);
+    const bool ends = entry.kind == TapeEntry::Kind::kToEvent;
+    if (changes) {
+      const Eigen::Map<const Vector> before(step.x, n), whole(after, n);
+      const double size = std::max(before.norm(), whole.norm()),
+                   moved = std::max(x.norm(), std::abs(t) * size / input.duration);
+      const double part = size > 0 ? kPart * size / moved : 1;
+      const Vector beside = before + part * x;
+      step.x = beside.data();
+      step.t += part * t;
+      if (!ends) step.h -= part * t;
+      integrator_.Step(step, state_.data());
+      change += (Eigen::Map<const Vector>(state_.data(), n) - whole) / part;
+    }
+    x = std::move(change);
+    if (!ends) t = 0;
+    if (!ends || (x.isZero(0) && t == 0)) continue;
+    const TapeEntry& at = tape.entries[i + 1];
+    const ModePoint event{at.mode, at.t, &tape.numbers[at.x], step.u, step.p};
+    f.GuardGradient(event, entry.guard, guard_.data());
+    f.Flow(event, by_length_.data());
+    const Eigen::Map<const Vector> slope(by_length_.data(), n), gradient(guard_.data(), n);
+    const double later = -(gradient.dot(x) + guard_[n] * t) / (gradient.dot(slope) + guard_[n]);
+    x += slope * later;
+    t += later;
+  }
   return out;
 }
 

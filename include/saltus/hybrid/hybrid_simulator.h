@@ -173,9 +173,9 @@ class HybridSimulator {
   int steps_per_interval() const;
   // Chooses the number of steps anew in the next rollout, unless it is given.
   void ChooseStepsAnew();
-  // The largest relative difference of final state and event times to those of a rollout with twice as many steps;
-  // infinite if that has other events (a mechanical system: another final mode). Costs a rollout with twice as many
-  // steps, unless the last one has chosen the number of steps. Precondition: the last rollout succeeded.
+  // The largest relative difference of final state and event times to those of a rollout with twice as many steps, and
+  // with halves of steps that events cut; infinite if it has other events (a mechanical system: another final mode).
+  // Costs that rollout, unless the last one has chosen the number of steps. Precondition: the last rollout succeeded.
   double IntegrationError();
   // Why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given steps), and
   // which guard changes faster than the steps resolve, so that events may be missed; empty if neither is so. Costs as
