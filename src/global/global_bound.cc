@@ -154,7 +154,10 @@ class BranchAndBound {
   // Replaces a node by others that together have all its motions. Returns false if there are none.
   bool Divide(const Node& node) {
     const ImpactBox& box = node.box;
-    if (!box.open) return Unfold(node);
+    if (!box.open) {
+      const auto flag = std::find(box.repeated.begin(), box.repeated.end(), true);
+      return flag != box.repeated.end() && Unfold(node, static_cast<int>(flag - box.repeated.begin()));
+    }
     if (box.free_normal) {
       if (box.num_parameters() + 1 > kMostParameters) return false;
       for (int quarter = 0; quarter < kQuarters; ++quarter) {
@@ -166,6 +169,10 @@ class BranchAndBound {
         Bound(std::move(child));
       }
       return true;
+    }
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      if (!box.repeated[i] || !box.sequence[i].plane || HasLast(box, static_cast<int>(i))) continue;
+      if (Unfold(node, static_cast<int>(i))) return true;
     }
     if (box.num_parameters() + 1 > kMostParameters) return false;
     if (!box.sequence.empty()) {
@@ -200,26 +207,32 @@ class BranchAndBound {
     }
   }
 
-  // Divides the motions of the first impact that may be repeated: it is not, or a second one follows, which may be.
-  bool Unfold(const Node& node) {
-    const auto& flags = node.box.repeated;
-    const int i = static_cast<int>(std::find(flags.begin(), flags.end(), true) - flags.begin());
-    if (i == static_cast<int>(flags.size())) return false;
+  // Whether the last repetition of impact i is in the sequence itself.
+  static bool HasLast(const ImpactBox& box, int i) {
+    const int end = box.EndOfRepetition(i);
+    return end < static_cast<int>(box.sequence.size()) && box.sequence[end] == box.sequence[i];
+  }
+
+  // Divides the motions of impact i, which may be repeated: it is not; or its last repetition enters the sequence, with
+  // others in between; or, if that is in the sequence, the first one of these.
+  bool Unfold(const Node& node, int i) {
     const Candidate pair = node.box.sequence[i];
     if (node.box.num_parameters() + (pair.plane ? 1 : 2) > kMostParameters) return false;
     Node once = node;
     once.box.repeated[i] = false;
     Bound(once);
+    const bool has_last = HasLast(node.box, i) || !pair.plane;
     const int end = node.box.EndOfRepetition(i);
-    for (int at = i + 1; at <= end; ++at) {  // where the second one stands
+    for (int at = i + 1; at <= end; ++at) {  // where the other one stands
       for (int quarter = 0; quarter < (pair.plane ? 1 : kQuarters); ++quarter) {
-        Node twice = once;
+        Node twice = node;
         ImpactBox& box = twice.box;
         const int parameter = box.TimeIndex(at);
         const double begin = box.low[box.TimeIndex(i)];
+        box.repeated[i] = !has_last;
         box.sequence.insert(box.sequence.begin() + at, pair);
         box.quarters.insert(box.quarters.begin() + at, quarter);
-        box.repeated.insert(box.repeated.begin() + at, true);
+        box.repeated.insert(box.repeated.begin() + at, has_last);
         if (!pair.plane) {
           box.low.insert(box.low.begin() + parameter, -kLargestTau);
           box.high.insert(box.high.begin() + parameter, kLargestTau);
@@ -337,7 +350,7 @@ std::string WhyNotBounded(const Scene& scene) {
   }
   if (scene.contact.friction > 0) return "the global bound supports contacts without friction only";
   if (!(scene.objective.effort > 0)) return "the global bound needs an effort above 0";
-  Scene without_bounds = scene;  // bounds on forces are left out, which only lowers the bound
+  Scene without_bounds = scene;  // the relaxation has bounds on forces
   without_bounds.control.max.clear();
   without_bounds.control.max_norm.clear();
   if (std::string found = BeyondTerminalCost(without_bounds); !found.empty()) {

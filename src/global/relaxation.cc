@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "global/interval.h"
@@ -17,6 +18,9 @@ namespace {
 
 constexpr int kMostMultipliers = 48;
 constexpr int kWeightRounds = 6;
+constexpr int kBoundedRounds = 30;  // where forces are bounded
+constexpr int kSideRounds = 3;
+constexpr double kViolated = 1e-9;         // of the distance of a wall from the origin: as far must a disc be behind it
 constexpr double kRegularization = 1e-11;  // relative to the largest curvature of the dual
 using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostMultipliers, 1>;
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostMultipliers, kMostMultipliers>;
@@ -56,7 +60,10 @@ struct Numbers {
   struct Disc {
     bool pushed = false, fixed = false;
     Pair<B> position, velocity;
-    B price;  // 1 / (4 effort m^2)
+    B mass;
+    B price;           // 1 / (4 effort m^2)
+    B largest = B(0);  // force, of its length or of each component; 0 if it is not bounded
+    bool is_length = false;
   };
   struct Touch {
     Candidate pair;
@@ -68,11 +75,10 @@ struct Numbers {
     B fall;              // the largest acceleration with which gravity brings the two together
   };
   struct Term {
-    int body = 0, count = 1;  // count: of terms of the position of this disc
+    int body = 0;
     bool position = true;
     Pair<B> target;
     B inverse;  // 1 / (4 weight)
-    B mass;
   };
   B duration, effort, lightest, total_mass, first_root;
   bool has_gravity = false, starts = false;  // starts: discs move or fall by themselves
@@ -102,11 +108,17 @@ struct Numbers {
                 body.fixed,
                 Of(body.position),
                 Of(body.velocity),
+                B(body.mass),
                 B(0)};
-      const B mass(body.mass);
+      const B& mass = disc.mass;
       if (disc.pushed) {
         disc.price = B(1) / (B(4) * effort * mass * mass);
         lightest_mass = std::min(lightest_mass, body.mass);
+        const size_t at = std::find(pushed.begin(), pushed.end(), i) - pushed.begin();
+        const auto& max = scene.control.max;
+        const auto& max_norm = scene.control.max_norm;
+        disc.is_length = !max_norm.empty() && (max.empty() || max_norm[at] <= max[at]);
+        if (max.size() + max_norm.size() > 0) disc.largest = B((disc.is_length ? max_norm : max)[at]);
       }
       if (!body.fixed) {
         total_mass += mass;
@@ -121,18 +133,11 @@ struct Numbers {
              });
     for (const Candidate& pair : AllPairs(scene)) touches.push_back(TouchOf(scene, pair));
     for (const TerminalTerm& term : scene.objective.terminal) {
-      const Body& body = scene.bodies[term.body];
       if (term.weight == 0) continue;
-      int count = 0;
-      for (const TerminalTerm& other : scene.objective.terminal) {
-        count += other.body == term.body && other.quantity == TerminalTerm::Quantity::kPosition;
-      }
       terms.push_back({term.body,
-                       count,
                        term.quantity == TerminalTerm::Quantity::kPosition,
                        Of(term.target),
-                       B(1) / (B(4) * B(term.weight)),
-                       B(body.mass)});
+                       B(1) / (B(4) * B(term.weight))});
     }
   }
 
@@ -173,19 +178,36 @@ struct Numbers {
   }
 };
 
+// A disc is on its side of a wall at the time of an impact, or at the end.
+struct Side {
+  int impact = 0;  // the number of impacts at the end
+  int body = 0;
+  int touch = 0;  // among Numbers::touches
+
+  bool operator==(const Side&) const = default;
+};
+
 // How multipliers are numbered: two of each term, then those of each impact: two of a place (one at a wall), then one
-// of the approach, which must not be negative. A last touch whose normal is free has no approach.
+// of the approach; then one of each side. Those of approaches and sides must not be negative. A last touch whose normal
+// is free has no approach.
 struct Layout {
   int terms = 0;
   std::vector<int> place, approach;  // by impact; -1 if there is none
+  std::vector<Side> sides;
+  int first_side = 0;
+  std::vector<int> not_negative;
   int size = 0;
 
-  Layout(int num_terms, const ImpactBox& box) : terms(num_terms), size(2 * num_terms) {
+  Layout(int num_terms, const ImpactBox& box, std::vector<Side> all_sides = {})
+      : terms(num_terms), sides(std::move(all_sides)), size(2 * num_terms) {
     for (size_t i = 0; i < box.sequence.size(); ++i) {
       place.push_back(size);
       size += box.sequence[i].plane ? 1 : 2;
+      if (!box.IsFree(static_cast<int>(i))) not_negative.push_back(size);
       approach.push_back(box.IsFree(static_cast<int>(i)) ? -1 : size++);
     }
+    first_side = size;
+    for (size_t i = 0; i < sides.size(); ++i) not_negative.push_back(size++);
   }
 };
 
@@ -202,6 +224,9 @@ struct Weights {
   // The shares of the effort of each of the two discs of repeated impacts: that of the disc's costate, and those of the
   // two costates through repeated impacts. Each > 0, with a sum below 1.
   std::vector<std::array<std::array<double, 3>, 2>> parts = {};
+  // Multipliers of the bound on the mean square of a force, >= 0, by flight from the last one and disc, of each
+  // component. They add to the effort. Empty if no force is bounded.
+  std::vector<std::array<double, 2>> held = {};
   std::vector<double> fall = {};  // > 0: about the length of the costates of velocity of repeated impacts under gravity
 };
 
@@ -210,6 +235,11 @@ struct Record {
   double spent = 0;  // subtracted for effort before the end of an open sequence, times the share
   std::vector<std::array<std::array<double, 3>, 2>> parts;  // integrals of squares
   std::vector<double> lengths, durations;                   // integrals of squares, and times, of repeated impacts
+  struct Push {
+    std::array<double, 2> squares = {0, 0};  // integrals of the squares of a costate of velocity
+    double duration = 0, effort = 0;
+  };
+  std::vector<Push> pushes;  // as Weights::held
 };
 
 // A quadratic function of the multipliers: constant + linear . z - z . curvature z / 2.
@@ -278,6 +308,14 @@ Pair<P> NormalAt(const P& tau, int quarter) {
   }
 }
 
+// The reach after an open sequence, which ends at time `end`: the root of the sum of m |displacement|^2 is at most a
+// start plus the root of PushSquare, times the effort before `end` times `part`, and the effort after it.
+template <typename B, typename P>
+P PushSquare(const Numbers<B>& n, const P& end, const B& part) {
+  const P rest = P(n.duration) - end;
+  return Reciprocal(n.effort * n.lightest) * (Square(rest) * (Reciprocal(part) * end + (B(1) / B(3)) * rest));
+}
+
 // The Lagrangian, minimised over all controls: a lower bound of the loss at impacts with parameters `theta` for any
 // multipliers z whose approaches are not negative. It is a concave quadratic function of z.
 //
@@ -317,11 +355,11 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     }
   };
   P end(n.duration);
-  if (box.open && impacts > 0) end = theta[box.TimeIndex(impacts - 1)];
+  if (box.open) end = impacts > 0 ? theta[box.TimeIndex(impacts - 1)] : P(B(0));
   // How far discs get after an open sequence: the root of the sum of m |displacement|^2 is at most
   // start + push * root of the effort.
   const P rest = P(n.duration) - end, mean_time = B(0.5) * (P(n.duration) + end);
-  const P push_square = Reciprocal(n.effort * n.lightest) * (Square(rest) * mean_time);
+  const P push_square = PushSquare(n, end, B(1) - B(weights.share));
   const P start = n.first_root * rest + (n.gravity_size * SquareRoot(n.total_mass)) * (rest * mean_time);
   for (size_t i = 0; i < n.terms.size(); ++i) {
     const auto& term = n.terms[i];
@@ -329,25 +367,60 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     const Pair<S> alpha{z[2 * i], z[2 * i + 1]};
     Add(P(-term.target.x), alpha.x, dual);
     Add(P(-term.target.y), alpha.y, dual);
-    P by_square(term.inverse);
-    if (box.open) {
-      const B by_mass = B(term.count) / term.mass;  // |sum of a_i|^2 <= count * sum of |a_i|^2
-      by_square += (B(0.25) * by_mass / (B(1) - B(weights.share))) * push_square;
-      if (n.starts) by_square += B(0.5) * by_mass / B(weights.reach) * start;
-    }
-    AddSquare(B(-1) * by_square, alpha.x, dual);
-    AddSquare(B(-1) * by_square, alpha.y, dual);
+    AddSquare(P(-term.inverse), alpha.x, dual);
+    AddSquare(P(-term.inverse), alpha.y, dual);
     (term.position ? of_position : of_velocity)[term.body] += alpha;
     active[term.body] = true;
     if (!term.position) has_velocity[term.body] = true;
   }
+  const auto add_sides = [&](int impact) {
+    for (size_t i = 0; i < layout.sides.size(); ++i) {
+      const Side& side = layout.sides[i];
+      if (side.impact != impact) continue;
+      const auto& touch = n.touches[side.touch];
+      const S& kappa = z[layout.first_side + i];
+      Add(P(touch.distance), kappa, dual);
+      of_position[side.body] -= {P(touch.normal.x) * kappa, P(touch.normal.y) * kappa};
+      active[side.body] = true;
+    }
+  };
+  if (!box.open || weights.share < 1) add_sides(impacts);
   begin_before(impacts);
-  if (box.open && n.starts && weights.share < 1) AddConstant(B(-0.5) * B(weights.reach) * start, dual);
+  if (box.open && weights.share < 1) {
+    for (size_t i = 0; i < discs; ++i) {
+      if (!active[i]) continue;
+      P by_square = (B(0.25) / n.discs[i].mass) * push_square;
+      if (n.starts) by_square += (B(0.5) / n.discs[i].mass / B(weights.reach)) * start;
+      AddSquare(B(-1) * by_square, of_position[i].x, dual);
+      AddSquare(B(-1) * by_square, of_position[i].y, dual);
+    }
+    if (n.starts) AddConstant(B(-0.5) * B(weights.reach) * start, dual);
+  }
 
   const auto spend = [&](const P& factor, const S& a) {
     AddSquare(B(-1) / B(weights.share) * factor, a, dual);
     if constexpr (std::is_same_v<S, double>) {
       if (record != nullptr) record->spent += factor * a * a;
+    }
+  };
+  int flight = 0;
+  // Pushes disc i along axis k while its costate of velocity has that mean and gain.
+  const auto push = [&](size_t i, int k, const B& effort, const P& duration, const S& mean, const S& gain) {
+    const auto& disc = n.discs[i];
+    const size_t at = flight * discs + i;
+    const double held = weights.held.empty() ? 0 : weights.held[at][k];
+    const P price = Reciprocal(B(4) * (effort + B(held)) * Square(disc.mass)) * duration;
+    AddSquare(B(-1) * price, mean, dual);
+    AddSquare(B(-1) / B(12) * price, gain, dual);
+    if (held > 0 && !(disc.is_length && k == 1)) AddConstant((B(-held) * Square(disc.largest)) * duration, dual);
+    if constexpr (std::is_same_v<S, double>) {
+      if (record == nullptr) return;
+      const double square = Square(mean) + Square(gain) / 12;
+      record->spent += weights.share * price * square;
+      if (weights.held.empty()) return;
+      record->pushes[at].squares[k] = duration * square;
+      record->pushes[at].duration = duration;
+      record->pushes[at].effort = effort;
     }
   };
   const auto fly = [&](const P& duration) {
@@ -362,12 +435,12 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
         Add(n.gravity.y * duration, mean[i].y, dual);
       }
       if (!n.discs[i].pushed) continue;
-      B price = n.discs[i].price;
+      B effort = n.effort * B(weights.share);
       for (const Repeated& repeated : running) {
         const bool is_a = repeated.touch->pair.a == static_cast<int>(i);
         const bool is_b = !repeated.touch->b_fixed && repeated.touch->pair.b == static_cast<int>(i);
         if (!is_a && !is_b) continue;
-        price = price / B(weights.parts[repeated.impact][is_a ? 0 : 1][0]);
+        effort = effort * B(weights.parts[repeated.impact][is_a ? 0 : 1][0]);
         if constexpr (std::is_same_v<S, double>) {
           if (record != nullptr) {
             record->parts[repeated.impact][is_a ? 0 : 1][0] +=
@@ -375,10 +448,8 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
           }
         }
       }
-      spend(price * duration, mean[i].x);
-      spend(price * duration, mean[i].y);
-      spend(price * twelfth, gain[i].x);
-      spend(price * twelfth, gain[i].y);
+      push(i, 0, effort, duration, mean[i].x, gain[i].x);
+      push(i, 1, effort, duration, mean[i].y, gain[i].y);
     }
     for (const Repeated& repeated : running) {
       const auto& touch = *repeated.touch;
@@ -437,12 +508,14 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
       of_velocity[i] += gain[i];
       has_velocity[i] = true;
     }
+    ++flight;
   };
 
   for (int i = impacts - 1; i >= 0; --i) {
     const int at = box.TimeIndex(i);
     if (i + 1 < impacts || !box.open) fly(end - theta[at]);
     end = theta[at];
+    add_sides(i);
     const auto& touch = n.Find(box.sequence[i]);
     const int a = touch.pair.a, b = touch.pair.b;
     std::erase_if(running, [&](const Repeated& repeated) { return repeated.impact == i; });
@@ -561,7 +634,7 @@ class Relaxation::Impl {
   template <int N>
   BoxBound BoundOf(const ImpactBox& box, double upper) const {
     const int parameters = box.num_parameters();
-    const Layout layout(static_cast<int>(plain_.terms.size()), box);
+    Layout layout(static_cast<int>(plain_.terms.size()), box);
     std::vector<double> middle(parameters);
     for (int j = 0; j < parameters; ++j)
       middle[j] = std::clamp(0.5 * (box.low[j] + box.high[j]), box.low[j], box.high[j]);
@@ -570,22 +643,33 @@ class Relaxation::Impl {
     if (box.open) weights.share = 0.5;
     weights.parts.assign(box.sequence.size(), {{{0.3, 0.3, 0.3}, {0.3, 0.3, 0.3}}});
     weights.fall.assign(box.sequence.size(), 1.0);
-    const bool weighted = box.open || std::count(box.repeated.begin(), box.repeated.end(), true) > 0;
-    const Vector none = Vector::Zero(layout.size);
-    Quadratic quadratic = QuadraticAt(box, layout, middle, weights);
+    const bool bounded =
+        std::any_of(plain_.discs.begin(), plain_.discs.end(), [](const auto& disc) { return disc.largest > 0; });
+    if (bounded) weights.held.assign((box.sequence.size() + 1) * plain_.discs.size(), {0, 0});
+    const bool weighted = bounded || box.open || std::count(box.repeated.begin(), box.repeated.end(), true) > 0;
+    const int rounds = bounded ? kBoundedRounds : kWeightRounds;
+    Quadratic quadratic(0);
     std::vector<char> free;
-    Vector z = Maximize(quadratic, layout, weights, box.open, &free, none);
-    for (int k = 0; k < kWeightRounds && weighted; ++k) {
-      if (!Improve(box, layout, middle, z, &weights)) break;
+    Vector z;
+    const auto solve = [&] {
       quadratic = QuadraticAt(box, layout, middle, weights);
-      z = Maximize(quadratic, layout, weights, box.open, &free, none);
-    }
+      z = Maximize(quadratic, layout, weights, box.open, &free, Vector::Zero(layout.size));
+      for (int k = 0; k < rounds && weighted; ++k) {
+        if (!Improve(box, layout, middle, z, &weights)) break;
+        quadratic = QuadraticAt(box, layout, middle, weights);
+        z = Maximize(quadratic, layout, weights, box.open, &free, Vector::Zero(layout.size));
+      }
+    };
+    solve();
+    const std::vector<Side> sides = SidesOf(box);
+    for (int k = 0; k < kSideRounds && AddViolated(sides, box, middle, z, weights, &layout); ++k) solve();
 
     BoxBound bound;
     bound.at_middle = quadratic.At(z);
     bound.lower = -std::numeric_limits<double>::infinity();
     const auto keep = [&](const Multipliers& multipliers) {
-      const BoxBound now = Enclose<N>(box, layout, middle, multipliers, weights);
+      const Weights scaled = Scaled(box, layout, middle, multipliers.at_middle, weights);
+      const BoxBound now = Enclose<N>(box, layout, middle, multipliers, scaled);
       if (now.lower > bound.lower || bound.split < 0) bound.split = now.split;
       bound.lower = std::max(bound.lower, now.lower);
     };
@@ -593,9 +677,17 @@ class Relaxation::Impl {
     const double enough = 3 * upper;
     const std::vector<Vector> drifts = Drifts(quadratic, layout, z, box, middle, weights);
     if (bound.at_middle > enough) {
-      // A part of the multipliers is enough, and is better away from the middle: constant + a s - b s^2 = enough.
-      const double a = quadratic.linear.dot(z), b = 0.5 * z.dot(quadratic.curvature * z);
-      const double c = enough - quadratic.constant;
+      // A part of the multipliers is enough, and is better away from the middle. Weights follow the multipliers, so
+      // that the dual function is least + a s - b s^2 at the part s of them.
+      const auto at = [&](double part) {
+        const Vector some = part * z;
+        const Weights scaled = Scaled(box, layout, middle, some, weights);
+        double dual = 0;
+        AddDualFunction<double>(plain_, box, layout, middle.data(), some.data(), 0.0, scaled, &dual);
+        return dual;
+      };
+      const double least = at(0), half = at(0.5), all = at(1);
+      const double a = 4 * half - all - 3 * least, b = 4 * half - 2 * all - 2 * least, c = enough - least;
       const double root = a * a - 4 * b * c;
       if (root >= 0 && c > 0 && a > 0) {
         const double part = 2 * c / (a + std::sqrt(root));
@@ -613,6 +705,54 @@ class Relaxation::Impl {
     return bound;
   }
 
+  // Returns the sides of the discs of each impact at its time, and of discs with a term of position at the end.
+  std::vector<Side> SidesOf(const ImpactBox& box) const {
+    const int impacts = static_cast<int>(box.sequence.size());
+    std::vector<Side> sides;
+    for (int touch = 0; touch < static_cast<int>(plain_.touches.size()); ++touch) {
+      const Candidate& wall = plain_.touches[touch].pair;
+      if (!wall.plane || plain_.discs[wall.a].fixed) continue;
+      for (int i = 0; i < impacts; ++i) {
+        const Candidate& pair = box.sequence[i];
+        if (wall != pair && (wall.a == pair.a || (!pair.plane && wall.a == pair.b)))
+          sides.push_back({i, wall.a, touch});
+      }
+      const auto aims = [&](const auto& term) { return term.position && term.body == wall.a; };
+      if (std::any_of(plain_.terms.begin(), plain_.terms.end(), aims)) sides.push_back({impacts, wall.a, touch});
+    }
+    return sides;
+  }
+
+  // Adds those of `sides` to the layout by whose multipliers the dual function increases. Returns false if there are
+  // none.
+  bool AddViolated(const std::vector<Side>& sides, const ImpactBox& box, const std::vector<double>& middle,
+                   const Vector& z, const Weights& weights, Layout* layout) const {
+    constexpr int kAtOnce = 8;
+    using S = Jet<double, kAtOnce>;
+    std::vector<Side> next = layout->sides;
+    for (size_t first = 0; first < sides.size(); first += kAtOnce) {
+      std::vector<Side> now = layout->sides;
+      now.insert(now.end(), sides.begin() + first, sides.begin() + std::min(sides.size(), first + kAtOnce));
+      const Layout all(layout->terms, box, now);
+      std::vector<S> theta(middle.begin(), middle.end()), values(all.size);
+      for (int i = 0; i < layout->size; ++i) values[i] = S(z[i]);
+      for (int i = layout->size; i < all.size; ++i) values[i].slope[i - layout->size] = 1;
+      S dual;
+      AddDualFunction<double>(plain_, box, all, theta.data(), values.data(), S(), weights, &dual);
+      for (int i = layout->size; i < all.size; ++i) {
+        const Side& side = now[i - layout->first_side];
+        const double most = kViolated * std::abs(plain_.touches[side.touch].distance);
+        if (dual.slope[i - layout->size] > most && std::find(next.begin(), next.end(), side) == next.end() &&
+            all.first_side + static_cast<int>(next.size()) < kMostMultipliers) {
+          next.push_back(side);
+        }
+      }
+    }
+    if (next.size() == layout->sides.size()) return false;
+    *layout = Layout(layout->terms, box, next);
+    return true;
+  }
+
   // Moves the weights to those that are best for z. Returns false if they are so already.
   bool Improve(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta, const Vector& z,
                Weights* weights) const {
@@ -626,26 +766,33 @@ class Relaxation::Impl {
     Record record{0,
                   std::vector(impacts, std::array<std::array<double, 3>, 2>{}),
                   std::vector(impacts, 0.0),
-                  std::vector(impacts, 0.0)};
+                  std::vector(impacts, 0.0),
+                  std::vector<Record::Push>(weights->held.size())};
     double dual = 0;
     AddDualFunction<double>(plain_, box, layout, theta.data(), z.data(), 0.0, *weights, &dual, &record);
     if (!layout.approach.empty() && layout.approach.back() < 0) {
       move(&next.place, std::max(1e-12, std::hypot(z[layout.place.back()], z[layout.place.back() + 1])));
     }
     if (weights->share < 1) {
-      double square = 0;
+      std::vector<Vec2d> of_end(plain_.discs.size(), Vec2d::Zero());  // costates of positions
       for (int i = 0; i < layout.terms; ++i) {
-        const auto& term = plain_.terms[i];
-        if (term.position) square += term.count / term.mass * (z[2 * i] * z[2 * i] + z[2 * i + 1] * z[2 * i + 1]);
+        if (plain_.terms[i].position) of_end[plain_.terms[i].body] += z.segment<2>(2 * i);
       }
+      for (size_t i = 0; i < layout.sides.size(); ++i) {
+        const auto& normal = plain_.touches[layout.sides[i].touch].normal;
+        if (layout.sides[i].impact < static_cast<int>(impacts)) continue;
+        of_end[layout.sides[i].body] -= z[layout.first_side + i] * Vec2d(normal.x, normal.y);
+      }
+      double square = 0;
+      for (size_t i = 0; i < of_end.size(); ++i) square += of_end[i].squaredNorm() / plain_.discs[i].mass;
       if (plain_.starts) move(&next.reach, std::max(1e-12, std::sqrt(square)));
       // The parts of the dual function that fall with 1 / share and 1 / (1 - share).
       const double end = impacts == 0 ? 0 : theta[box.TimeIndex(static_cast<int>(impacts) - 1)];
       const double rest = plain_.duration - end;
-      const double push = rest * rest * 0.5 * (plain_.duration + end) / (plain_.effort * plain_.lightest);
+      const double push = rest * rest * end / (plain_.effort * plain_.lightest);
       const double after = std::sqrt(0.25 * push * square), before = std::sqrt(record.spent);
-      double share = before + after > 0 ? before / (before + after) : 1;
-      share = share > 1 - 1e-4 ? 1 : std::max(share, 1e-4);
+      double share = before + after > 0 ? before / (before + after) : 0.5;
+      share = square > 0 ? std::clamp(share, 1e-4, 1 - 1e-4) : 1;
       changed = changed || std::abs(share - weights->share) > 0.01 * (1 - weights->share);
       move(&next.share, share);
     }
@@ -664,8 +811,31 @@ class Relaxation::Impl {
         move(&next.fall[i], std::max(1e-9, std::sqrt(record.lengths[i] / record.durations[i])));
       }
     }
+    for (size_t at = 0; at < weights->held.size(); ++at) {
+      const auto& disc = plain_.discs[at % plain_.discs.size()];
+      const Record::Push& pushed = record.pushes[at];
+      if (!(pushed.duration > 0)) continue;
+      for (const int k : {0, 1}) {
+        const double square = disc.is_length ? pushed.squares[0] + pushed.squares[1] : pushed.squares[k];
+        const double effort = std::sqrt(square / pushed.duration) / (2 * disc.mass * disc.largest);
+        move(&next.held[at][k], std::max(0.0, effort - pushed.effort));
+      }
+    }
     if (changed) *weights = next;
     return changed;
+  }
+
+  // The weights for z that grow with it. Those that share out the effort stay: the shares that are best at the middle
+  // of the box for a small part of the best multipliers may be far from good elsewhere.
+  Weights Scaled(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta, const Vector& z,
+                 const Weights& weights) const {
+    Weights best = weights, scaled = weights;
+    Improve(box, layout, theta, z, &best);
+    scaled.reach = best.reach;
+    scaled.place = best.place;
+    scaled.fall = best.fall;
+    scaled.held = best.held;
+    return scaled;
   }
 
   Quadratic QuadraticAt(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta,
@@ -686,14 +856,12 @@ class Relaxation::Impl {
     for (int i = 0; i < layout.terms; ++i) {
       if (open && (weights.share == 1 || !plain_.terms[i].position)) (*free)[2 * i] = (*free)[2 * i + 1] = false;
     }
-    std::vector<int> approach = layout.approach;
-    if (!approach.empty() && approach.back() < 0) approach.pop_back();
-    for (const int i : approach) (*free)[i] = false;
+    for (const int i : layout.not_negative) (*free)[i] = false;
     Vector z = Vector::Zero(m);
     for (int round = 0; round < 3 * m + 3; ++round) {
       z = SolveFree(q, *free, q.linear, penalty);
       int worst = -1;
-      for (const int i : approach) {
+      for (const int i : layout.not_negative) {
         if (z[i] < 0 && (worst < 0 || z[i] < z[worst])) worst = i;
       }
       if (worst >= 0) {
@@ -702,7 +870,7 @@ class Relaxation::Impl {
         continue;
       }
       const Vector gradient = q.linear - q.curvature * z - penalty.cwiseProduct(z);
-      for (const int i : approach) {
+      for (const int i : layout.not_negative) {
         if (!(*free)[i] && gradient[i] > 1e-9 * (1 + std::abs(q.linear[i])) &&
             (worst < 0 || gradient[i] > gradient[worst]))
           worst = i;
@@ -710,7 +878,7 @@ class Relaxation::Impl {
       if (worst < 0 || round > 2 * m) break;
       (*free)[worst] = true;
     }
-    for (const int i : approach) z[i] = std::max(0.0, z[i]);
+    for (const int i : layout.not_negative) z[i] = std::max(0.0, z[i]);
     return z;
   }
 
@@ -751,12 +919,12 @@ class Relaxation::Impl {
                                const std::vector<Vector>& drifts, const ImpactBox& box) {
     Multipliers out{z, {}};
     for (const Vector& drift : drifts) out.slopes.push_back(SolveFree(q, free, drift, Vector::Zero(layout.size)));
-    for (const int i : layout.approach) {  // none becomes negative in the box
+    for (const int i : layout.not_negative) {  // none becomes negative in the box
       double spread = 0;
-      for (size_t j = 0; j < drifts.size() && i >= 0; ++j) {
+      for (size_t j = 0; j < drifts.size(); ++j) {
         spread += 0.5 * std::abs(out.slopes[j][i]) * (box.high[j] - box.low[j]);
       }
-      if (i < 0 || 1.001 * spread < z[i]) continue;
+      if (1.001 * spread < z[i]) continue;
       for (Vector& slope : out.slopes) slope[i] = 0;
     }
     return out;
@@ -817,8 +985,8 @@ class Relaxation::Impl {
     Interval centered(0.0);
     AddDualFunction<Interval>(rounded_, box, layout, thin.data(), thin_z.data(), Interval(0.0), weights, &centered);
     BoxBound bound;
-    for (const int i : layout.approach) {
-      if (i >= 0 && !(z[i].value.lower() >= 0)) centered = Interval(-std::numeric_limits<double>::infinity());
+    for (const int i : layout.not_negative) {
+      if (!(z[i].value.lower() >= 0)) centered = Interval(-std::numeric_limits<double>::infinity());
     }
     double largest = 0;
     for (int j = 0; j < parameters; ++j) {

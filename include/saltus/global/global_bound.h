@@ -6,10 +6,11 @@
 // An impact is relevant if the state after it of one of its two partners decides about the loss: because that disc has
 // a terminal cost, or because a later relevant impact has it as a partner. Every motion has one sequence of relevant
 // impacts. At given times and normals of these the least loss is that of a convex quadratic program: the discs fly from
-// impact to impact, touch at each and approach each other there. All else that a real motion respects (that discs do
-// not overlap at other times, that forces are bounded) is left out, which only lowers the loss. The Lagrange dual
-// function of that program is a lower bound for any multipliers. It is evaluated in interval arithmetic over boxes of
-// times and normals, with multipliers that are best at the middle of the box.
+// impact to impact, touch at each and approach each other there. Discs are on their side of each wall at the impacts
+// that they take part in, and at the end if their place counts. The mean square of a force between impacts is within
+// its bound. All else that a real motion respects (that discs do not overlap at other times) is left out, which only
+// lowers the loss. The Lagrange dual function of that program is a lower bound for any multipliers. It is evaluated in
+// interval arithmetic over boxes of times and normals, with multipliers that are best at the middle of the box.
 //
 // Branch and bound searches over sequences and boxes. A sequence is open, if one or more relevant impacts of any pairs
 // follow, or closed. After the last impact of an open sequence, a disc gets no further than its largest speed takes it,
