@@ -175,7 +175,7 @@ class CallableScheme final : public HybridScheme {
   Computation* const computation_;
 };
 
-std::string Joined(const std::string& a, const std::string& b) { return a.empty() || b.empty() ? a + b : a + "; " + b; }
+std::string JoinReasons(const std::string& a, const std::string& b) { return a.empty() || b.empty() ? a + b : a + "; " + b; }
 
 // Mode, initial state, parameters, duration, control or None, and the lengths of its intervals or None.
 using Guess = std::tuple<int, py::object, py::object, double, py::object, py::object>;
@@ -250,7 +250,7 @@ class Problem {
       HybridSimulator simulator(problem.system, problem.integration);
       if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
       found = simulator.Sensitivity();
-      remark = Joined(simulator.WhyNotDifferentiable(), simulator.WhyInaccurate());
+      remark = JoinReasons(simulator.WhyNotDifferentiable(), simulator.WhyInaccurate());
       error = simulator.IntegrationError();
       for (std::size_t i = 0; i < found.times.size(); ++i) {
         if (simulator.events()[i].is_switch) continue;
