@@ -57,5 +57,5 @@ def test_gradient():
 
 def test_that_the_line_above_finds_what_it_should():
     report = saltus.audit(SCENE, simulate=simulator(end_of_step))
-    with pytest.raises(saltus.WrongGradient, match="the gradient is wrong.*impulse at a step boundary"):
+    with pytest.raises(saltus.WrongGradient, match="the gradient has the wrong sign.*impulse at a step boundary"):
         report.raise_if_wrong()

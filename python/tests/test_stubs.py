@@ -49,7 +49,7 @@ def test_stub_and_module_have_the_same_names():
             continue
         found.add(name)
         if inspect.isclass(value):
-            own = {"__init__", "__call__", "__eq__"}
+            own = {"__init__", "__call__", "__eq__", "__len__"}
             found.update(f"{name}.{of}" for of in vars(value) if of in own or not of.startswith("__"))
     assert found - {name for name in found if name.endswith("._pybind11_conduit_v1_")} == declared()
 
