@@ -252,7 +252,7 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
 
 TEST(HybridSolvers, SayWhatTheyCannotTake) {
   HybridProblem problem = BallWithAllKindsOfTerms();
-  EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is a cost at events"));
+  EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is evaluated at each event"));
   EXPECT_THAT(Solve("newton", problem, {}).reason, HasSubstr("found 'newton', expected a solver"));
   problem.free.parameters_min = {0.1, 9};
   EXPECT_THAT(Solve("ceres_lbfgs", problem, {}).reason, HasSubstr("bounds"));

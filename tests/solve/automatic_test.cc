@@ -71,7 +71,7 @@ TEST(Automatic, GoesOnWhereASolverDoesNotApply) {
   const SolveReport report = Solve("auto", {scene, "event"}, {.iterations = 30});
   ASSERT_NE(report.termination, Termination::kNotApplicable) << report.reason;
   EXPECT_EQ(report.solver, "ceres_lm") << report.reason;
-  EXPECT_THAT(report.reason, HasSubstr("ceres_phases does not apply: from the initial guess discs rest on"));
+  EXPECT_THAT(report.reason, HasSubstr("ceres_phases does not apply: in the motion of the guess discs rest on"));
   EXPECT_LE(report.iterations, 30);
   EXPECT_EQ(report.losses.size(), static_cast<size_t>(report.iterations) + 1);
 }
