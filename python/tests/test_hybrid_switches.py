@@ -185,6 +185,20 @@ def test_solvers_see_the_jump(solver):
     assert_allclose(run.parameters, [0.75], atol=1e-6)
 
 
+@pytest.mark.parametrize("optimize", [["c"], ["c", "x"]])
+def test_a_solution_at_which_nothing_that_is_optimized_matters_has_not_converged(optimize):
+    """An infusion until t = c > 1 lasts longer than the motion: the derivative by c is zero, and the loss 1/16."""
+    system = one_mode(lambda t, x, u, p: [saltus.where(t < p[0], 1.0, 0.0)], parameters=["c"])
+    problem = saltus.HybridProblem(system, mode="m", initial=[0.0], parameters=[0.25], duration=1.0, costs=[saltus.terminal([0.75])])
+    run = saltus.solve(problem, solver="ceres_lbfgs", optimize=optimize)
+    if optimize == ["c"]:
+        assert run.loss == 0.0625 and run.termination == "no_progress"
+        assert "no small change of what is optimized changes the motion" in run.reason
+    else:
+        assert run.loss < 1e-12 and run.termination == "converged"
+    assert_allclose(saltus.solve(problem, optimize=["c"]).parameters, [0.75], atol=1e-9)  # auto
+
+
 SCHEDULES = {  # of t, on a grid of length 1; "on" at a time is what the function itself says
     "parity of a counter": lambda t: np.floor(t) % 2 < 1,
     "two counters at once": lambda t: np.floor(t) - 2 * np.floor(t / 2) < 1,

@@ -182,20 +182,20 @@ bool HasNoEvents(const HybridSystem& system) {
   return true;
 }
 
-// The parts of a solution that no small change of the control changes, though the loss depends on them.
+// The parts of a solution that no small change of the variables changes, though the loss depends on them.
 struct OutOfReach {
-  bool motion = false;              // all of it, as where contacts stick
-  std::vector<std::string> states;  // at the end
+  bool motion = false;              // all of it, as where contacts stick, or where a switch is never reached
+  std::vector<std::string> states;  // at the end, if the control alone is free
 };
 OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& report) {
   OutOfReach found;
   const HybridFree& free = problem.free;
-  if (report.termination != Termination::kConverged || HasNoEvents(problem.system)) return found;
-  if (!free.control || !free.initial.empty() || !free.parameters.empty()) return found;
+  if (report.termination != Termination::kConverged || (free.control && HasNoEvents(problem.system))) return found;
   HybridShooting shooting(problem);
   HybridShooting::Outcome outcome;
   std::vector<HybridShooting::TermAt> terms;
-  if (!shooting.Simulate(SolutionOf(problem, report), &outcome) || !shooting.EvaluateTerms(&terms)) return found;
+  const HybridInput solution = SolutionOf(problem, report);
+  if (!shooting.Simulate(solution, &outcome) || !shooting.EvaluateTerms(&terms)) return found;
   HybridSimulator& simulator = shooting.simulator();
   std::vector<double> at_end(simulator.final_state().size(), 0.0);  // slopes of the loss
   double steepest = 0;
@@ -212,35 +212,54 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& repor
     }
   }
   if (steepest == 0) return found;
-  const auto changes = [&](const std::vector<double>& cotangent) {
+  const auto changes = [&](const HybridCotangent& cotangent) {
     const HybridGradient gradient = simulator.Adjoint(cotangent);
-    return std::any_of(gradient.control.begin(), gradient.control.end(), [](double by) { return by != 0; });
+    const auto by_variable = [&](const FreeVariable& of) {
+      return of.kind != FreeVariable::Kind::kControl && of.In(gradient) != 0;
+    };
+    return (free.control && std::ranges::any_of(gradient.control, [](double by) { return by != 0; })) ||
+           std::ranges::any_of(shooting.variables(), by_variable);
   };
-  std::vector<double> cotangent;  // no combination of states that a motion would keep
-  for (std::size_t i = 0; i < at_end.size(); ++i) cotangent.push_back(1 + 0.1 * std::sqrt(static_cast<double>(i)));
-  found.motion = !changes(cotangent);
+  const auto weights = [](std::size_t size) {  // of no combination of states that a motion would keep
+    std::vector<double> of(size);
+    for (std::size_t i = 0; i < size; ++i) of[i] = 1 + 0.1 * std::sqrt(static_cast<double>(i));
+    return of;
+  };
+  HybridCotangent all;
+  all.final_state = weights(at_end.size());
+  for (int k = 0; k < solution.num_intervals; ++k) all.nodes.push_back(weights(simulator.StateAt(k).size()));
+  for (const HybridEvent& event : simulator.events()) {
+    all.before.push_back(weights(event.before.size()));
+    all.event_times.push_back(1);
+  }
+  found.motion = !changes(all);
+  if (!free.control || !free.initial.empty() || !free.parameters.empty()) return found;
   for (std::size_t i = 0; i < at_end.size(); ++i) {
-    std::fill(cotangent.begin(), cotangent.end(), 0.0);
-    cotangent[i] = 1;
-    if (std::abs(at_end[i]) > kNoSlope * steepest && !changes(cotangent)) {
+    HybridCotangent one;
+    one.final_state.assign(at_end.size(), 0.0);
+    one.final_state[i] = 1;
+    if (std::abs(at_end[i]) > kNoSlope * steepest && !changes(one)) {
       found.states.push_back(problem.system.StateName(simulator.final_mode(), static_cast<int>(i)));
     }
   }
   return found;
 }
 
-// Returns whether the loss depends on something that the control does not change.
+// Returns whether the loss depends on something that the variables do not change.
 bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
   JudgeByCertificate(report);
   const OutOfReach out = FindOutOfReach(problem, *report);
   if (out.states.empty() && !out.motion) return false;
+  const std::string larger = ": start from a control that does, or use mode_search, which tries larger ones";
   std::string names;
   for (const std::string& name : out.states) names += (names.empty() ? "" : ", ") + name;
   if (out.motion) report->termination = Termination::kNoProgress;
-  report->reason += (report->reason.empty() ? "" : "; ") +
-                    (out.motion ? "no small change of the control changes the motion, as where all contacts stick"
-                                : "no small change of the control changes " + names + " at the end") +
-                    ": start from a control that does, or use mode_search, which tries larger ones";
+  report->reason +=
+      (report->reason.empty() ? "" : "; ") +
+      (!problem.free.control ? "no small change of what is optimized changes the motion: start from values "
+                               "that do, or bound them there"
+       : out.motion          ? "no small change of the control changes the motion, as where all contacts stick" + larger
+                             : "no small change of the control changes " + names + " at the end" + larger);
   return true;
 }
 
