@@ -27,11 +27,6 @@ double SizeOf(double derivative, double value) {
   return std::isfinite(size) ? size : 0.0;
 }
 
-// Whether a guard is zero with a rate of zero at both ends of a step, as the force of bodies that touch in free flight.
-bool StaysAtZero(const GuardValue& begin, const GuardValue& end) {
-  return begin.value == 0 && begin.rate == 0 && end.value == 0 && end.rate == 0;
-}
-
 // Where a cubic has its minimum in (0, h), if it falls at 0 and rises at h.
 double MinimumOf(const GapPolynomial& g, double h) {
   const double a = 3 * g.c[3], b = g.c[2], c = g.c[1];  // g' = a s^2 + 2 b s + c, c <= 0
@@ -146,6 +141,13 @@ void EventSearch::Enter(const FlowStep& step) {
   flow_scales_.clear();
 }
 
+// Whether a guard is zero up to s, as the force of bodies that touch in free flight, whose rate may be rounding.
+bool EventSearch::StaysAtZero(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
+                              const GuardValue& end, double s) {
+  if (begin.value != 0 || end.value != 0) return false;
+  return (begin.rate == 0 && end.rate == 0) || After(step, slope, guard, 0.5 * s).value == 0;
+}
+
 EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now,
                                             double elapsed) {
   const int n = functions_.state_size(step.mode);
@@ -157,7 +159,7 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);
   at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
   if (now.value < -at_zero) return Standing::kBehind;
-  if (StaysAtZero(now, later)) return Standing::kRising;
+  if (StaysAtZero(step, slope, guard, now, later, 0.5 * step.h)) return Standing::kRising;
   if (flow_scales_.empty()) {
     flow_scales_.resize(n);
     jacobian_.resize(static_cast<std::size_t>(n) * columns);
@@ -258,7 +260,7 @@ bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& b
 EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
                                      const GuardValue& begin, const GuardValue& end) {
   const double h = step.h;
-  if (!(h > 0) || StaysAtZero(begin, end)) return {};
+  if (!(h > 0) || StaysAtZero(step, slope, guard, begin, end, h)) return {};
   const double curvature = (end.rate - begin.rate) / h;
   if (MayReturn(step, guard, begin, end)) {
     // Where it would be back at zero if its second derivative stayed what it is.

@@ -57,6 +57,8 @@ class EventSearch {
   RungeKutta& integrator() { return integrator_; }
 
   GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
+  bool StaysAtZero(const FlowStep& step, const double* slope, int guard, const GuardValue& begin, const GuardValue& end,
+                   double s);
   // The point there.
   FlowStep PointAfter(const FlowStep& step, const double* slope, double s);
 

@@ -602,6 +602,38 @@ TEST(Pyramids, Rest) {
   }
 }
 
+// Contacts without forces, whose rates are rounding, neither open nor slide: discs that touch fall and bounce as one
+// body.
+TEST(Piles, FallAndBounceAsOneBody) {
+  for (const int count : {2, 3}) {
+    SCOPED_TRACE(count);
+    RigidScene2D scene{.bodies = {}, .planes = {{}}, .restitution = 0.5, .friction = 0.6};
+    for (int i = 0; i < count; ++i) {
+      scene.bodies.push_back(
+          {.name = "disc" + std::to_string(i), .radius = 0.1, .position = {0, 0.05 + 0.1 * (2 * i + 1)}});
+    }
+    const RigidBodies2D bodies(scene);
+    const MechanicalSystem system(bodies);
+    HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 0.28};
+    const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
+    ASSERT_EQ(start.why, "");
+    input.mode = start.mode;
+    HybridSimulator simulator(system.hybrid());
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    // Each of the four bounces takes half the time of the one before.
+    ASSERT_EQ(simulator.events().size(), 4u);
+    const double fall = std::sqrt(2 * 0.05 / kGravity), left = 0.28 - 2.75 * fall, speed = kGravity * fall / 16;
+    const std::array<double, 4> times = {fall, 2 * fall, 2.5 * fall, 2.75 * fall};
+    for (int i = 0; i < 4; ++i) EXPECT_NEAR(simulator.events()[i].time, times[i], 1e-12);
+    for (int i = 0; i < count; ++i) {
+      const std::array<double, 3> pose = bodies.PoseOf(i, simulator.final_state().data());
+      EXPECT_NEAR(pose[0], 0, 1e-12);
+      EXPECT_NEAR(pose[1], 0.1 * (2 * i + 1) + speed * left - 0.5 * kGravity * left * left, 1e-12);
+      EXPECT_NEAR(pose[2], 0, 1e-12);
+    }
+  }
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // A column that counts how often its forces are evaluated.
 struct CountedColumn : Column {

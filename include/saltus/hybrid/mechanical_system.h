@@ -65,8 +65,8 @@
 // derivatives.
 //
 // Bounces that accumulate, and contacts that open and hit in turn as where a body rocks: contacts that are pressed on
-// and part with less than `rest_speed` close in that impact, whose restitution is zero. The state then has an error of
-// the third order in this speed.
+// and part with less than `rest_speed` close in that impact, whose restitution is zero. The state at rest then has an
+// error of the second order in this speed at most, and the time at which it is reached is early by one of the first.
 //
 // Closed contacts are put back onto their equations after each step of the integration.
 #pragma once
