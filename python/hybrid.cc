@@ -175,7 +175,9 @@ class CallableScheme final : public HybridScheme {
   Computation* const computation_;
 };
 
-std::string JoinReasons(const std::string& a, const std::string& b) { return a.empty() || b.empty() ? a + b : a + "; " + b; }
+std::string JoinReasons(const std::string& a, const std::string& b) {
+  return a.empty() || b.empty() ? a + b : a + "; " + b;
+}
 
 // Mode, initial state, parameters, duration, control or None, and the lengths of its intervals or None.
 using Guess = std::tuple<int, py::object, py::object, double, py::object, py::object>;

@@ -19,6 +19,7 @@ constexpr double kNoiseOfForces = 4e-12;  // of the flow of closed contacts, who
 constexpr double kStateRounding = 64 * std::numeric_limits<double>::epsilon();  // of states, after many steps
 constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    // of time, parameters and controls
 constexpr double kSoon = 1.0 / 64;                                              // of a step
+constexpr double kInside = 0.3819660112501051;                                  // of a step, not a rational part
 constexpr int kMostIterations = 100;
 
 // The size of the term of a derivative: an infinite derivative by what is zero, or none, tells of no rounding.
@@ -141,11 +142,12 @@ void EventSearch::Enter(const FlowStep& step) {
   flow_scales_.clear();
 }
 
-// Whether a guard is zero up to s, as the force of bodies that touch in free flight, whose rate may be rounding.
+// Whether a guard is zero up to s, as the force of bodies that touch in free flight, whose rate may be rounding. A
+// guard with zeros at round parts of a step is not zero in between, at a part that is not rational.
 bool EventSearch::StaysAtZero(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
                               const GuardValue& end, double s) {
   if (begin.value != 0 || end.value != 0) return false;
-  return (begin.rate == 0 && end.rate == 0) || After(step, slope, guard, 0.5 * s).value == 0;
+  return (begin.rate == 0 && end.rate == 0) || After(step, slope, guard, kInside * s).value == 0;
 }
 
 EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now,
