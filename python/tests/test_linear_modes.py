@@ -1,5 +1,6 @@
 """Modes whose flow is affine with constant coefficients, which step by a closed form, against exponentials of scipy."""
 import numpy as np
+import pytest
 import saltus
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
@@ -102,3 +103,16 @@ def test_optimum_of_a_double_integrator(K=20):
     run = saltus.solve(problem, solver="ceres_phases", optimize=["control"])
     assert run.termination == "converged"
     assert_allclose(run.loss, 12 / (1 - 1 / K**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("rate, size", [(1, 6), (1, 8), (1e3, 5), (1e3, 12), (1e6, 8), (1, 20)])
+def test_chains(rate, size):
+    """Resistors and capacitors in a row, whose far ends change by next to nothing at first, from 5 V at the beginning."""
+    chain = rate * (np.eye(size, k=1) - 2 * np.eye(size) + np.eye(size, k=-1))
+    chain[-1, -1] = -rate
+    source = np.r_[5.0 * rate, np.zeros(size - 1)]
+    system = saltus.HybridSystem(states={"m": [f"x{i}" for i in range(size)]},
+                                 flow={"m": lambda t, x, u, p: chain @ x + source})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=np.zeros(size), duration=20 / rate))
+    z = expm(np.block([[chain, source[:, None]], [np.zeros((1, size + 1))]]) * 20 / rate) @ np.r_[np.zeros(size), 1]
+    assert_allclose(motion.final, z[:-1], rtol=1e-9)
