@@ -1,4 +1,4 @@
-"""Random systems whose motions slide along jumps of the flow, by saltus and by a method of its own.
+"""Random systems whose motions slide along jumps of the flow, by saltus and by an independent method.
 
     PYTHONPATH=build/release/python python3 tests/campaign/random_sliding_systems.py --count=200
 

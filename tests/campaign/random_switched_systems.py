@@ -1,4 +1,4 @@
-"""Random hybrid systems with jumps and kinks of the flow, simulated and differentiated by saltus and by a method of its own.
+"""Random hybrid systems with jumps and kinks of the flow, simulated and differentiated by saltus and by an independent method.
 
     PYTHONPATH=build/release/python python3 tests/campaign/random_switched_systems.py --count=1000
 

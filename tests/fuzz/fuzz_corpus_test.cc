@@ -1,4 +1,4 @@
-// Runs the corpus of fuzzing, its seeds and its findings: no fault that was mended comes back.
+// Runs the corpus of fuzzing, its seeds and its findings: no repaired fault comes back.
 #include <gtest/gtest.h>
 
 #include <filesystem>

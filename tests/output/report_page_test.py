@@ -145,7 +145,7 @@ class Reports(Pages):
                 page = os.path.join(folder, "report.html")
                 self.assert_valid(page)
                 self.assert_fits(page)
-                # Of each motion a panel for each state, each control that acts and the guards, and the replay of systems that draw themselves.
+                # Each motion has a panel for each state, each control that acts and the guards; systems that draw themselves have a replay.
                 motions = self.js("return [...document.querySelectorAll('h2')].filter((h) => h.textContent.startsWith('Motion')).length")
                 self.assertEqual(self.js("return document.querySelectorAll('.panels svg').length"), motions * charts)
                 self.assertEqual(self.js("return document.querySelectorAll('.replay > svg').length"), motions * drawn)

@@ -239,7 +239,7 @@ TEST_P(EveryModelOnEdges, AnEndIsASmallDisc) {
   ExpectSameMotion(MotionOf(GetParam(), end), MotionOf(GetParam(), disc), 1e-4);
 }
 
-// A model that cannot simulate a table says so.
+// A model that cannot simulate a table is not applicable, with the reason.
 TEST_P(EveryModelOnEdges, OnlyExactEventsTakeATable) {
   Scene scene = Empty();
   scene.bodies = {{.name = "puck", .radius = 0.1, .velocity = {1, 0}}};

@@ -263,7 +263,7 @@ TEST(EventSidesPuck, FrictionTakesItsShareOfTheBounces) {
   }
 }
 
-// A contact with a force that bounces strikes what touches one of its discs.
+// A contact with a force that bounces strikes the discs that touch one of its discs.
 TEST_P(EventSides, BesideOneThatTouchesOnly) {
   Scene row = Empty(GetParam(), 0, 0.3);
   row.gravity = {0, 0};

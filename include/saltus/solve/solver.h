@@ -133,7 +133,7 @@ struct SolveReport {
   double initial_loss = 0;
   double final_loss = 0;  // at `initial_state` and `control`, under the contact model
   // The violation of the constraints at the initial guess and at the solution: the largest miss of a hard term or of a
-  // bound on the control, a multiple of the scene's natural units (units.h), or the violation of a user's own
+  // bound on the control, a multiple of the scene's natural units (units.h), or the violation of a user's
   // constraint. It is infinite where discs touch that must not. Only solvers that take constraints fill them.
   double initial_violation = 0, final_violation = 0;
   std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess

@@ -271,7 +271,8 @@ class Attributor {
     return RunSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, &bodies);
   }
 
-  // Returns the linearization over discs that meet no others in the interval; in a crowd these are simulated alone.
+  // Returns the linearization over discs that meet no others in the interval; among many discs these are simulated
+  // alone.
   StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const {
     const int steps = (interval.end - interval.begin) * finer;
     Scene scene = SceneOver(contact, interval, steps);

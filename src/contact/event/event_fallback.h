@@ -192,7 +192,7 @@ class TimeSteppingStep {
 
   bool IsActive(double impulse) const { return impulse > kActiveImpulse * largest_; }
   bool IsActive(const Contact& contact) const { return IsActive(contact.left) || IsActive(contact.right); }
-  // Removes the discs without active contacts, which fly exactly, unless they would meet another disc on the way.
+  // Removes the discs without active contacts, which fly exactly, unless they would meet another disc in the step.
   void LeaveOut() {
     std::pmr::vector<char> has_active(discs_.size(), in_.scratch);
     for (const Contact& contact : contacts_) {
