@@ -15,15 +15,15 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;       // of the weights, from solve to solve
-constexpr double kStalled = 0.5;     // of the violation that the solve before has left
-constexpr double kNearlyMet = 1e-3;  // a larger violation stalls where constraints cannot be met, not for multipliers
-constexpr int kMostEstimates = 3;    // of multipliers, where solves stall: each may cost as much as a solve
-constexpr int kShortPhase = 332;     // steps
-constexpr int kManySteps = 100;      // in which open defects are cheaper than a motion without them
-constexpr double kWeakOpen = 0.1;    // of `most_open`, along phases of many steps
-constexpr double kStrengthening = 100;
-constexpr int kMostStrengthened = 2;
+constexpr double kGrowth = 10;        // of the weights, from solve to solve
+constexpr double kStalled = 0.5;      // of the violation that the solve before has left
+constexpr double kNearlyMet = 1e-3;   // a larger violation stalls where constraints cannot be met, not for multipliers
+constexpr int kMostEstimates = 3;     // of multipliers, where solves stall: each may cost as much as a solve
+constexpr int kShortPhase = 332;      // steps
+constexpr double kLeastGain = 0.01;   // of the costs
+constexpr double kLeastCost = 0.025;  // of those of the start: smaller ones ahead count as these
+constexpr double kPredictingWeight = 1e7;  // of linearized equalities that a step meets
+constexpr double kNoWeight = 1e-300;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
@@ -32,6 +32,15 @@ constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
+
+Eigen::SparseMatrix<double, Eigen::RowMajor> SparseRowsOf(const ceres::CRSMatrix& matrix) {
+  return Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>>(matrix.num_rows,
+                                                                        matrix.num_cols,
+                                                                        static_cast<Eigen::Index>(matrix.values.size()),
+                                                                        matrix.rows.data(),
+                                                                        matrix.cols.data(),
+                                                                        matrix.values.data());
+}
 
 ceres::Problem::Options ProblemOptions() {
   ceres::Problem::Options options;
@@ -152,8 +161,8 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
 void AugmentedLagrangian::Options::ScaleTo(int steps) {
   const double length = std::max(1.0, static_cast<double>(steps) / kShortPhase);
   equality_weight *= length;
+  weight_of_costs *= length;
   radius *= length * length;
-  if (steps >= kManySteps) weak_open = kWeakOpen * most_open;
 }
 
 AugmentedLagrangian::AugmentedLagrangian() : problem_(ProblemOptions()) {}
@@ -252,10 +261,41 @@ std::vector<ConstrainedFunction> AugmentedLagrangian::Functions() const {
   return functions;
 }
 
+// Sets the first weight of equalities to a multiple of the costs to which a Gauss-Newton step leads that meets the
+// linearized equalities. A step that gains the part g of the costs leaves curved constraints open in proportion to g: a
+// weight far above the costs / g makes steps short, and one far below lets the costs outweigh the constraints.
+void AugmentedLagrangian::WeighByCosts(double factor) {
+  for (const auto& [function, blocks] : functions_) function->SetReferences(blocks);
+  const Weights weights = std::exchange(weights_, {kPredictingWeight, kNoWeight});
+  std::vector<double> rows;
+  ceres::CRSMatrix jacobian;
+  const bool evaluated = problem_.Evaluate({}, nullptr, &rows, nullptr, &jacobian);
+  weights_ = weights;
+  if (!evaluated) return;
+  const Eigen::VectorXd start = Eigen::Map<const Eigen::VectorXd>(rows.data(), static_cast<Eigen::Index>(rows.size()));
+  const Eigen::VectorXd end = RowsAfterStep(SparseRowsOf(jacobian), start);
+  const double cost = Cost();
+  double predicted = cost;
+  Eigen::Index row = 0;
+  for (const auto& [function, blocks] : functions_) {
+    for (int i = 0; i < function->num_residuals(); ++i, ++row) {
+      if (i >= function->num_constraints()) predicted += end[row] * end[row] - start[row] * start[row];
+    }
+  }
+  const double size = std::abs(cost);
+  double ahead = std::isfinite(predicted) ? std::abs(predicted) : size, gain = 1;
+  if (size > 0) {
+    gain = std::clamp((size - ahead) / size, kLeastGain, 1.0);
+    ahead = std::clamp(ahead, kLeastCost * size, size);
+  }
+  if (ahead > 0 && std::isfinite(ahead)) weights_.equality = factor * ahead / gain;
+}
+
 AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Options& options) {
   const std::vector<double> start = Values();
   weights_ = {options.equality_weight, options.inequality_weight};
   Summary result;
+  if (options.weight_of_costs > 0) WeighByCosts(options.weight_of_costs);
   AfterIteration watch([&](const ceres::IterationSummary& summary) {
     if (summary.iteration == 0) return true;  // of another solve
     ++result.iterations;
@@ -271,8 +311,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   bool estimated = false, near = false;
-  int estimates = 0;     // where solves stall
-  int strengthened = 0;  // times that the first weights were
+  int estimates = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
     ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
@@ -295,14 +334,6 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
         --round;
         continue;
       }
-    }
-    if (round == 0 && result.violation > options.weak_open && strengthened++ < kMostStrengthened &&
-        !result.interrupted && result.iterations < options.iterations) {
-      SetValues(start);
-      EstimateMultipliers();
-      weights_.equality *= kStrengthening;
-      --round;
-      continue;
     }
     if (options.after_round) options.after_round();
     if (result.interrupted || result.iterations >= options.iterations) break;

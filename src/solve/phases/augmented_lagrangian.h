@@ -54,8 +54,10 @@ class AugmentedLagrangian {
     int iterations = 200;                                    // of all solves together, at most
     int rounds = 24;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve
-    double tolerance = 1e-9;                                 // largest violation of a row
-    double radius = 1e8;                                     // of the trust region at first, after the first solve
+    // The weight of equalities in the first solve relative to the costs that lie ahead; 0: equality_weight is it.
+    double weight_of_costs = 0;
+    double tolerance = 1e-9;  // largest violation of a row
+    double radius = 1e8;      // of the trust region at first, after the first solve
     // The relative change of the cost that ends the third solve and later ones, which leaves conditions of first order
     // open by its root.
     double gain = 3e-14;
@@ -63,9 +65,6 @@ class AugmentedLagrangian {
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
     // start meets the equalities.
     double most_open = INFINITY;
-    // If the first solve with these multipliers leaves a row open by more than this, costs still outweigh the motion,
-    // and it is repeated with larger weights of equalities.
-    double weak_open = INFINITY;
     // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
@@ -103,6 +102,7 @@ class AugmentedLagrangian {
   Summary MinimizeLeastSquares(const Options& options);
   std::vector<ConstrainedFunction> Functions() const;
   void EstimateMultipliers();
+  void WeighByCosts(double factor);
   double Cost() const;
   double LargestWeight() const;
   double UpdateMultipliers(double* cost);

@@ -13,12 +13,9 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
-constexpr double kGain = 1e-14;        // of the last solve: certificates ask for conditions of first order to 1e-6
-constexpr double kLeastLength = 1e-6;  // of a control interval of mean length, below which its costs do not change
-// The weight of the first solve. Costs are divided by the loss of the initial guess; a far larger weight would keep
-// every iterate near the manifold of exact motions, whose curvature makes steps short (115 iterations in the place of 5
-// on the ball of hybrid iLQR).
-constexpr double kFirstWeight = 10;
+constexpr double kGain = 1e-14;            // of the last solve: certificates ask for conditions of first order to 1e-6
+constexpr double kLeastLength = 1e-6;      // of a control interval of mean length, below which its costs do not change
+constexpr double kWeightOfCosts = 400;     // of the first solve
 constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
 constexpr double kCostOfViolation = 1e-3;  // of other costs, where only violations count
 
@@ -713,7 +710,7 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  options.equality_weight = kFirstWeight;
+  options.weight_of_costs = kWeightOfCosts;
   options.most_open = kMostOpen;
   options.gain = kGain;
   options.ScaleTo(steps);

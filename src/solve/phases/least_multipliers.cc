@@ -66,4 +66,15 @@ Eigen::VectorXd LeastMultipliers(const SparseRows& constraints, const Eigen::Vec
   return multipliers.allFinite() ? multipliers.head(constraints.rows()) : Eigen::VectorXd();
 }
 
+Eigen::VectorXd RowsAfterStep(const SparseRows& jacobian, const Eigen::VectorXd& rows) {
+  Eigen::SparseMatrix<double> normal = jacobian.transpose() * jacobian;
+  for (Eigen::Index i = 0; i < normal.rows(); ++i) {
+    double& own = normal.coeffRef(i, i);
+    own = own > 0 ? own * (1 + kRegularization) : 1;
+  }
+  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
+  if (factors.info() != Eigen::Success) return Eigen::VectorXd::Constant(rows.size(), NAN);
+  return rows - jacobian * factors.solve(jacobian.transpose() * rows);
+}
+
 }  // namespace saltus

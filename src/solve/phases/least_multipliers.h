@@ -20,4 +20,9 @@ namespace saltus {
 Eigen::VectorXd LeastMultipliers(const Eigen::SparseMatrix<double, Eigen::RowMajor>& constraints,
                                  const Eigen::VectorXd& gradient);
 
+// Returns the rows that the Gauss-Newton step from `rows` leaves, as their Jacobian has them; numbers that are not
+// finite if the normal equations cannot be solved.
+Eigen::VectorXd RowsAfterStep(const Eigen::SparseMatrix<double, Eigen::RowMajor>& jacobian,
+                              const Eigen::VectorXd& rows);
+
 }  // namespace saltus

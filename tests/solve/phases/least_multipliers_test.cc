@@ -70,5 +70,16 @@ TEST(LeastMultipliers, AreNoneWithoutRows) {
   EXPECT_EQ(LeastMultipliers(SparseRows(0, 3), Eigen::VectorXd::Ones(3)).size(), 0);
 }
 
+// Compares with dense least squares; a column without entries changes nothing.
+TEST(RowsAfterStep, AreTheResidualsOfLeastSquares) {
+  Eigen::MatrixXd dense(5, 4);
+  dense << 1, 2, 0, 0, 0, 1, 0, -1, 3, 0, 0, 1, 1, 1, 0, 1, 2, -1, 0, 0;
+  const Eigen::VectorXd rows = Eigen::VectorXd::LinSpaced(5, -1.0, 3.0);
+  const Eigen::SparseMatrix<double, Eigen::RowMajor> sparse = dense.sparseView();
+  const Eigen::VectorXd found = RowsAfterStep(sparse, rows);
+  const Eigen::VectorXd expected = rows - dense * dense.completeOrthogonalDecomposition().solve(rows);
+  EXPECT_LE((found - expected).norm(), 1e-10);
+}
+
 }  // namespace
 }  // namespace saltus
