@@ -34,6 +34,13 @@ Precision ReadPrecision(const std::string& name) {
   throw py::value_error("precision: found '" + name + "', expected 'double' or 'float'");
 }
 
+void Raise(const SceneFileError& error) {
+  const py::object type = py::module_::import("saltus._scene").attr("SceneError");
+  const py::object raised = type(error.file, error.line, error.key, error.message);
+  PyErr_SetObject(type.ptr(), raised.ptr());
+  throw py::error_already_set();
+}
+
 void CheckRows(const Scene& scene, const std::string& name, std::span<const double> rows) {
   if (const std::string why = WhyNoControl(scene, rows); !why.empty()) throw py::value_error(name + ": " + why);
 }

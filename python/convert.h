@@ -8,6 +8,7 @@
 
 #include "programs/json_output.h"
 #include "saltus/scene/scene.h"
+#include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus::python {
@@ -19,6 +20,9 @@ py::object ToPython(const Json& value);
 
 // "double" or "float". ValueError.
 Precision ReadPrecision(const std::string& name);
+
+// Raises the SceneError of Python.
+[[noreturn]] void Raise(const SceneFileError& error);
 
 // ValueError if a control in rows (control_rows.h) has torques on discs that are not turned.
 void CheckRows(const Scene& scene, const std::string& name, std::span<const double> rows);

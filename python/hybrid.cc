@@ -5,19 +5,26 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
+#include <map>
 #include <memory>
 #include <optional>
 #include <tuple>
+#include <variant>
 
 #include "arrays.h"
+#include "base/parallel_for.h"
 #include "blackbox/command_scheme.h"
 #include "computation.h"
 #include "control/hybrid_shooting.h"
 #include "convert.h"
 #include "feedback.h"
 #include "hybrid/recorded_functions.h"
+#include "hybrid/recorded_mechanics.h"
+#include "programs/bodies_file.h"
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
+#include "scene/yaml_value.h"
 
 namespace saltus::python {
 namespace {
@@ -25,7 +32,7 @@ namespace {
 using Node = std::tuple<std::string, int, int, int, double>;
 using Outputs = std::tuple<int, std::vector<Node>, std::vector<int>>;  // as of _expression.outputs
 
-RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
+ExpressionGraph ReadGraph(int num_inputs, const Outputs& recorded) {
   ExpressionGraph recording{.num_inputs = num_inputs, .outputs = std::get<2>(recorded)};
   for (const auto& [name, a, b, c, value] : std::get<1>(recorded)) {
     ExpressionGraph::Node& node =
@@ -33,7 +40,11 @@ RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
     if (!FindOperation(name, &node.operation)) throw py::value_error("operation: found '" + name + "'");
   }
   if (const std::string wrong = WhatIsWrongWith(recording); !wrong.empty()) throw py::value_error(wrong);
-  return RecordedFunction(recording);
+  return recording;
+}
+
+RecordedFunction ReadFunction(int num_inputs, const Outputs& recorded) {
+  return RecordedFunction(ReadGraph(num_inputs, recorded));
 }
 
 using TransitionTuple = std::tuple<std::string, Outputs, Outputs, int, int>;
@@ -70,13 +81,77 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
   return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded), slides));
 }
 
+// Gap, restitution, friction; slide, its row, reach and distance, or None.
+using ContactTuple = std::tuple<Outputs, Outputs, Outputs, std::optional<Outputs>, std::optional<Outputs>,
+                                std::optional<Outputs>, std::optional<Outputs>>;
+
+MechanicalSystem MakeMechanicalSystem(const Outputs& mass, const Outputs& force,
+                                      const std::vector<ContactTuple>& contacts,
+                                      const std::vector<std::string>& coordinates,
+                                      const std::vector<std::string>& controls,
+                                      const std::vector<std::string>& parameters,
+                                      const std::vector<std::string>& contact_names, bool poisson, double rest_speed) {
+  const int n = static_cast<int>(coordinates.size()), m = static_cast<int>(controls.size()),
+            num_p = static_cast<int>(parameters.size());
+  MechanicalLayout layout{.num_coordinates = n,
+                          .num_controls = m,
+                          .num_parameters = num_p,
+                          .num_contacts = static_cast<int>(contacts.size()),
+                          .contact_names = contact_names,
+                          .coordinate_names = coordinates,
+                          .control_names = controls,
+                          .parameter_names = parameters};
+  MechanicalRecording recording{
+      .mass = ReadGraph(n + num_p, mass), .force = ReadGraph(2 * n + 1 + num_p + m, force), .contacts = {}};
+  const auto optional = [&](const std::optional<Outputs>& recorded) {
+    return recorded ? std::optional<ExpressionGraph>(ReadGraph(n + num_p, *recorded)) : std::nullopt;
+  };
+  for (const auto& [gap, restitution, friction, slide, slide_row, reach, distance] : contacts) {
+    recording.contacts.push_back({.gap = ReadGraph(n + num_p, gap),
+                                  .restitution = ReadGraph(num_p, restitution),
+                                  .friction = ReadGraph(num_p, friction),
+                                  .slide = optional(slide),
+                                  .slide_row = optional(slide_row),
+                                  .reach = optional(reach),
+                                  .distance = optional(distance)});
+  }
+  if (const std::string wrong = WhatIsWrongWith(layout, recording); !wrong.empty()) throw py::value_error(wrong);
+  const auto law = poisson ? MechanicalOptions::Law::kPoisson : MechanicalOptions::Law::kNewton;
+  return MechanicalSystem(MakeMechanicalFunctions(std::move(layout), recording),
+                          {.law = law, .rest_speed = rest_speed});
+}
+
+// The number of a mode by the letters of its contacts.
+int ModeOf(const MechanicalSystem& system, const std::string& status) {
+  const std::vector<char>& friction = system.functions().layout().has_friction;
+  if (!system.IsStatus(status)) {
+    const bool slides = std::ranges::count(friction, 1) > 0;
+    throw py::value_error("mode: found '" + status + "', expected a letter for each of " +
+                          std::to_string(friction.size()) + " contacts: o (open) or n (closed)" +
+                          (slides ? ", and of contacts with friction also s, + or -" : ""));
+  }
+  return system.Mode(status);
+}
+
+std::vector<std::string> GuardsOf(const MechanicalSystem& system, int mode) {
+  std::vector<std::string> names;
+  for (int guard = 0; guard < system.hybrid().num_guards(mode); ++guard) {
+    names.push_back(system.hybrid().GuardName(mode, guard));
+  }
+  return names;
+}
+
 // name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, letters of what
 // the function reads (some of "xupth", in this order), sizes of these, the function.
 using TermTuple =
     std::tuple<std::string, std::string, std::string, int, int, bool, std::string, std::vector<int>, Outputs>;
 
-HybridTerm ReadTerm(const TermTuple& tuple) {
-  const auto& [name, at, role, mode, guard, before, reads, sizes, function] = tuple;
+// A term that was recorded, or one that was read from a file.
+using GivenTerm = std::variant<HybridTerm, TermTuple>;
+
+HybridTerm ReadTerm(const GivenTerm& given) {
+  if (const auto* term = std::get_if<HybridTerm>(&given)) return *term;
+  const auto& [name, at, role, mode, guard, before, reads, sizes, function] = std::get<TermTuple>(given);
   HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before};
   term.at = at == "steps"   ? HybridTerm::At::kEachInterval
             : at == "event" ? HybridTerm::At::kEvent
@@ -95,6 +170,31 @@ HybridTerm ReadTerm(const TermTuple& tuple) {
   for (const int size : sizes) inputs += size;
   term.function = std::make_shared<RecordedCost>(ReadFunction(inputs, function), sizes);
   return term;
+}
+
+// Reads the problem of a file of bodies, by its text and its name in errors.
+py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
+  std::optional<BodiesTask> task;
+  const auto error = internal::ReadYaml(text, name, [&](const YAML::Node& root) { task.emplace(ReadBodies(root)); });
+  if (error) Raise(*error);
+  const auto& [system, guess, terms, free, integration, states] = task->problem;
+  const MechanicalLayout& layout = task->system.functions().layout();
+  using py::literals::operator""_a;
+  py::object control = py::none();
+  if (layout.num_controls > 0) control = ToArray(guess.control, {guess.num_intervals, layout.num_controls});
+  return py::dict("system"_a = task->system,
+                  "coordinates"_a = layout.coordinate_names,
+                  "controls"_a = layout.control_names,
+                  "parameters"_a = layout.parameter_names,
+                  "contacts"_a = layout.contact_names,
+                  "initial"_a = guess.initial,
+                  "values"_a = guess.parameters,
+                  "duration"_a = guess.duration,
+                  "control"_a = control,
+                  "terms"_a = terms,
+                  "free"_a = py::make_tuple(free.control, free.initial, free.parameters, free.duration),
+                  "control_bounds"_a = py::make_tuple(free.control_min, free.control_max),
+                  "duration_bounds"_a = py::make_tuple(free.duration_min, free.duration_max));
 }
 
 HybridOptions ReadIntegration(double tolerance, int steps, bool wait, int most_events, int most_repeats) {
@@ -196,12 +296,17 @@ StopRequest StopAfterGrace(Computation* computation) {
 // A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
  public:
-  Problem(const HybridSystem& system, const std::vector<TermTuple>& terms, double tolerance, int steps, bool wait,
+  Problem(const HybridSystem& system, const std::vector<GivenTerm>& terms, double tolerance, int steps, bool wait,
           int most_events, int most_repeats)
       : problem_{.system = system,
                  .guess = {},
                  .integration = ReadIntegration(tolerance, steps, wait, most_events, most_repeats)} {
-    for (const TermTuple& term : terms) problem_.terms.push_back(ReadTerm(term));
+    for (const GivenTerm& term : terms) problem_.terms.push_back(ReadTerm(term));
+  }
+  Problem(const MechanicalSystem& system, const std::vector<GivenTerm>& terms, double tolerance, int steps, bool wait,
+          int most_events, int most_repeats)
+      : Problem(system.hybrid(), terms, tolerance, steps, wait, most_events, most_repeats) {
+    mechanical_ = system;
   }
 
   // The problem with a guess, whose rollouts end when `stop` returns true. Throws ValueError if something is wrong with
@@ -210,7 +315,7 @@ class Problem {
     const auto& [mode, initial, parameters, duration, control, durations] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
-    input.initial = ToVector(ReadArray(initial, "initial", {system.state_size(mode)}));
+    input.initial = ToVector(ReadArray(initial, "initial", {system.state_size(std::max(mode, 0))}));
     input.parameters = ToVector(ReadArray(parameters, "parameters", {system.num_parameters()}));
     if (!control.is_none()) {
       const py::array given = py::array::ensure(control);
@@ -220,6 +325,9 @@ class Problem {
       input.control = ToVector(ReadArray(control, "control", {input.num_intervals, system.num_controls()}));
     }
     if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
+    if (mechanical_) {
+      if (const std::string why = WhyNoStart(&input); !why.empty()) throw py::value_error("initial: " + why);
+    }
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
     if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
@@ -297,6 +405,87 @@ class Problem {
     });
     return py::make_tuple(
         loss, ToArray(gradient, {static_cast<py::ssize_t>(gradient.size())}), remark, ToPython(remarks));
+  }
+
+  // The losses at points, rows of what is free, and their gradients if asked for: as of a problem that is evaluated for
+  // the first time. NaN where there is none, and the reasons by the numbers of the points.
+  py::tuple Losses(const Guess& guess, bool control, const std::vector<int>& initial,
+                   const std::vector<int>& parameters, bool duration, const py::object& points, bool with_gradients,
+                   int threads) const {
+    Computation computation;
+    HybridProblem problem = At(guess, computation.stop());
+    problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
+    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    const HybridShooting first(problem);
+    const py::ssize_t size = first.num_variables();
+    const py::array any = py::array::ensure(points);
+    if (!any || any.ndim() < 2 || any.size() != any.shape(0) * size) {
+      throw py::value_error("points: expected an array of P points of " + std::to_string(size) + " numbers");
+    }
+    const py::ssize_t count = any.shape(0);
+    const Array read = ReadArray(any.attr("reshape")(count, size), "points", {count, size});
+    Array losses(Shape{count}), gradients(Shape{with_gradients ? count : 0, size});
+    std::vector<std::string> reasons(count);
+    std::vector<std::map<int, HybridShooting>> shootings(ReadThreads(threads));  // of each thread, by the first mode
+    const double* from = read.data();
+    double *loss = losses.mutable_data(), *gradient = with_gradients ? gradients.mutable_data() : nullptr;
+    computation.RunOrThrow([&] {
+      ParallelFor(static_cast<int>(shootings.size()), static_cast<int>(count), [&](int thread, int i) {
+        const std::span<const double> point(from + i * size, static_cast<std::size_t>(size));
+        double* const row = gradient == nullptr ? nullptr : gradient + i * size;
+        HybridInput input = first.InputAt(point);
+        input.mode = std::get<0>(guess);
+        std::string& why = reasons[i];
+        if (mechanical_) why = WhyNoStart(&input);
+        if (why.empty()) {
+          auto known = shootings[thread].find(input.mode);
+          if (known == shootings[thread].end()) {
+            HybridProblem from_mode = problem;
+            from_mode.guess.mode = input.mode;
+            known = shootings[thread].emplace(input.mode, from_mode).first;
+            known->second.set_accurate(true);
+          }
+          known->second.simulator().ChooseStepsAnew();
+          if (!known->second.Evaluate(point, &loss[i], row)) why = known->second.WhyFailed();
+        }
+        if (why.empty()) return;
+        loss[i] = std::numeric_limits<double>::quiet_NaN();
+        if (row != nullptr) std::fill_n(row, size, loss[i]);
+      });
+    });
+    py::dict failures;
+    for (py::ssize_t i = 0; i < count; ++i) {
+      if (!reasons[i].empty()) failures[py::int_(i)] = reasons[i];
+    }
+    return py::make_tuple(losses, gradients, failures);
+  }
+
+  // The final state; with a cotangent of it also its derivative by initial state, control and parameters.
+  py::tuple EndState(const Guess& guess, const py::object& cotangent) const {
+    Computation computation;
+    const HybridProblem problem = At(guess, computation.stop());
+    std::vector<double> final_state;
+    HybridSimulator simulator(problem.system, problem.integration);
+    computation.RunOrThrow([&] {
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
+      final_state.assign(simulator.final_state().begin(), simulator.final_state().end());
+    });
+    const auto size = static_cast<py::ssize_t>(final_state.size());
+    const Array final_array = ToArray(final_state, {size});
+    if (cotangent.is_none()) return py::make_tuple(final_array);
+    const Array by_final = ReadArray(cotangent, "cotangent", {size});
+    HybridGradient by;
+    computation.RunOrThrow([&] {
+      by = simulator.Adjoint(View(by_final));
+      if (!simulator.WhyNotFinite().empty()) throw std::runtime_error(simulator.WhyNotFinite());
+    });
+    const py::ssize_t intervals = problem.guess.num_intervals, m = problem.system.num_controls();
+    by.control.resize(intervals * m);
+    by.parameters.resize(problem.guess.parameters.size());
+    return py::make_tuple(final_array,
+                          ToArray(by.initial, {static_cast<py::ssize_t>(by.initial.size())}),
+                          ToArray(by.control, {intervals, m}),
+                          ToArray(by.parameters, {static_cast<py::ssize_t>(by.parameters.size())}));
   }
 
   // bounds: of each of the controls, of the free initial states, of the free parameters, and of the duration; pairs.
@@ -413,7 +602,25 @@ class Problem {
   }
 
  private:
+  // Returns why a mechanical system has no motion from an input, whose mode is found if it is not given.
+  std::string WhyNoStart(HybridInput* input) const {
+    const auto finite = [](const std::vector<double>& numbers) {
+      return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+    };
+    if (!finite(input->initial) || !finite(input->parameters)) {
+      input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
+      return "";
+    }
+    if (input->mode >= 0) return mechanical_->WhatIsWrongAt(input->initial, input->parameters);
+    std::vector<double> control = input->control;
+    control.resize(problem_.system.num_controls());
+    MechanicalSystem::Start start = mechanical_->FindMode(input->initial, control, input->parameters);
+    input->mode = start.mode;
+    return start.mode >= 0 ? "" : std::move(start.why);
+  }
+
   HybridProblem problem_;
+  std::optional<MechanicalSystem> mechanical_;
   std::unique_ptr<HybridShooting> shooting_;  // of the last gradient
   OneUser user_;                              // of shooting_
 };
@@ -423,16 +630,41 @@ class Problem {
 void BindHybrid(py::module_* module) {
   py::class_<HybridSystem>(*module, "HybridSystem")
       .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"), py::arg("slides"));
+  py::class_<HybridTerm>(*module, "HybridTerm")
+      .def_readonly("name", &HybridTerm::name)
+      .def_property_readonly(
+          "at", [](const HybridTerm& term) { return term.at == HybridTerm::At::kEachInterval ? "steps" : "end"; })
+      .def_property_readonly("role", [](const HybridTerm& term) {
+        return term.role == HybridTerm::Role::kEquality ? "equality" : "cost";
+      });
+  module->def("read_bodies", &ReadBodiesFile, py::arg("text"), py::arg("name"));
+  py::class_<MechanicalSystem>(*module, "MechanicalSystem")
+      .def(py::init(&MakeMechanicalSystem),
+           py::arg("mass"),
+           py::arg("force"),
+           py::arg("contacts"),
+           py::arg("coordinates"),
+           py::arg("controls"),
+           py::arg("parameters"),
+           py::arg("contact_names"),
+           py::arg("poisson"),
+           py::arg("rest_speed"))
+      .def("mode", &ModeOf, py::arg("status"))
+      .def("guards", &GuardsOf, py::arg("mode"));
   py::class_<Problem> problem(*module, "HybridProblem");
+  const auto define_with = [&]<typename System>(const System*) {
+    problem.def(py::init<const System&, const std::vector<GivenTerm>&, double, int, bool, int, int>(),
+                py::arg("system"),
+                py::arg("terms"),
+                py::arg("tolerance"),
+                py::arg("steps_per_interval"),
+                py::arg("wait_behind_guards"),
+                py::arg("most_events"),
+                py::arg("most_repeats"));
+  };
+  define_with(static_cast<const HybridSystem*>(nullptr));
+  define_with(static_cast<const MechanicalSystem*>(nullptr));
   problem
-      .def(py::init<const HybridSystem&, const std::vector<TermTuple>&, double, int, bool, int, int>(),
-           py::arg("system"),
-           py::arg("terms"),
-           py::arg("tolerance"),
-           py::arg("steps_per_interval"),
-           py::arg("wait_behind_guards"),
-           py::arg("most_events"),
-           py::arg("most_repeats"))
       .def(
           "check", [](const Problem& checked, const Guess& guess) { checked.At(guess); }, py::arg("guess"))
       .def("rollout", &Problem::Rollout, py::arg("guess"))
@@ -451,6 +683,18 @@ void BindHybrid(py::module_* module) {
            py::arg("learning_rate"),
            py::arg("guess_states"),
            py::arg("callback"));
+  problem
+      .def("losses",
+           &Problem::Losses,
+           py::arg("guess"),
+           py::arg("control"),
+           py::arg("initial"),
+           py::arg("parameters"),
+           py::arg("duration"),
+           py::arg("points"),
+           py::arg("with_gradients"),
+           py::arg("threads"))
+      .def("end_state", &Problem::EndState, py::arg("guess"), py::arg("cotangent"));
   problem.def("planned", &Problem::Planned, py::arg("guess"))
       .def("track_continuously",
            &Problem::TrackContinuously,

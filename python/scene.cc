@@ -18,12 +18,8 @@ namespace {
 
 Scene ParseOrThrow(const std::string& text, const std::string& name) {
   std::variant<Scene, SceneFileError> parsed = ParseScene(text, name);
-  const auto* error = std::get_if<SceneFileError>(&parsed);
-  if (error == nullptr) return std::get<Scene>(std::move(parsed));
-  const py::object type = py::module_::import("saltus._scene").attr("SceneError");
-  const py::object raised = type(error->file, error->line, error->key, error->message);
-  PyErr_SetObject(type.ptr(), raised.ptr());
-  throw py::error_already_set();
+  if (const auto* error = std::get_if<SceneFileError>(&parsed)) Raise(*error);
+  return std::get<Scene>(std::move(parsed));
 }
 
 // Converts text of WriteScene(): quoted scalars are text; others a number or a truth value, if they read as one.

@@ -14,17 +14,18 @@
 
 Scenes          load_scene, Scene, SceneError
 Motions         rollout, loss_and_gradient, linearize: each takes a Scene, a dict or the path of a scene file
-Repeated use    Simulation (one scene, evaluated many times), Batch (many points, on all cores)
+Repeated use    Simulation (one scene, evaluated many times), Batch and HybridBatch (many points, on all cores)
 Optimisation    solve, solvers, bound_globally
 Sweeps          sweep: many points of some options, on all cores or with a distributed.Client of Dask
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
-Hybrid systems  HybridSystem, HybridProblem, where; terminal, effort, final_time, residuals, cost, maximise; rollout,
-                final_derivatives, loss_and_gradient, solve, hybrid_solvers, audit
+Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where; terminal, effort,
+                final_time, residuals, cost, maximise; rollout, final_derivatives, loss_and_gradient, solve,
+                hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
-Other packages  EndState (for automatic differentiation), saltus.torch, saltus.jax, saltus.plot (matplotlib); scipy.optimize
+Other packages  EndState, HybridEndState (for automatic differentiation), saltus.torch, saltus.jax, saltus.plot (matplotlib); scipy.optimize
                 takes Simulation.loss_and_gradient with jac=True
 Results         Result: the keys of the programs' JSON; save, load_result
 
@@ -44,6 +45,8 @@ from ._expression import where
 from ._feedback import Covariance, NoisyRuns, Regulator, SaltedKalmanFilter, noisy_runs, propagate, track
 from ._hybrid import (
     HybridAudit,
+    HybridBatch,
+    HybridEndState,
     HybridGradient,
     HybridProblem,
     HybridRollout,
@@ -59,6 +62,7 @@ from ._hybrid import (
     terminal,
 )
 from ._identify import identify
+from ._mechanical import Contact, MechanicalSystem, load_bodies
 from ._own import ContactModel
 from ._results import Audit, Fit, Gradient, Result, Rollout, Run, WrongGradient, load_result
 from ._saltus import __version__
@@ -70,17 +74,21 @@ from ._sweep import sweep
 __all__ = [
     "Audit",
     "Batch",
+    "Contact",
     "ContactModel",
     "Covariance",
     "EndState",
     "Fit",
     "Gradient",
     "HybridAudit",
+    "HybridBatch",
+    "HybridEndState",
     "HybridGradient",
     "HybridProblem",
     "HybridRollout",
     "HybridRun",
     "HybridSystem",
+    "MechanicalSystem",
     "NoisyRuns",
     "Regulator",
     "Result",
@@ -102,6 +110,7 @@ __all__ = [
     "hybrid_solvers",
     "identify",
     "linearize",
+    "load_bodies",
     "load_result",
     "load_scene",
     "loss_and_gradient",

@@ -63,7 +63,45 @@ def _outputs(what: str, tape: Tape, values: Any, expected: int | None = None) ->
         raise _at(what, error) from error
 
 
-class HybridSystem(Closed):
+class System(Closed):
+    """What problems ask of a system, whatever its kind: of its modes by name, of which those of a mechanical system are
+    created as a motion meets them."""
+
+    controls: list[str]
+    parameters: list[str]
+    _system: Any
+
+    def _make(self) -> Any:
+        """Returns the system of C++."""
+        raise NotImplementedError
+
+    def _mode_number(self, mode: str | None) -> int:
+        """Returns the number of a mode, -1 for the one that the state at the start has. Raises ValueError."""
+        raise NotImplementedError
+
+    def _states_of(self, mode: str | None) -> list[str]:
+        raise NotImplementedError
+
+    def _guards_of(self, mode: str) -> list[str]:
+        raise NotImplementedError
+
+    def _size_after(self, mode: str, guard: str) -> int:
+        """Returns the size of the state after an event."""
+        raise NotImplementedError
+
+    def _state_sizes(self) -> set[int]:
+        """Returns the sizes of the states of all modes."""
+        raise NotImplementedError
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_system"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._system = self._make()
+
+
+class HybridSystem(System):
     """A hybrid system: a state that flows smoothly until a guard falls through zero, and is then reset.
 
     states: the modes, each with the names of its states. controls, parameters: names. SI units, or any others.
@@ -157,12 +195,22 @@ class HybridSystem(Closed):
     def _make(self) -> Any:
         return _saltus.HybridSystem(self._record, self.controls, self.parameters, self.sliding is not None)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_system"}
+    def _mode_number(self, mode: str | None) -> int:
+        if mode not in self.states:
+            raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self.modes)}")
+        return self.modes.index(mode)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._system = self._make()
+    def _states_of(self, mode: str | None) -> list[str]:
+        return self.states[str(mode)]
+
+    def _guards_of(self, mode: str) -> list[str]:
+        return self.guards[mode]
+
+    def _size_after(self, mode: str, guard: str) -> int:
+        return len(self.states[self._next_modes[mode, guard]])
+
+    def _state_sizes(self) -> set[int]:
+        return set(map(len, self.states.values()))
 
     def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
         what = f"on_accumulation of mode '{mode}'"
@@ -275,31 +323,34 @@ class Cost(Closed):
             symbols[name] = inputs[0] if name in "th" else inputs
             first += sizes[name]
         values = _call(self.name, self.function, {name: symbols[name] for name in names}, "")
-        mode = -1 if self.mode is None else system.modes.index(self.mode)
-        guard = -1 if self.guard is None else system.guards[str(self.mode)].index(self.guard)
+        mode = -1 if self.mode is None else system._mode_number(self.mode)
+        guard = -1 if self.guard is None else system._guards_of(str(self.mode)).index(self.guard)
         found = _outputs(self.name, tape, values)
         return (self.name, self.at, self.role, mode, guard, self.before, "".join(reads), [sizes[r] for r in reads], found)
 
-    def _check_size(self, system: HybridSystem, size: int) -> None:
-        if size not in map(len, system.states.values()):
+    def _check_size(self, system: System, size: int) -> None:
+        if size not in system._state_sizes():
             raise ValueError(f"{self.name}: found a state of {size} numbers, which no mode has")
 
-    def _state_size(self, system: HybridSystem) -> int:
-        if self.mode is not None and self.mode not in system.states:
-            raise ValueError(f"{self.name}: found mode {self.mode!r}, expected some of {', '.join(system.modes)}")
-        if self.guard is not None and self.guard not in system.guards[str(self.mode)]:
+    def _state_size(self, system: System) -> int:
+        if self.mode is not None:
+            try:
+                system._mode_number(self.mode)
+            except ValueError as error:
+                raise _at(self.name, error) from error
+        if self.guard is not None and self.guard not in system._guards_of(str(self.mode)):
             raise ValueError(
                 f"{self.name}: found guard {self.guard!r} of mode '{self.mode}', expected some of "
-                f"{', '.join(system.guards[str(self.mode)])}"
+                f"{', '.join(system._guards_of(str(self.mode)))}"
             )
         if self.size is not None:
             self._check_size(system, self.size)
             return self.size
         if self.guard is not None and not self.before:
-            return len(system.states[system._next_modes[str(self.mode), self.guard]])
+            return system._size_after(str(self.mode), self.guard)
         if self.mode is not None:
-            return len(system.states[self.mode])
-        sizes = {len(states) for states in system.states.values()}
+            return len(system._states_of(self.mode))
+        sizes = system._state_sizes()
         if len(sizes) > 1:
             raise ValueError(f"{self.name}: found no mode, expected one, as modes have states of different sizes")
         return sizes.pop()
@@ -416,13 +467,16 @@ class HybridProblem(Closed):
     keeps copies of arrays. It can be copied and pickled: a pickle has what was recorded in place of the functions of costs.
     Several threads may use one problem.
 
-    system, mode, initial, parameters, duration: where the motion begins, and the final time, which may be left out if
-    there are durations.
+    system: a saltus.HybridSystem or a saltus.MechanicalSystem.
+    mode, initial, parameters, duration: where the motion begins, and the final time, which may be left out if there are
+    durations. The mode of a mechanical system may be left out too: it is the one in which a motion from the initial state
+    starts under the first control.
     control: (K, controls), held on K intervals; K = 1 and zeros if left out.
     durations: (K,), the lengths of the intervals, whose sum is the duration; equal ones if left out. With
     ``control=run.control, durations=run.durations`` or ``start_from(run)`` the problem has the intervals of a run.
     costs: a list of saltus.terminal, saltus.effort, saltus.final_time and saltus.residuals, or of functions, which are
     residuals at the end.
+    optimize, bounds: what ``solve`` changes and within which bounds, unless it is given others.
     tolerance: relative error of final state and event times, for which the number of integration steps is chosen;
     steps_per_interval: that number, if it is not to be chosen.
     wait_behind_guards: a guard below zero at the start counts once it is above zero, and is no error.
@@ -430,8 +484,8 @@ class HybridProblem(Closed):
     motion goes on in the mode that on_accumulation names, or fails.
     """
 
-    _attributes = ("system", "mode", "initial", "parameters", "duration", "control", "durations", "costs", "tolerance",
-                   "steps_per_interval", "wait_behind_guards", "most_events", "most_repeats")
+    _attributes = ("system", "mode", "initial", "parameters", "duration", "control", "durations", "costs", "optimize",
+                   "bounds", "tolerance", "steps_per_interval", "wait_behind_guards", "most_events", "most_repeats")
     _arrays = ("initial", "parameters", "control", "durations")
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -440,23 +494,29 @@ class HybridProblem(Closed):
 
     def __init__(
         self,
-        system: HybridSystem,
+        system: System,
         *,
-        mode: str,
+        mode: str | None = None,
         initial: ArrayLike,
         parameters: ArrayLike = (),
         duration: float | None = None,
         control: ArrayLike | None = None,
         durations: ArrayLike | None = None,
         costs: Sequence[Any] = (),
+        optimize: Sequence[str] = ("control",),
+        bounds: Mapping[str, Any] | None = None,
         tolerance: float = 1e-12,
         steps_per_interval: int = 0,
         wait_behind_guards: bool = False,
         most_events: int = 100_000,
         most_repeats: int = 100,
     ):
-        if not isinstance(system, HybridSystem):
-            raise TypeError(f"system: found {type(system).__name__}, expected a saltus.HybridSystem")
+        if not isinstance(system, System):
+            raise TypeError(
+                f"system: found {type(system).__name__}, expected a saltus.HybridSystem or a saltus.MechanicalSystem"
+            )
+        if mode is None and isinstance(system, HybridSystem):
+            raise TypeError(f"mode: found none, expected one of {', '.join(system.modes)}")
         if duration is None:
             if durations is None:
                 raise TypeError("duration: found none and no durations, expected one of them")
@@ -470,6 +530,7 @@ class HybridProblem(Closed):
         self.parameters: Any = parameters
         self.control: Any = control
         self.costs: list[Any] = list(costs)
+        self.optimize, self.bounds = optimize, dict(bounds or {})
         self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
         self.wait_behind_guards = wait_behind_guards
         self.most_events, self.most_repeats = most_events, most_repeats
@@ -478,10 +539,9 @@ class HybridProblem(Closed):
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Calls a method of what evaluates it, which is kept as long as only the guess changes."""
-        if self.mode not in self.system.states:
-            raise ValueError(f"mode: found {self.mode!r}, expected some of {', '.join(self.system.modes)}")
+        number = self.system._mode_number(self.mode)
         expect("a number", duration=self.duration)
-        guess = (self.system.modes.index(self.mode), self.initial, self.parameters, float(self.duration),
+        guess = (number, self.initial, self.parameters, float(self.duration),
                  *self._intervals())
         limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events, self.most_repeats)
         rest = (self.system, tuple(self.costs), *limits)
@@ -494,7 +554,8 @@ class HybridProblem(Closed):
         return getattr(made[1], method)(guess, *arguments)
 
     def __repr__(self) -> str:
-        return (f"<saltus.HybridProblem from mode '{self.mode}', {self.intervals} control intervals over {self.duration:g}, "
+        begin = "" if self.mode is None else f"from mode '{self.mode}', "
+        return (f"<saltus.HybridProblem {begin}{self.intervals} control intervals over {self.duration:g}, "
                 f"{len(self.costs)} costs and constraints>")
 
     def _costs(self) -> list[Cost]:
@@ -558,7 +619,7 @@ class HybridProblem(Closed):
         """What is free: control, components of the initial state, parameters, duration."""
         if isinstance(optimize, str):
             optimize = [optimize]
-        states, parameters = self.system.states[self.mode], self.system.parameters
+        states, parameters = self.system._states_of(self.mode), self.system.parameters
         initial: list[int] = []
         free: list[int] = []
         for name in optimize:
@@ -577,11 +638,14 @@ class HybridProblem(Closed):
                 )
         return "control" in optimize, initial, free, "duration" in optimize
 
-    def _bounds(self, bounds: Mapping[str, Any], free: Any) -> list[list[tuple[float, float]]]:
-        states, parameters = self.system.states[self.mode], self.system.parameters
+    def _bounds(self, bounds: Mapping[str, Any] | None, free: Any) -> list[list[tuple[float, float]]]:
+        """Pairs for all that is free; None: the bounds of the problem that are of what is free."""
+        states, parameters = self.system._states_of(self.mode), self.system.parameters
         groups = [self.system.controls if free[0] else [], [states[i] for i in free[1]],
                   [parameters[i] for i in free[2]], ["duration"] if free[3] else []]
         known = {name for group in groups for name in group} | ({"control"} if free[0] else set())
+        if bounds is None:
+            bounds = {name: pair for name, pair in self.bounds.items() if name in known}
         for name, pair in bounds.items():
             if name not in known:
                 raise ValueError(f"bounds: found {name!r}, expected some of what is optimized: {', '.join(sorted(known))}")
@@ -680,7 +744,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
         raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
     final, times, remark, error = problem._call("final_derivatives")
     system = problem.system
-    n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
+    n0, K, m, P = len(system._states_of(problem.mode)), problem.intervals, len(system.controls), len(system.parameters)
     found: dict[str, Any] = {}
     for prefix, rows in (("by_", final), ("times_by_", times)):
         found[prefix + "initial"] = rows[:, :n0]
@@ -694,7 +758,7 @@ def final_derivatives(problem: HybridProblem) -> Result:
 def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
     loss, gradient, remark, remarks = problem._call("loss_and_gradient")
     system = problem.system
-    n0, K, m, P = len(system.states[problem.mode]), problem.intervals, len(system.controls), len(system.parameters)
+    n0, K, m, P = len(system._states_of(problem.mode)), problem.intervals, len(system.controls), len(system.parameters)
     parts = {
         "initial": gradient[K * m : K * m + n0],
         "control": gradient[: K * m].reshape(K, m),
@@ -702,6 +766,108 @@ def loss_and_gradient(problem: HybridProblem) -> HybridGradient:
         "duration": float(gradient[-1]),
     }
     return HybridGradient({"loss": loss, "gradient": parts, "remark": remark, "remarks": remarks})
+
+
+class HybridBatch(Closed):
+    """Losses and gradients of a hybrid problem at many points, on all cores: many controls, initial states, parameters.
+
+    The results are bit by bit those of ``loss_and_gradient`` of one problem for each point, for any number of threads: the
+    integration steps of each point are chosen by themselves, unless the problem has ``steps_per_interval``, which is
+    faster. Where a motion fails, loss and gradient are NaN.
+
+    Args:
+        problem: a HybridProblem, of which a copy is kept.
+        optimize: what a point consists of, as in ``solve``: some of "control", "initial", "parameters", "duration" and the
+            names of initial states and parameters; default: that of the problem.
+        threads: number of threads; 0 is one per core.
+
+    Attributes:
+        variables: the names of the n numbers of a point, in order: the control interval by interval, as "u[3]" of the
+            fourth one, initial states, parameters, and the duration.
+        num_variables: n.
+        failures: the reasons why points of the last call have no loss or gradient, by their numbers.
+
+    Methods:
+        loss(points): the losses (P,) at points (P, n). A control may have its shape, (P, K, m).
+        loss_and_gradient(points): the losses, and the gradients in the shape of the points.
+    """
+
+    _attributes = ("problem", "optimize", "threads", "variables", "num_variables", "failures")
+
+    def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0):
+        if not isinstance(problem, HybridProblem):
+            raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
+        expect("a whole number", threads=threads)
+        self.problem, self.threads = copy.copy(problem), threads
+        self.optimize = problem.optimize if optimize is None else optimize
+        control, initial, parameters, duration = problem._free(self.optimize)
+        system, states = problem.system, problem.system._states_of(problem.mode)
+        self.variables = [f"{name}[{k}]" for k in range(problem.intervals) for name in system.controls] if control else []
+        self.variables += [states[i] for i in initial] + [system.parameters[i] for i in parameters]
+        self.variables += ["duration"] if duration else []
+        self.num_variables = len(self.variables)
+        self.failures: dict[int, str] = {}
+
+    def _losses(self, points: ArrayLike, with_gradients: bool) -> tuple[Any, Any]:
+        free = self.problem._free(self.optimize)
+        losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads)
+        return losses, gradients
+
+    def loss(self, points: ArrayLike) -> Any:
+        return self._losses(points, False)[0]
+
+    def loss_and_gradient(self, points: ArrayLike) -> tuple[Any, Any]:
+        losses, gradients = self._losses(points, True)
+        return losses, gradients.reshape(np.shape(points))
+
+    def __repr__(self) -> str:
+        return f"<saltus.HybridBatch of {self.num_variables} variables, {self.problem!r}>"
+
+
+class HybridEndState(Closed):
+    """The final state of a hybrid problem as a function of initial state, control and parameters, for automatic
+    differentiation by other packages, such as those of saltus.torch and saltus.jax.
+
+    ``end(initial, control, parameters)`` returns the state at the end, after events there, of shape (n,).
+    ``end.vjp(initial, control, parameters, cotangent)`` returns the gradients of sum(cotangent * end(...)) by all three, by
+    one adjoint through all events. Each call chooses the integration steps, unless the problem has them.
+    """
+
+    _attributes = ("problem",)
+
+    def __init__(self, problem: HybridProblem):
+        if not isinstance(problem, HybridProblem):
+            raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
+        self.problem = copy.copy(problem)
+        if self.problem.control is None:
+            self.problem.control = np.zeros((1, len(problem.system.controls)))
+
+    @property
+    def initial(self) -> Any:
+        """The initial state of the problem, (n0,)."""
+        return np.array(self.problem.initial, dtype=float)
+
+    @property
+    def control(self) -> Any:
+        """The control of the problem, (K, m)."""
+        return np.array(self.problem.control, dtype=float)
+
+    @property
+    def parameters(self) -> Any:
+        """The parameters of the problem, (P,)."""
+        return np.array(self.problem.parameters, dtype=float)
+
+    def _at(self, initial: Any, control: Any, parameters: Any, cotangent: Any) -> Any:
+        problem = copy.copy(self.problem)
+        problem.initial, problem.parameters = initial, parameters
+        problem.control = np.reshape(control, self.control.shape)
+        return problem._call("end_state", cotangent)
+
+    def __call__(self, initial: ArrayLike, control: ArrayLike, parameters: ArrayLike) -> Any:
+        return self._at(initial, control, parameters, None)[0]
+
+    def vjp(self, initial: ArrayLike, control: ArrayLike, parameters: ArrayLike, cotangent: ArrayLike) -> Any:
+        return self._at(initial, control, parameters, cotangent)[1:]
 
 
 def hybrid_solvers() -> dict[str, str]:
@@ -713,7 +879,7 @@ def solve(
     problem: HybridProblem,
     solver: str,
     optimize: Sequence[str],
-    bounds: Mapping[str, Any],
+    bounds: Mapping[str, Any] | None,
     iterations: int,
     learning_rate: float,
     guess_states: Any,

@@ -153,10 +153,37 @@ def identify(
 class HybridSystem:
     def __init__(self, modes: Any, controls: Sequence[str], parameters: Sequence[str], slides: bool) -> None: ...
 
+class MechanicalSystem:
+    def __init__(
+        self,
+        mass: Any,
+        force: Any,
+        contacts: Any,
+        coordinates: Sequence[str],
+        controls: Sequence[str],
+        parameters: Sequence[str],
+        contact_names: Sequence[str],
+        poisson: bool,
+        rest_speed: float,
+    ) -> None: ...
+    def mode(self, status: str) -> int: ...
+    def guards(self, mode: int) -> list[str]: ...
+
+class HybridTerm:
+    def __init__(self, *arguments: Any) -> None: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def at(self) -> str: ...
+    @property
+    def role(self) -> str: ...
+
+def read_bodies(text: str | bytes, name: str) -> dict[str, Any]: ...
+
 class HybridProblem:
     def __init__(
         self,
-        system: HybridSystem,
+        system: HybridSystem | MechanicalSystem,
         terms: Any,
         tolerance: float,
         steps_per_interval: int,
@@ -182,6 +209,18 @@ class HybridProblem:
         guess_states: list[float],
         callback: Any,
     ) -> tuple[dict[str, Any], BaseException | None]: ...
+    def losses(
+        self,
+        guess: _Guess,
+        control: bool,
+        initial: Sequence[int],
+        parameters: Sequence[int],
+        duration: bool,
+        points: Any,
+        with_gradients: bool,
+        threads: int,
+    ) -> tuple[_Array, _Array, dict[int, str]]: ...
+    def end_state(self, guess: _Guess, cotangent: Any) -> tuple[_Array, ...]: ...
     def planned(self, guess: _Guess) -> PlannedMotion: ...
     def track_continuously(
         self, guess: _Guess, Q: Sequence[_Array], R: _Array, QT: _Array

@@ -54,8 +54,9 @@ def solve(
         solver: name of a solver; those of a HybridProblem are hybrid_solvers(). Without one it is auto, or gd if a learning
             rate is given.
         optimize: of a HybridProblem, some of "control", "initial", "parameters", "duration" and the names of initial states
-            and parameters; default: the control.
-        bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control.
+            and parameters; default: those of the problem.
+        bounds: of a HybridProblem, pairs (least, greatest) by these names, or by the name of a control; default: those of
+            the problem for what is optimized.
         precision: arithmetic of the contact model, "double" or "float".
         iterations: largest number of iterations.
         learning_rate: step size of gradient descent; default: that of the published experiments, 0.01 for a HybridProblem.
@@ -91,9 +92,9 @@ def solve(
     expect("a callable", callback=callback, status=status)
     if isinstance(scene, HybridProblem):
         rate = 0.01 if learning_rate is None else float(learning_rate)
-        free = ["control"] if optimize is None else optimize
         problem = scene if start is None else scene._from(start)
-        return _hybrid.solve(problem, solver, free, bounds or {}, iterations, rate, guess_states, callback)
+        free = problem.optimize if optimize is None else optimize
+        return _hybrid.solve(problem, solver, free, bounds, iterations, rate, guess_states, callback)
     if optimize is not None or bounds is not None:
         raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
     if guess_states is not None:

@@ -261,6 +261,15 @@ class RecordedFunction::Builder {
     return along;
   }
 
+  // Returns the graph for the function GradientOf below.
+  ExpressionGraph GradientOf(int n) && {
+    const Derivative by = DerivativeOf(outputs_.front());
+    ExpressionGraph gradient{.num_inputs = num_inputs_};
+    for (int i = 0; i < n; ++i) gradient.outputs.push_back(by.contains(i) ? by.at(i) : Constant(0));
+    gradient.nodes = std::move(nodes_);
+    return gradient;
+  }
+
   Tape Derivatives() {
     std::vector<Tape::Entry> entries;
     for (std::size_t row = 0; row < outputs_.size(); ++row) {
@@ -520,6 +529,10 @@ class RecordedFunction::Builder {
 
 ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k) {
   return RecordedFunction::Builder(beside).FlowAlong(n, k);
+}
+
+ExpressionGraph GradientOf(const ExpressionGraph& graph, int n) {
+  return RecordedFunction::Builder(graph).GradientOf(n);
 }
 
 RecordedFunction::RecordedFunction(const ExpressionGraph& recording)

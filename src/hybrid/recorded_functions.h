@@ -96,6 +96,9 @@ std::string WhatIsWrongWith(const ExpressionGraph& graph);
 // zero while the motion slides.
 ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k);
 
+// Returns the derivatives of the first output by the first n inputs.
+ExpressionGraph GradientOf(const ExpressionGraph& graph, int n);
+
 // Returns the derivatives of the outputs by the first `columns` inputs, where they are not zero, if the function is
 // affine in these inputs with coefficients that are numbers; otherwise nothing.
 std::optional<std::vector<LinearFlow::Entry>> AffineDerivatives(const ExpressionGraph& graph, int columns);
@@ -123,8 +126,10 @@ class RecordedFunction {
   class Evaluation;
 
  private:
+  friend class RecordedMechanics;
   friend class RecordedSystem;
   friend ExpressionGraph FlowAlong(const ExpressionGraph& beside, int n, int k);
+  friend ExpressionGraph GradientOf(const ExpressionGraph& graph, int n);
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
     struct Instruction {

@@ -28,11 +28,13 @@ std::optional<SceneFileError> ReadText(const std::string& path, std::string* tex
   return std::nullopt;
 }
 
-std::optional<SceneFileError> ReadYaml(std::string_view text, const std::string& name, const internal::UseTree& use) {
+}  // namespace
+
+std::optional<SceneFileError> internal::ReadYaml(std::string_view text, const std::string& name, const UseTree& use) {
   try {
-    use(internal::LoadYaml(text));
+    use(LoadYaml(text));
     return std::nullopt;
-  } catch (const internal::SceneFileFailure& failure) {
+  } catch (const SceneFileFailure& failure) {
     return SceneFileError{name, failure.line, failure.key, failure.message};
   } catch (const YAML::Exception& error) {
     return SceneFileError{name,
@@ -41,8 +43,6 @@ std::optional<SceneFileError> ReadYaml(std::string_view text, const std::string&
                           "found text that is not YAML (" + error.msg + "), expected a scene"};
   }
 }
-
-}  // namespace
 
 std::optional<SceneFileError> internal::ReadYamlFile(const std::string& path, const UseTree& use) {
   std::string text;
@@ -59,7 +59,7 @@ std::string SceneFileError::ToString() const {
 
 std::variant<Scene, SceneFileError> ParseScene(std::string_view text, const std::string& name) {
   Scene scene;
-  const std::optional<SceneFileError> error = ReadYaml(text, name, [&](const YAML::Node& root) {
+  const std::optional<SceneFileError> error = internal::ReadYaml(text, name, [&](const YAML::Node& root) {
     internal::SceneReader reader;
     scene = reader.Read(root);
     if (const auto wrong = Validate(scene)) {

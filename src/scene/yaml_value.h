@@ -30,8 +30,10 @@ std::string Join(const std::vector<std::string>& words);
 // Parses one document without anchors, aliases and tags, not deeper than kMaxSceneDepth.
 YAML::Node LoadYaml(std::string_view text);
 
-// Calls `use` with the tree of a file. Returns why there is none, or what `use` throws: a SceneFileFailure.
+// Calls `use` with the tree of a text, or of a file. Returns why there is none, or what `use` throws: a
+// SceneFileFailure. `name`: of the text, in errors.
 using UseTree = std::function<void(const YAML::Node& root)>;
+std::optional<SceneFileError> ReadYaml(std::string_view text, const std::string& name, const UseTree& use);
 std::optional<SceneFileError> ReadYamlFile(const std::string& path, const UseTree& use);
 
 // A YAML value, and where it stands.

@@ -150,6 +150,12 @@ class MechanicalSystem {
   // The mode with a letter for each contact. Precondition: as many letters as contacts, each a status that the contact
   // can have.
   int Mode(const std::string& status) const;
+  // Whether it is a letter for each contact, each a status that the contact can have.
+  bool IsStatus(const std::string& status) const;
+
+  // Checks the mass matrix at x = [q v], which is symmetric and positive definite, each restitution, from 0 to 1, and
+  // friction, of 0 or more: "found x, expected y"; empty if there is nothing wrong.
+  std::string WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const;
 
   // The mode in which a motion starts from x = [q v] under control u. Contacts with a gap of zero that do not approach
   // or part are closed or not by the accelerations. mode -1: there is none, and `why` says why.

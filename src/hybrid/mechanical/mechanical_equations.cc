@@ -6,6 +6,8 @@
 #include <numeric>
 #include <type_traits>
 
+#include "base/number_text.h"
+
 namespace saltus {
 namespace {
 
@@ -15,6 +17,7 @@ using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>
 constexpr double kDependentRow = 1e-10;  // pivots of rows that depend on others, of the largest
 constexpr int kMostCorrections = 10;     // of a projection
 constexpr double kRounding = 1e-13;      // of the terms of a gap: corrections below it do not change derivatives
+constexpr double kSymmetric = 1e-12;     // of the largest entry of a mass matrix
 constexpr double kCancels = 1e-13;       // of the terms of an acceleration or velocity: what is left is rounding
 
 template <typename S>
@@ -49,6 +52,21 @@ void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, Vect
     sum[i] += change[i];
     if (std::abs(sum[i]) <= kCancels * (std::abs(before) + terms[i])) sum[i] = 0;
   }
+}
+
+std::string WhatIsUnsymmetric(const Eigen::MatrixXd& mass, const MechanicalLayout& layout) {
+  const auto name = [&](Eigen::Index i) {
+    return layout.coordinate_names.empty() ? "coordinate " + std::to_string(i) : layout.coordinate_names[i];
+  };
+  const double rounding = kSymmetric * mass.cwiseAbs().maxCoeff();
+  for (Eigen::Index i = 0; i < mass.rows(); ++i) {
+    for (Eigen::Index j = 0; j < i; ++j) {
+      if (!(std::abs(mass(i, j) - mass(j, i)) > rounding)) continue;
+      return "mass: found " + ToText(mass(j, i), 6) + " and " + ToText(mass(i, j), 6) + " of " + name(j) + " and " +
+             name(i) + ", expected a symmetric matrix";
+    }
+  }
+  return "";
 }
 
 void MassMatrix::Factorize(const Eigen::MatrixXd& mass) {

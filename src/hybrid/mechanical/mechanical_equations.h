@@ -11,6 +11,7 @@
 #include <Eigen/Core>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "base/linear_algebra.h"
@@ -38,6 +39,9 @@ inline int SlidingSign(char status) { return status == '+' ? 1 : status == '-' ?
 // Adds `change` to `sum`. Entries that are rounding errors of their terms, of which those of the change add up to
 // `terms`, become zero: what contacts hold rests exactly, wherever it is.
 void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, VectorRef sum);
+
+// Returns what is wrong with a mass matrix that is not symmetric; empty if it is.
+std::string WhatIsUnsymmetric(const Eigen::MatrixXd& mass, const MechanicalLayout& layout);
 
 // A mass matrix, factorized. That of free bodies is diagonal.
 class MassMatrix {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/number_text.h"
 #include "hybrid/mechanical/mechanical_hybrid.h"
 
 namespace saltus {
@@ -50,10 +51,32 @@ const MechanicalOptions& MechanicalSystem::options() const { return modes_->opti
 
 int MechanicalSystem::Mode(const std::string& status) const { return modes_->ModeOf(status); }
 
+bool MechanicalSystem::IsStatus(const std::string& status) const { return modes_->IsStatus(status); }
+
+std::string MechanicalSystem::WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const {
+  const int n = functions().layout().num_coordinates;
+  Eigen::MatrixXd mass(n, n);
+  functions().Mass(x.data(), p.data(), mass.data());
+  if (std::string wrong = WhatIsUnsymmetric(mass, functions().layout()); !wrong.empty()) return wrong;
+  if (!mass.allFinite() || mass.llt().info() != Eigen::Success) {
+    return "mass: found a matrix that is not positive definite at the initial state, expected one that is";
+  }
+  for (int i = 0; i < functions().layout().num_contacts; ++i) {
+    const std::string contact = "contact '" + modes_->ContactName(i) + "': ";
+    const double e = functions().Restitution(i, p.data()), mu = functions().Friction(i, p.data());
+    if (!(e >= 0 && e <= 1)) return contact + "found a restitution of " + ToText(e, 6) + ", expected 0 to 1";
+    if (!(mu >= 0) || std::isinf(mu)) {
+      return contact + "found a friction coefficient of " + ToText(mu, 6) + ", expected a finite number >= 0";
+    }
+  }
+  return "";
+}
+
 MechanicalSystem::Start MechanicalSystem::FindMode(std::span<const double> x, std::span<const double> u,
                                                    std::span<const double> p, double t) const {
   const MechanicalHybrid::Point at = modes_->PointAt(t, x.data(), u.data(), p.data());
-  Start start;
+  Start start{.mode = -1, .why = WhatIsWrongAt(x, p)};
+  if (!start.why.empty()) return start;
   const MechanicalHybrid::Closing closing = modes_->Touching(at, &start.why);
   if (!start.why.empty()) return start;
   const std::string status =
