@@ -25,8 +25,8 @@ Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, Hybrid
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
-Other packages  EndState, HybridEndState (for automatic differentiation), saltus.torch, saltus.jax, saltus.plot (matplotlib); scipy.optimize
-                takes Simulation.loss_and_gradient with jac=True
+Other packages  EndState and HybridEndState (for automatic differentiation), saltus.torch, saltus.jax, saltus.plot
+                (matplotlib); scipy.optimize takes Simulation.loss_and_gradient with jac=True
 Results         Result: the keys of the programs' JSON; save, load_result
 
 Units are SI units and radians. The world is planar: every vector is [x, y]. A scene has B discs, of which C are

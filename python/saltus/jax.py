@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from . import _simulate
+from ._hybrid import HybridBatch, HybridEndState, HybridProblem
 from ._scene import SceneLike
 from ._types import Floats
 
@@ -41,8 +42,12 @@ def _like(array: jax.Array) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(array.shape, array.dtype)
 
 
-def losses(batch: _simulate.Batch) -> Callable[[jax.Array], jax.Array]:
-    """Returns a function of jax: points of shape (P, ...), as those of batch.loss, to their P losses."""
+def losses(batch: _simulate.Batch | HybridBatch) -> Callable[[jax.Array], jax.Array]:
+    """Returns a function of jax: points of shape (P, ...), as those of batch.loss, to their P losses.
+
+    Args:
+        batch: a saltus.Batch or a saltus.HybridBatch.
+    """
 
     def losses_of(points: jax.Array) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(points.shape[:1], points.dtype)
@@ -64,27 +69,36 @@ def losses(batch: _simulate.Batch) -> Callable[[jax.Array], jax.Array]:
 
 
 def end_state(
-    scene: SceneLike, contact: Any = "event", *, precision: str = "double"
-) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """Returns the final state of a scene as a function of jax.
+    scene: SceneLike | HybridProblem, contact: Any = "event", *, precision: str = "double"
+) -> Callable[..., jax.Array]:
+    """Returns the final state of a scene or of a hybrid problem as a function of jax.
 
-    It takes the initial state and the control, of shapes (B, 4) and (K, C, 2), and returns an array of shape (B, 4). In
-    scenes with rotational inertia the states are (B, 6).
+    That of a scene takes the initial state and the control, of shapes (B, 4) and (K, C, 2), and returns an array of shape
+    (B, 4). In scenes with rotational inertia the states are (B, 6). That of a HybridProblem takes the initial state (n0,),
+    the control (K, m) and the parameters (P,), and returns an array of the shape that the final state of the problem has.
 
     Args:
-        scene, contact, precision: as those of saltus.Simulation.
+        scene: a Scene, a dict or the path of a scene file, or a HybridProblem.
+        contact, precision: of a scene, as those of saltus.Simulation.
     """
-    end = _simulate.EndState(scene, contact, precision=precision)
+    end: Any
+    if isinstance(scene, HybridProblem):
+        end = HybridEndState(scene)
+        final_shape = end(end.initial, end.control, end.parameters).shape
+    else:
+        end = _simulate.EndState(scene, contact, precision=precision)
+        final_shape = None
 
     @jax.custom_vjp
-    def function(initial: jax.Array, control: jax.Array) -> jax.Array:
-        (final,) = _called(lambda *host: (end(*host),), (_like(initial),), initial, control)
+    def function(*given: jax.Array) -> jax.Array:
+        like = _like(given[0]) if final_shape is None else jax.ShapeDtypeStruct(final_shape, given[0].dtype)
+        (final,) = _called(lambda *host: (end(*host),), (like,), *given)
         return final
 
-    def forward(initial: jax.Array, control: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        return function(initial, control), (initial, control)
+    def forward(*given: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+        return function(*given), given
 
-    def backward(given: tuple[jax.Array, jax.Array], cotangent: jax.Array) -> Any:
+    def backward(given: tuple[jax.Array, ...], cotangent: jax.Array) -> Any:
         return _called(end.vjp, tuple(map(_like, given)), *given, cotangent)
 
     function.defvjp(forward, backward)

@@ -13,13 +13,14 @@ Derivatives are of first order.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Callable
 
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
 from . import _simulate
+from ._hybrid import HybridBatch, HybridEndState, HybridProblem
 from ._scene import SceneLike
 from ._types import Floats
 
@@ -35,18 +36,18 @@ def _like(array: Floats, tensor: torch.Tensor) -> torch.Tensor:
 class _EndState(torch.autograd.Function):
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, initial: torch.Tensor, control: torch.Tensor, end: _simulate.EndState
+        ctx: Any, end: _simulate.EndState | HybridEndState, *given: torch.Tensor
     ) -> torch.Tensor:
         ctx.end = end
-        ctx.save_for_backward(initial, control)
-        return _like(end(_numpy(initial), _numpy(control)), initial)
+        ctx.save_for_backward(*given)
+        return _like(end(*map(_numpy, given)), given[0])
 
     @staticmethod
     @once_differentiable  # type: ignore[misc]
     def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
-        initial, control = ctx.saved_tensors
-        by_initial, by_control = ctx.end.vjp(_numpy(initial), _numpy(control), _numpy(cotangent))
-        return _like(by_initial, initial), _like(by_control, control), None
+        given = ctx.saved_tensors
+        found = ctx.end.vjp(*map(_numpy, given), _numpy(cotangent))
+        return None, *map(_like, found, given)
 
 
 class EndState:
@@ -73,8 +74,50 @@ class EndState:
         return torch.from_numpy(self._end.control)
 
     def __call__(self, initial: torch.Tensor, control: torch.Tensor) -> torch.Tensor:
-        final: torch.Tensor = _EndState.apply(initial, control, self._end)
+        final: torch.Tensor = _EndState.apply(self._end, initial, control)
         return final
+
+
+def end_state(problem: HybridProblem) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]:
+    """Returns the final state of a hybrid problem as a function of torch: of the initial state (n0,), the control (K, m) and
+    the parameters (P,)."""
+    end = HybridEndState(problem)
+
+    def function(initial: torch.Tensor, control: torch.Tensor, parameters: torch.Tensor) -> torch.Tensor:
+        final: torch.Tensor = _EndState.apply(end, initial, control, parameters)
+        return final
+
+    return function
+
+
+class _Losses(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, points: torch.Tensor, batch: _simulate.Batch | HybridBatch
+    ) -> torch.Tensor:
+        losses, gradients = batch.loss_and_gradient(_numpy(points))
+        ctx.save_for_backward(_like(gradients.reshape(points.shape), points))
+        return _like(losses, points)
+
+    @staticmethod
+    @once_differentiable  # type: ignore[misc]
+    def backward(ctx: Any, cotangent: torch.Tensor) -> Any:
+        (gradients,) = ctx.saved_tensors
+        return cotangent.reshape(-1, *[1] * (gradients.dim() - 1)) * gradients, None
+
+
+def losses(batch: _simulate.Batch | HybridBatch) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Returns a function of torch: points of shape (P, ...), as those of batch.loss, to their P losses.
+
+    Args:
+        batch: a saltus.Batch or a saltus.HybridBatch.
+    """
+
+    def function(points: torch.Tensor) -> torch.Tensor:
+        found: torch.Tensor = _Losses.apply(points, batch)
+        return found
+
+    return function
 
 
 class _Loss(torch.autograd.Function):
