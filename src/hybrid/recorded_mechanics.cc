@@ -170,7 +170,7 @@ void Compute(Operation operation, const T& a, const T& b, const T& c, bool expon
 
 }  // namespace
 
-// What MechanicalFunctionsOf takes: functions that are templates on the scalar.
+// A mechanical system as MechanicalFunctionsOf takes it: its functions are templates on the scalar.
 class RecordedMechanics {
  public:
   RecordedMechanics(MechanicalLayout layout, const MechanicalRecording& recording)
