@@ -8,6 +8,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 
 #include "base/number_text.h"
 
@@ -15,6 +16,9 @@ namespace saltus {
 namespace {
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
+constexpr int kColumnsOfRow = 4;
 
 bool AllFinite(std::span<const double> numbers) {
   return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
@@ -315,13 +319,36 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
   return why_.empty();
 }
 
+// Returns the derivative by all of the input of a row with this derivative by the state of a place.
+Eigen::RowVectorXd HybridShooting::RowByMotion(const Place& place, const Eigen::RowVectorXd& by_state) {
+  HybridCotangent cotangent;
+  cotangent.final_state.assign(simulator_.final_state().size(), 0.0);
+  if (place.interval >= 0) cotangent.nodes.resize(input_.num_intervals);
+  (place.interval >= 0 ? cotangent.nodes[place.interval] : cotangent.final_state)
+      .assign(by_state.begin(), by_state.end());
+  const HybridGradient by = simulator_.Adjoint(cotangent);
+  Eigen::RowVectorXd row(by.initial.size() + by.control.size() + by.parameters.size() + 1);
+  auto next = row.begin();
+  for (const std::vector<double>* part : {&by.initial, &by.control, &by.parameters}) {
+    next = std::copy(part->begin(), part->end(), next);
+  }
+  *next = by.duration;
+  return row;
+}
+
 void HybridShooting::ResidualJacobian(double* jacobian) {
   const HybridSystem& system = problem_.system;
   ++num_adjoints_;
-  const HybridSensitivity motion = simulator_.Sensitivity();
   // The Jacobian by all of the input, of which the variables are some columns.
   const int n0 = static_cast<int>(input_.initial.size()), controls = static_cast<int>(input_.control.size());
-  const int first_parameter = n0 + controls, duration = motion.columns - 1;
+  const int first_parameter = n0 + controls, duration = first_parameter + system.num_parameters();
+  const int columns = duration + 1;
+  int rows_of_motion = 0;
+  for (const Place& place : places_) {
+    if (place.first_row >= 0 && place.term->with_state) rows_of_motion += place.term->function->num_residuals();
+  }
+  std::optional<HybridSensitivity> motion;
+  if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity();
   const int first_of_kind[] = {n0, 0, first_parameter, duration};
   Eigen::Map<Matrix> out(jacobian, num_residuals_, num_variables());
   out.setZero();
@@ -335,7 +362,7 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
     }
     const HybridTerm& term = *place.term;
     const auto rows = static_cast<int>(values.residuals.size());
-    Matrix all = Matrix::Zero(rows, motion.columns);
+    Matrix all = Matrix::Zero(rows, columns);
     auto block = values.jacobians.begin();
     const auto next = [&] {
       const Eigen::Map<const Matrix> J(block->data(), rows, static_cast<int>(block->size()) / rows);
@@ -343,8 +370,12 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       return J;
     };
     if (term.with_state) {
-      const std::vector<double>& by = place.interval >= 0 ? motion.nodes[place.interval] : motion.final_state;
-      all += next() * Eigen::Map<const Matrix>(by.data(), static_cast<int>(place.state.size()), motion.columns);
+      const auto by_state = next();
+      if (motion) {
+        const std::vector<double>& by = place.interval >= 0 ? motion->nodes[place.interval] : motion->final_state;
+        all += by_state * Eigen::Map<const Matrix>(by.data(), by_state.cols(), columns);
+      }
+      for (int row = 0; !motion && row < rows; ++row) all.row(row) = RowByMotion(place, by_state.row(row));
     }
     const int m = system.num_controls();
     if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();

@@ -2,6 +2,7 @@
 // of the initial state, parameters and the duration.
 #pragma once
 
+#include <Eigen/Core>
 #include <functional>
 #include <span>
 #include <string>
@@ -92,6 +93,7 @@ class HybridShooting final : public ShootingFunction {
   std::vector<const double*> BlocksOf(const Place& place) const;
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
+  Eigen::RowVectorXd RowByMotion(const Place& place, const Eigen::RowVectorXd& by_state);
   std::string DescribePlace(const Place& place) const;
   // Keep the reason why there is no loss, or no derivative of it, and return false.
   bool Fail(std::string why);

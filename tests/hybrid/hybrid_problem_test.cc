@@ -122,6 +122,74 @@ TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
   }
 }
 
+// A ball that six forces push, which act at weights that the height changes.
+struct PushedBall {
+  static constexpr int kNumControls = 6, kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {1};
+  template <typename T>
+  void Flow(int, const T& t, const T* x, const T* u, const T*, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = T(-9.81) - 0.1 * x[1] * t;
+    for (int i = 0; i < 6; ++i) xdot[1] += u[i] * (1.0 + 0.1 * i * x[0]);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T* p, T* x_plus) const {
+    x_plus[0] = x[0];
+    x_plus[1] = -p[0] * x[1];
+    return 0;
+  }
+};
+struct HeightTimesSpeed {
+  template <typename T>
+  bool operator()(const T* x, const T* h, T* residual) const {
+    residual[0] = h[0] * x[0] * x[1];
+    return true;
+  }
+};
+
+// With six controls an interval has more variables than rows, whose derivatives are reverse sweeps.
+TEST(HybridShooting, RowsAgreeWithDifferences) {
+  constexpr int kIntervals = 5;
+  HybridProblem problem{.system = HybridSystem(PushedBall()),
+                        .guess = {.initial = {1.3, 0.4},
+                                  .parameters = {0.8},
+                                  .duration = 1.2,
+                                  .num_intervals = kIntervals,
+                                  .control = std::vector<double>(6 * kIntervals, 0.3)},
+                        .terms = {MakeTerminalCost(0, 1.0, 3.0, 2), MakeEffortCost(0.1, 6)}};
+  for (size_t i = 0; i < problem.guess.control.size(); ++i) problem.guess.control[i] += 0.1 * std::sin(1.0 + i);
+  HybridTerm intervals{
+      .name = "intervals", .at = HybridTerm::At::kEachInterval, .with_state = true, .with_length = true};
+  intervals.function = std::make_shared<ceres::AutoDiffCostFunction<HeightTimesSpeed, 1, 2, 1>>(new HeightTimesSpeed);
+  problem.terms.push_back(intervals);
+  problem.free = {.control = true, .initial = {1, 0}, .parameters = {0}, .duration = true};
+  HybridShooting shooting(problem);
+  const int rows = shooting.num_residuals(), columns = shooting.num_variables();
+  ASSERT_EQ(rows, 1 + 6 * kIntervals + kIntervals);
+  std::vector<double> z = shooting.initial_guess(), residuals(rows), jacobian(rows * columns);
+  ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.WhyFailed();
+  EXPECT_EQ(shooting.simulator().events().size(), 1u);
+  for (int j = 0; j < columns; ++j) {
+    constexpr double kWidth = 1e-3;
+    const double at = z[j];
+    std::vector<std::vector<double>> moved;
+    for (const double place : {-2, -1, 1, 2}) {
+      z[j] = at + place * kWidth;
+      ASSERT_TRUE(shooting.EvaluateResiduals(z, moved.emplace_back(rows).data(), nullptr));
+    }
+    z[j] = at;
+    for (int i = 0; i < rows; ++i) {
+      const double difference = (moved[0][i] - 8 * moved[1][i] + 8 * moved[2][i] - moved[3][i]) / (12 * kWidth);
+      EXPECT_NEAR(jacobian[i * columns + j], difference, 1e-8 * std::max(1.0, std::abs(difference))) << i << ' ' << j;
+    }
+  }
+}
+
 // The example of the sensitivity tutorials whose published answer, 0.8666 with loss 0.3995, is a local minimum.
 TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
   HybridProblem problem{.system = HybridSystem(BouncingBall()),
