@@ -50,6 +50,7 @@ SolveReport SolveChain::Finish(SolveReport report) const {
 
 namespace {
 
+constexpr double kLower = 1e-9;   // relative: losses that differ by less are the same
 constexpr int kLeastShare = 200;  // iterations that a solver may take, if so many are left; else half of these
 
 // Returns the remedy for a solve that has ended without an optimum; empty if it has one or was interrupted.
@@ -81,10 +82,12 @@ bool EndsBetter(const SolveReport& report, const SolveReport& than) {
 
 SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::string& why,
                         const SolverOptions& options,
-                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve) {
+                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve,
+                        const std::function<std::string(const SolveReport&)>& find_loss_of_reach) {
   SolveChain chain(options);
   std::optional<SolveReport> best, refused;
-  std::string tried;
+  std::string tried, out_of_reach;  // the latter: of an optimum found before
+  double loss_out_of_reach = 0;
   for (const std::string_view name : order) {
     SolverOptions next = chain.Next();
     if (name != order.back()) next.iterations = std::min(next.iterations, std::max(kLeastShare, next.iterations / 2));
@@ -98,9 +101,17 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
     }
     chain.Add(report);
     tried += (tried.empty() ? "" : ", then ") + std::string(name);
-    const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
-    if (!best || EndsBetter(report, *best) || report.termination == Termination::kInterrupted) best = std::move(report);
-    if (ended || chain.IsOutOfIterations()) break;
+    const bool interrupted = report.termination == Termination::kInterrupted,
+               converged = report.termination == Termination::kConverged;
+    const std::string lost = converged && find_loss_of_reach ? find_loss_of_reach(report) : "";
+    const bool lower = !out_of_reach.empty() && report.final_violation <= kFeasible && !report.losses.empty() &&
+                       report.final_loss < loss_out_of_reach - kLower * std::abs(loss_out_of_reach);
+    if (!lost.empty() && out_of_reach.empty()) {
+      out_of_reach = std::string(name) + " has converged, but " + lost;
+      loss_out_of_reach = report.final_loss;
+    }
+    if (!best || EndsBetter(report, *best) || lower || interrupted) best = std::move(report);
+    if (interrupted || (converged && lost.empty()) || chain.IsOutOfIterations()) break;
   }
   if (!best) {
     refused->solver = "auto";
@@ -110,6 +121,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
   std::string words = "auto used " + best->solver + ", as " + why;
   if (tried != best->solver) words += " (tried: " + tried + ")";
   if (tells) words += " (" + refused->solver + " does not apply: " + refused->reason + ")";
+  if (!out_of_reach.empty()) words += "; " + out_of_reach;
   if (!best->reason.empty()) words += "; " + best->reason;
   if (const std::string remedy = RemedyFor(*best); !remedy.empty()) words += "; " + remedy;
   best->reason = std::move(words);

@@ -118,6 +118,43 @@ std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) 
 
 std::string WhyNotAny(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
 
+// Returns which term of the loss no small change of the control changes at a solution, though it did at the initial
+// guess, as where discs that touched pass by one another; empty if there is none.
+std::string FindLossOfReach(const SolveRequest& request, const SolverOptions& options, const SolveReport& report) {
+  const Scene& scene = request.scene;
+  const bool shot = scene.optimize == Optimize::kControl && scene.design.empty() && request.terms.empty() &&
+                    scene.objective.IsSumOfSquares() && !options.surrogate;
+  if (!shot) return "";
+  const auto rows_at = [&](const std::optional<ControlGuess>& control, std::vector<double>* residuals) {
+    SolverOptions own;
+    own.stop = options.stop;
+    own.memory_limit = options.memory_limit;
+    own.guess = control;
+    SolveRun run("auto", request, own);
+    SingleShooting& shooting = run.shooting();
+    residuals->resize(shooting.num_residuals());
+    std::vector<double> jacobian(residuals->size() * run.initial_guess().size());
+    const bool ok = shooting.EvaluateResiduals(run.initial_guess(), residuals->data(), jacobian.data());
+    std::vector<double> largest(residuals->size(), NAN);
+    const size_t columns = run.initial_guess().size();
+    for (size_t row = 0; ok && row < largest.size(); ++row) {
+      largest[row] = 0;
+      for (size_t j = 0; j < columns; ++j) largest[row] = std::max(largest[row], std::abs(jacobian[row * columns + j]));
+    }
+    return largest;
+  };
+  std::vector<double> at_guess, at_solution;
+  const std::vector<double> before = rows_at(options.guess, &at_guess);
+  const std::vector<double> after = rows_at(ControlGuess{report.control, report.durations}, &at_solution);
+  for (size_t row = 0; row < after.size(); ++row) {
+    if (before[row] > 0 && after[row] == 0 && at_solution[row] != 0) {
+      return "no small change of its control changes a term of the loss that the control of the initial guess changes, "
+             "as where a contact is lost";
+    }
+  }
+  return "";
+}
+
 // The solver `auto`.
 SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions& options) {
   const Scene& scene = request.scene;
@@ -138,9 +175,12 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
     order = {"ceres_phases", "ipopt", "ceres_lm", "ceres_lbfgs", "gd"};
     why = "the control is free and contact is exact";
   }
-  return SolveInTurn(order, why, options, [&](std::string_view name, const SolverOptions& of_solve) {
-    return Solve(name, request, of_solve);
-  });
+  return SolveInTurn(
+      order,
+      why,
+      options,
+      [&](std::string_view name, const SolverOptions& of_solve) { return Solve(name, request, of_solve); },
+      [&](const SolveReport& report) { return FindLossOfReach(request, options, report); });
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".

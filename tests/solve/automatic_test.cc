@@ -51,6 +51,28 @@ TEST(Automatic, FindsTheStrikeOfTwoBalls) {
   EXPECT_NEAR(report.final_loss, 1.39654285, 5e-9);
 }
 
+// Without an impact the target stays where it is, and the loss is the square of its distance, 2.
+TEST(Automatic, GoesOnFromAnOptimumThatHasLostTheContact) {
+  const SolveRequest request{ProblemScene("two_balls"), "compliant_warp"};
+  const SolveReport alone = Solve("ceres_lm", request, {});
+  ASSERT_EQ(alone.termination, Termination::kConverged);
+  EXPECT_NEAR(alone.final_loss, 2, 1e-9);
+  const SolveReport report = Solve("auto", request, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, 1.3965, 5e-3);  // the optimum of exact contact, which the model approximates
+  EXPECT_THAT(report.reason, HasSubstr("ceres_lm has converged, but no small change of its control changes a term"));
+}
+
+// Where the loss is least without a contact no other solver finds a lower one.
+TEST(Automatic, ReturnsAnOptimumWithoutContactIfNoneIsLower) {
+  Scene scene = ProblemScene("two_balls");
+  scene.objective.effort = 10;  // a strike costs more than it gains
+  const SolveReport report = Solve("auto", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, 2, 1e-9);
+  EXPECT_THAT(report.reason, HasSubstr("has converged, but no small change"));
+}
+
 TEST(Automatic, ShootsUnderModelsAndFollowsASurrogateByDescent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 48;
