@@ -6,7 +6,7 @@
 #include <iostream>
 
 #include "base/random.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/program.h"
 #include "saltus/simulate/learned_contact.h"
 

@@ -1,4 +1,4 @@
-// The reader for CSV files. What writes them is output/table.h.
+// The reader for CSV files. What writes them is base/table.h.
 #pragma once
 
 #include <optional>

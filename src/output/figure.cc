@@ -20,7 +20,7 @@
 #include "base/file.h"
 #include "base/interrupt.h"
 #include "base/number_text.h"
-#include "output/table.h"
+#include "base/table.h"
 
 extern char** environ;
 

@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "base/status.h"
+#include "base/table.h"
 #include "output/figure.h"
 #include "output/replay.h"
-#include "output/table.h"
 
 namespace saltus {
 

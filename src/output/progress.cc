@@ -7,7 +7,7 @@
 #include <cmath>
 #include <utility>
 
-#include "output/table.h"
+#include "base/table.h"
 
 namespace saltus {
 namespace {

@@ -5,7 +5,7 @@
 #include <limits>
 #include <numbers>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"

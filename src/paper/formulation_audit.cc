@@ -7,7 +7,7 @@
 #include <map>
 
 #include "base/statistics.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "paper/experiments.h"
 #include "programs/audit_output.h"
 #include "programs/parallel.h"

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "base/random.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"

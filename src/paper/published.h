@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "paper/experiments.h"
 
 namespace saltus {

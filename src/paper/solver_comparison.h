@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "paper/experiments.h"
 #include "paper/paper_figures.h"
 

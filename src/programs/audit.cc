@@ -88,24 +88,6 @@ Json GivenToJson(const GivenAudit& audit) {
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
 }
 
-// "d/dpy puck"
-std::string NameOf(const Scene& scene, const OneSided& entry) {
-  const char* quantity = entry.quantity == OneSided::Quantity::kPosition ? "p" : "v";
-  return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
-}
-
-std::string WhyNotJudged(OneSided::Side side) {
-  switch (side) {
-    case OneSided::Side::kAbove:
-      return "the exact one exists from above only, and is not judged";
-    case OneSided::Side::kBelow:
-      return "the exact one exists from below only, and is not judged";
-    case OneSided::Side::kNone:
-      break;
-  }
-  return "the exact one does not exist";
-}
-
 }  // namespace
 
 AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
@@ -160,53 +142,7 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
 }
 
 void PrintAuditTable(const Request& request, const AuditReport& report) {
-  const TextLayout layout = LayoutOfStandardOutput();
-  const std::string& name = request.scene.name;
-  for (const ModelAudit& audit : report.models) {
-    const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) && audit.own &&
-                          audit.own->agreement == Agreement::kAgrees;
-    if (!deceives) continue;
-    std::cout << Paragraph("The gradient of " + audit.gradient.contact + " AGREES WITH DIFFERENCES, AND IS WRONG.",
-                           layout.width)
-              << "\n";
-  }
-  const std::optional<Surrogate>& surrogate = request.options.surrogate;
-  Table gradients = GradientTable(request, report);
-  // A row an entry, whose exact value is beside it wherever it goes on.
-  if (!gradients.FitsOneLine(layout.width)) gradients = gradients.Transposed("entry", report.reference ? 2 : 1);
-  PrintTable(name + ": " +
-                 (surrogate ? "surrogate of the gradient (" + BiasedName(*surrogate) + ")" : std::string("gradient")) +
-                 " of the loss at the initial guess",
-             gradients);
-  PrintTable(name + ": verdicts", VerdictTable(report));
-  PrintTableIfAny(name + ": differences of the loss", PlateauTable(report));
-  PrintTableIfAny(name + ": black boxes, from a head-on impact", BlackBoxTable(report));
-  std::string remarks;
-  const auto remark = [&](const std::string& of, const std::string& text) {
-    remarks += Paragraph(of + ": " + text, layout.width);
-  };
-  if (report.reference) {
-    for (const auto side : {OneSided::Side::kAbove, OneSided::Side::kBelow, OneSided::Side::kNone}) {
-      std::string names;
-      for (const OneSided& entry : report.reference->one_sided) {
-        if (entry.side == side) names += (names.empty() ? "" : ", ") + NameOf(request.scene, entry);
-      }
-      if (!names.empty()) remark(names, WhyNotJudged(side));
-    }
-  }
-  for (const ModelAudit& audit : report.models) {
-    const std::string& contact = audit.gradient.contact;
-    if (audit.black_box) {
-      for (const std::string& finding : audit.black_box->remarks) remark(contact, finding);
-    }
-    if (!audit.gradient.ok()) remark(contact, audit.gradient.reason);
-    if (audit.gradient.ok() && audit.interrupted) remark(contact, "interrupted; the rest of its audit is missing");
-    if (audit.attribution && !audit.attribution->sequence.empty()) remark(contact, audit.attribution->sequence);
-    if (audit.attribution && !audit.attribution->limit.empty()) {
-      remark(contact, "traced no further by --attribution_seconds: " + audit.attribution->limit);
-    }
-  }
-  std::cout << remarks << (remarks.empty() ? "" : "\n") << std::flush;
+  std::cout << AuditText(request.scene, report, request.options.surrogate, LayoutOfStandardOutput()) << std::flush;
 }
 
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {

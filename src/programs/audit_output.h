@@ -3,28 +3,13 @@
 
 #include <vector>
 
-#include "output/table.h"
+#include "audit/audit_text.h"
 #include "programs/program.h"
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/audit.h"
 #include "saltus/audit/given.h"
 
 namespace saltus {
-
-// Returns the tone of a verdict: right and consistent ones are good, wrong ones bad.
-Tone ToneOf(Verdict verdict);
-
-// Returns loss and gradient at the scene's steps, one row a model (a second for standard errors), the exact one first.
-Table GradientTable(const Request& request, const AuditReport& report);
-
-// Returns the verdicts, toned, and for wrong models the first wrong step with its cause.
-Table VerdictTable(const AuditReport& report);
-
-// Returns the findings from final states of black boxes, one row each.
-Table BlackBoxTable(const AuditReport& report);
-
-// Returns the plateaus of the width sweep, one row an entry and model.
-Table PlateauTable(const AuditReport& report);
 
 // A given gradient, entry by entry.
 Table GivenTable(const std::vector<GivenEntry>& entries);

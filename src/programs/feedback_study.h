@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/json_output.h"
 #include "programs/program.h"
 #include "saltus/feedback/closed_loop.h"

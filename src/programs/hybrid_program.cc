@@ -7,8 +7,8 @@
 #include <iostream>
 
 #include "base/interrupt.h"
+#include "base/table.h"
 #include "blackbox/command_scheme.h"
-#include "output/table.h"
 #include "programs/feedback_study.h"
 #include "programs/hybrid_document.h"
 #include "programs/program.h"

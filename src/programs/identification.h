@@ -6,9 +6,9 @@
 #include <variant>
 #include <vector>
 
+#include "base/table.h"
 #include "output/figure.h"
 #include "output/npz.h"
-#include "output/table.h"
 #include "programs/json_output.h"
 #include "programs/program.h"
 #include "saltus/identify/identify.h"

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <iostream>
 
+#include "control/surrogate_names.h"
 #include "output/json_number.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/scene_parameter.h"
@@ -54,11 +55,6 @@ Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
     intervals.emplace_back(std::move(forces));
   }
   return intervals;
-}
-
-// Whether the derivative of a contact model is biased, which is not known for black boxes.
-bool IsBiased(const std::string& contact) {
-  return FindContactModel(contact) != nullptr && HasBiasedDerivative(contact);
 }
 
 }  // namespace
@@ -255,15 +251,6 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
 
 void PrintJson(const Json& document, Precision precision) {
   std::cout << DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits) << std::endl;
-}
-
-std::string BiasedName(const Surrogate& surrogate) {
-  return std::string(SurrogateToString(surrogate.kind)) + ", biased";
-}
-
-std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate) {
-  if (surrogate) return contact + " (" + BiasedName(*surrogate) + ")";
-  return contact + (IsBiased(contact) ? " (biased)" : "");
 }
 
 std::string FileSuffix(const std::optional<Surrogate>& surrogate) {

@@ -6,7 +6,7 @@
 #include <optional>
 #include <vector>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/simulate/exact_run.h"
@@ -55,11 +55,6 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate, const
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
 Json SearchedToJson(const Searched& searched);
-
-// "smoothed_zeroth, biased".
-std::string BiasedName(const Surrogate& surrogate);
-// "direct", "direct (smoothed_zeroth, biased)", or "ncp:kappa_grad=1e-4 (biased)", whose options bias the derivative.
-std::string LabelOf(const std::string& contact, const std::optional<Surrogate>& surrogate);
 
 // Returns the part of a file name for a surrogate's results: "", or "_smoothed_zeroth_biased".
 std::string FileSuffix(const std::optional<Surrogate>& surrogate);

@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "base/interrupt.h"
+#include "base/table.h"
 #include "exact/launch_solutions.h"
-#include "output/table.h"
 #include "programs/audit.h"
 #include "programs/audit_output.h"
 #include "programs/program.h"

@@ -24,7 +24,7 @@
 #include "base/number_text.h"
 #include "base/parallel_for.h"
 #include "base/suggestion.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/feedback_study.h"
 #include "programs/program_flags.h"
 #include "programs/saved_solution.h"

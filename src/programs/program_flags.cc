@@ -10,7 +10,7 @@
 #include <sstream>
 
 #include "base/suggestion.h"
-#include "output/table.h"
+#include "base/table.h"
 
 namespace saltus {
 namespace {

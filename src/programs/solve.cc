@@ -5,8 +5,9 @@
 #include <new>
 
 #include "base/interrupt.h"
+#include "base/table.h"
+#include "control/surrogate_names.h"
 #include "feedback/noisy_states.h"
-#include "output/table.h"
 #include "programs/parallel.h"
 #include "programs/program.h"
 #include "programs/remarks.h"

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/program.h"
 #include "programs/solve_output.h"
 

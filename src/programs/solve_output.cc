@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "base/interrupt.h"
+#include "control/surrogate_names.h"
 #include "output/npz.h"
 #include "programs/program.h"
 #include "programs/remarks.h"

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/feedback_study.h"
 #include "programs/json_output.h"
 #include "programs/program.h"

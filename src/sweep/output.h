@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "base/table.h"
 #include "output/npz.h"
-#include "output/table.h"
 #include "programs/json_output.h"
 #include "sweep/store.h"
 

@@ -6,7 +6,7 @@
 #include <new>
 
 #include "base/statistics.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/audit.h"
 #include "programs/feedback_study.h"
 #include "programs/simulators.h"

@@ -6,7 +6,7 @@
 
 #include "base/csv.h"
 #include "base/number_text.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -11,10 +11,10 @@
 #include <filesystem>
 
 #include "base/csv.h"
+#include "base/csv_line.h"
 #include "base/file.h"
 #include "base/number_text.h"
-#include "output/csv_line.h"
-#include "output/table.h"
+#include "base/table.h"
 
 namespace saltus {
 namespace {

@@ -6,7 +6,7 @@
 #include <sstream>
 
 #include "base/number_text.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/json_output.h"
 #include "programs/simulators.h"
 #include "saltus/control/contact_sequence.h"

@@ -11,7 +11,7 @@
 
 #include "base/interrupt.h"
 #include "base/number_text.h"
-#include "output/table.h"
+#include "base/table.h"
 #include "programs/parallel.h"
 #include "programs/program.h"
 #include "programs/simulators.h"

@@ -20,10 +20,10 @@
 #include <sstream>
 
 #include "base/interrupt.h"
+#include "base/table.h"
 #include "campaign/checks.h"
 #include "campaign/scenes.h"
 #include "output/progress.h"
-#include "output/table.h"
 #include "programs/program.h"
 #include "saltus/scene/scene_file.h"
 

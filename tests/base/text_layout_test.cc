@@ -7,7 +7,7 @@
 
 #include <cstdlib>
 
-#include "output/table.h"
+#include "base/table.h"
 
 namespace saltus {
 namespace {

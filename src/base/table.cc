@@ -1,4 +1,4 @@
-#include "output/table.h"
+#include "base/table.h"
 
 #include <glog/logging.h>
 #include <sys/ioctl.h>
@@ -12,8 +12,8 @@
 #include <cstdlib>
 #include <optional>
 
+#include "base/csv_line.h"
 #include "base/number_text.h"
-#include "output/csv_line.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,4 @@
-#include "output/table.h"
+#include "base/table.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
