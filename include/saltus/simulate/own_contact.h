@@ -10,6 +10,7 @@
 #include <span>
 #include <string>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "saltus/internal/contact_step.h"
@@ -55,8 +56,7 @@ std::vector<ListedOption> ListOptions() {
 }
 
 template <ContactModel M>
-M WithOptions(std::span<const OptionValue> values) {
-  M model;
+M WithOptions(M model, std::span<const OptionValue> values) {
   VisitOptionsOf(&model, [&](const ModelOption& option, auto& member) {
     for (const OptionValue& set : values) {
       if (set.name == option.name) member = static_cast<std::decay_t<decltype(member)>>(set.value);
@@ -67,11 +67,11 @@ M WithOptions(std::span<const OptionValue> values) {
 
 template <ContactModel M>
 std::unique_ptr<Simulator> MakeSimulatorWithOptions(const Scene& scene, Precision precision,
-                                                    std::span<const OptionValue> options) {
+                                                    std::span<const OptionValue> options, const M& without = {}) {
   if constexpr (requires { typename M::Spinning; }) {
     if (scene.Spins()) return MakeSimulatorWithOptions<typename M::Spinning>(scene, precision, options);
   }
-  const M model = WithOptions<M>(options);
+  const M model = WithOptions(without, options);
   if constexpr (!M::kTraits.double_engine) {
     if (precision == Precision::kFloat) return MakeModelSimulator<M, float>(scene, precision, model);
   }
@@ -85,7 +85,9 @@ ContactEntry MakeContactEntry() {
   return {M::kTraits,
           internal::ListOptions<M>(),
           &internal::WhyModelNotApplicable<M>,
-          &internal::MakeSimulatorWithOptions<M>};
+          [](const Scene& scene, Precision precision, std::span<const OptionValue> options) {
+            return internal::MakeSimulatorWithOptions<M>(scene, precision, options);
+          }};
 }
 
 // The model with its options at their defaults; Contact::With() sets them. A model of that name in the registry is
@@ -94,6 +96,17 @@ template <ContactModel M>
 Contact OwnContact() {
   static const auto entry = std::make_shared<const ContactEntry>(MakeContactEntry<M>());
   return Contact(entry);
+}
+// Makes a contact of a model with the members that it has. Where discs spin, those of its Spinning are at their
+// defaults.
+template <ContactModel M>
+Contact OwnContact(M model) {
+  ContactEntry entry = MakeContactEntry<M>();
+  entry.make = [model = std::move(model)](
+                   const Scene& scene, Precision precision, std::span<const OptionValue> options) {
+    return internal::MakeSimulatorWithOptions<M>(scene, precision, options, model);
+  };
+  return Contact(std::make_shared<const ContactEntry>(std::move(entry)));
 }
 
 }  // namespace saltus

@@ -1,0 +1,45 @@
+// Scene files and audits of gradients in one line each.
+//
+//   const saltus::Scene scene = saltus::Load("two_balls.yaml");
+//   std::cout << saltus::AuditGradient(Springs(), scene);
+#pragma once
+
+#include <iosfwd>
+#include <string>
+#include <utility>
+
+#include "saltus/audit/audit.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/force_model.h"
+
+namespace saltus {
+
+// Reads a scene file (scene_file.h). Throws std::invalid_argument with file, line, key, what was found and what was
+// expected.
+Scene Load(const std::string& path);
+
+// The gradient of a contact model beside the exact one.
+struct GradientAudit {
+  Scene scene;
+  AuditReport report;  // of one model
+
+  const ModelAudit& model() const { return report.models.front(); }
+};
+// Prints the tables of saltus_audit.
+std::ostream& operator<<(std::ostream& out, const GradientAudit& audit);
+
+// Audits the gradient of the scene's loss under a contact model. Throws std::invalid_argument if the model cannot take
+// the scene.
+GradientAudit AuditGradient(const Contact& contact, const Scene& scene, const AuditOptions& options = {});
+// Audits that of a struct with Force (force_model.h), or of one as contact/contact_model.h describes.
+template <typename M>
+requires(!std::convertible_to<M, Contact>) GradientAudit
+    AuditGradient(M model, const Scene& scene, const AuditOptions& options = {}) {
+  if constexpr (ContactModel<M>) {
+    return AuditGradient(OwnContact(std::move(model)), scene, options);
+  } else {
+    return AuditGradient(ForceContact(std::move(model)), scene, options);
+  }
+}
+
+}  // namespace saltus

@@ -1,0 +1,184 @@
+// Problems in a few lines: a system with costs and constraints as lambdas, what is free by its name, and a run that
+// prints.
+//
+//   saltus::Problem problem(Ball(), {.initial = {50, 0}, .parameters = {9.8, 0.98}, .duration = 15});
+//   problem.AddCost(saltus::kEnd, [](const auto& a) { return a.x[0] - 20.0; });
+//   problem.AddInequality(saltus::kAlways, [](const auto& a) { return a.x[0] - 60.0; });
+//   problem.Free({.parameters = {{"p[1]", 0.75, 1.0}}});
+//   const saltus::Run run = saltus::Solve(problem);
+//   std::cout << run << run.certificate();
+//
+// This is a layer over hybrid_problem.h, which remains for all that it does not have. What is wrong with a problem
+// throws std::invalid_argument with what was found and what was expected.
+#pragma once
+
+#include <ceres/dynamic_autodiff_cost_function.h>
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "saltus/control/own_term.h"  // before kEnd, which its enumerator would shadow
+#include "saltus/hybrid/compact_system.h"
+#include "saltus/hybrid/hybrid_problem.h"
+
+namespace saltus {
+
+// The place of a term: the final time, all control intervals, or the events of a guard.
+struct Place {
+  HybridTerm::At at = HybridTerm::At::kEnd;
+  std::string guard = {};  // of kEvent: its name, in every mode that has one of that name
+  bool before = false;     // of kEvent: the state before the reset, in the place of that after it
+};
+// The final time, after events there.
+inline const Place kEnd{};
+// The whole motion. Costs are integrated over time, by the value at the beginning of each control interval; constraints
+// hold at the beginning of each interval and at the end: a problem with a free control needs as many intervals as that
+// takes.
+inline const Place kAlways{HybridTerm::At::kEachInterval};
+// Every event of a guard, with the state after it; or with the state before it.
+inline Place OnEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard)}; }
+inline Place BeforeEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard), true}; }
+
+// A variable by its name, and its bounds.
+struct Bounded {
+  std::string name;
+  double min = -std::numeric_limits<double>::infinity(), max = std::numeric_limits<double>::infinity();
+};
+
+// The unknowns of a problem. Names are those of the system, or "x[0]", "u[0]", "p[0]" where it has none.
+struct FreeVariables {
+  bool control = false;                // all components, in all intervals
+  std::vector<Bounded> controls = {};  // bounds of components; frees the control
+  std::vector<Bounded> initial = {};   // components of the initial state
+  std::vector<Bounded> parameters = {};
+  std::optional<Bounded> duration = {};  // its name is not read
+};
+
+// A motion of a hybrid system, and what is asked of it.
+class Problem {
+ public:
+  // Takes a struct with kSizes (compact_system.h) or as of hybrid_system.h, or a MechanicalSystem, and the input of a
+  // motion, which solvers start from.
+  template <typename S>
+  Problem(S system, HybridInput guess)
+      : Problem(HybridProblem{MakeHybridSystem(std::move(system)), std::move(guess)}) {}
+  // Takes over a problem.
+  explicit Problem(HybridProblem problem);
+
+  // The functions are templates, such as `[](const auto& a) { return a.x[0] - 20.0; }`, of a point At<T> with the state
+  // `x`, the parameters `p`, the time `t`, and in intervals the control `u` and the length `h`. They return a number or
+  // a Row. A term counts in all modes, whose states must have one size.
+
+  // The loss gains the sum of squares (kAlways: its integral over time).
+  template <typename F>
+  Problem& AddCost(const Place& place, F function) {
+    return Add(place, HybridTerm::Role::kCost, std::move(function));
+  }
+  // The loss gains the sum of the numbers themselves (kAlways: its integral over time).
+  template <typename F>
+  Problem& AddValue(const Place& place, F function) {
+    return Add(place, HybridTerm::Role::kValue, std::move(function));
+  }
+  // The numbers are to be 0.
+  template <typename F>
+  Problem& AddEquality(const Place& place, F function) {
+    return Add(place, HybridTerm::Role::kEquality, std::move(function));
+  }
+  // The numbers are to be at most 0.
+  template <typename F>
+  Problem& AddInequality(const Place& place, F function) {
+    return Add(place, HybridTerm::Role::kInequality, std::move(function));
+  }
+  // The loss gains weight int |u|^2 dt.
+  Problem& AddEffort(double weight);
+  // The loss gains weight T of the final time T.
+  Problem& AddDuration(double weight);
+
+  // Declares what solvers may change, in the place of what was free before.
+  Problem& Free(const FreeVariables& free);
+
+  // The problem that all this makes, to read or to change.
+  HybridProblem& parts() { return parts_; }
+  const HybridProblem& parts() const { return parts_; }
+
+ private:
+  // What a function of a term gets.
+  struct Shape {
+    HybridTerm::At at = HybridTerm::At::kEnd;
+    int states = 0, controls = 0, parameters = 0;
+    bool integrated = false, squared = false;  // the loss gains the integral over time; of the squares
+  };
+
+  // The function of a user between parameter blocks and residuals.
+  template <typename F>
+  struct Residuals {
+    template <typename T>
+    bool operator()(T const* const* blocks, T* residuals) const {
+      Visit(blocks, [&](const T& value) { *residuals++ = value; });
+      return true;
+    }
+    template <typename T, typename Visitor>
+    void Visit(T const* const* blocks, const Visitor& visit) const {
+      At<T> at;
+      at.x = {'x', *blocks++, shape.states};
+      if (shape.controls > 0) at.u = {'u', *blocks++, shape.controls};
+      if (shape.parameters > 0) at.p = {'p', *blocks++, shape.parameters};
+      at.t = **blocks++;
+      if (shape.at == HybridTerm::At::kEachInterval) at.h = **blocks++;
+      using std::sqrt;
+      const T factor = !shape.integrated ? T(1.0) : shape.squared ? T(sqrt(at.h)) : at.h;
+      const auto values = function(std::as_const(at));
+      if constexpr (requires { values.begin(); }) {
+        for (const auto& value : values) visit(T(value * factor));
+      } else {
+        visit(T(values * factor));
+      }
+    }
+
+    F function;
+    Shape shape;
+  };
+
+  template <typename F>
+  Problem& Add(const Place& place, HybridTerm::Role role, F function) {
+    const Residuals<F> residuals{std::move(function), ShapeOf(place, role)};
+    int count = 0;
+    TryOut(residuals.shape, [&](const double* const* blocks) { residuals.Visit(blocks, [&](double) { ++count; }); });
+    auto cost = std::make_shared<ceres::DynamicAutoDiffCostFunction<Residuals<F>, 4>>(new Residuals<F>(residuals));
+    for (const int size : BlocksOf(residuals.shape)) cost->AddParameterBlock(size);
+    cost->SetNumResiduals(count);
+    AddTerm(place, role, residuals.shape, std::move(cost));
+    if (place.at == HybridTerm::At::kEachInterval && !residuals.shape.integrated) {
+      // Constraints hold at the end, too, unless they read the control.
+      bool reads_control = false;
+      const Residuals<F> at_end{residuals.function, ShapeOf(kEnd, role)};
+      try {
+        TryOut(at_end.shape, [&](const double* const* blocks) { at_end.Visit(blocks, [](double) {}); });
+      } catch (const std::out_of_range&) {
+        reads_control = true;
+      }
+      if (!reads_control) Add(kEnd, role, std::move(at_end.function));
+    }
+    return *this;
+  }
+
+  // Throws std::invalid_argument where modes have states of different sizes.
+  Shape ShapeOf(const Place& place, HybridTerm::Role role) const;
+  static std::vector<int> BlocksOf(const Shape& shape);
+  // Calls the function once, with the numbers of the guess.
+  void TryOut(const Shape& shape, const std::function<void(const double* const*)>& function) const;
+  void AddTerm(const Place& place, HybridTerm::Role role, const Shape& shape,
+               std::shared_ptr<const ceres::CostFunction> function);
+  void AddTerm(HybridTerm term);
+
+  HybridProblem parts_;
+};
+
+}  // namespace saltus

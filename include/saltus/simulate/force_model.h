@@ -1,0 +1,92 @@
+// Contact models that are a force for each pair of discs that meet, or of a disc and a wall.
+//
+//   struct Springs {
+//     static constexpr auto kName = "springs";
+//     double stiffness = 1e4;  // N/m
+//     template <typename T>
+//     saltus::Vec2<T> Force(const saltus::Meeting<T>& m) const {  // N, on the first disc
+//       return m.gap < 0 ? saltus::Vec2<T>(-stiffness * m.gap * m.normal) : m.Zero();
+//     }
+//   };
+//   saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = saltus::ForceContact(Springs{.stiffness = 1e5})}, {});
+//
+// The force on the second disc is the opposite one. Steps are semi-implicit Euler steps. Pairs further apart than the
+// sum of their radii are asked only where the scene's broad phase takes them for candidates: a force at a distance
+// needs the interface of contact/contact_model.h. A model that reads `friction` says so by `static constexpr bool
+// kFriction = true`; others do not take scenes with friction.
+#pragma once
+
+#include <memory_resource>
+#include <span>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "saltus/simulate/own_contact.h"
+
+namespace saltus {
+
+// Two discs that meet, or a disc and a wall. T is double or a ceres::Jet.
+template <typename T>
+struct Meeting {
+  T gap;                          // m, below zero where they overlap
+  Vec2<T> normal;                 // unit vector, towards the first disc
+  Vec2<T> velocity;               // m/s, of the first relative to the second
+  T mass;                         // kg, 1 / (1/m_a + 1/m_b)
+  ContactConstants<T> constants;  // of the scene: restitution, friction, stiffness, damping
+
+  // No force.
+  Vec2<T> Zero() const { return Vec2<T>(T(0.0), T(0.0)); }
+};
+
+// The contact model (contact/contact_model.h) of a struct with Force.
+template <typename F>
+struct ForceModel : F {
+  static constexpr bool kReadsFriction = [] {
+    if constexpr (requires { F::kFriction; }) return F::kFriction;
+    return false;
+  }();
+  static constexpr ModelTraits kTraits = {.name = F::kName,
+                                          .summary = "a force for each pair",
+                                          .source = "a user's program",
+                                          .friction = kReadsFriction,
+                                          .compliant = true,
+                                          .double_engine = true,
+                                          .rebound = Rebound::kEmergent,
+                                          .relative = true};
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  template <typename T>
+  State<T> Free(const StepInput<T>& in, int i, const State<T>& x) const {
+    return SemiImplicitEuler(in, i, x);
+  }
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    std::pmr::vector<Vec2<T>> acceleration(in.scratch);
+    acceleration.reserve(x.size());
+    for (int i = 0; i < static_cast<int>(x.size()); ++i) acceleration.push_back(in.Acceleration(i));
+    for (const Candidate& c : in.candidates) {
+      const Separation<T> at = SeparationAt(in, c, [&](int i) -> const Vec2<T>& { return x[i].p; });
+      const Meeting<T> meeting = {.gap = at.distance - in.ContactDistance(c),
+                                  .normal = at.normal,
+                                  .velocity = RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return x[i].v; }),
+                                  .mass = in.EffectiveMass(c),
+                                  .constants = in.contact};
+      const Vec2<T> force = F::Force(meeting);
+      if (Value(force[0]) == 0 && Value(force[1]) == 0) continue;
+      in.Report(c);
+      ApplyImpulse(in, c, force, [&](int i, const Vec2<T>& change) { acceleration[i] += change; });
+    }
+    for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler<T>(in.h, acceleration[i], x[i]);
+  }
+};
+
+// Makes a contact model of a force, with the numbers that its members have.
+template <typename F>
+Contact ForceContact(F force) {
+  return OwnContact(ForceModel<F>{std::move(force)});
+}
+
+}  // namespace saltus
