@@ -109,7 +109,7 @@ class Problem {
   const HybridProblem& parts() const { return parts_; }
 
  private:
-  // What a function of a term gets.
+  // The numbers that a function of a term gets.
   struct Shape {
     HybridTerm::At at = HybridTerm::At::kEnd;
     int states = 0, controls = 0, parameters = 0;

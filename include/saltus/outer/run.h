@@ -32,7 +32,7 @@ struct NamedValue {
   double value = 0;
 };
 
-// What a solver found.
+// The result of a solver.
 class Run {
  public:
   Run(SolveReport report, Certificate certificate, std::vector<NamedValue> found)
