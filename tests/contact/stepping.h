@@ -24,7 +24,7 @@ using Model = ContactStep<double, 0>;
 // A contact model with these options; the others have their defaults.
 template <ContactModel M>
 ContactStepOf<M, double> Compiled(std::initializer_list<OptionValue> options = {}) {
-  return ContactStepOf<M, double>(internal::WithOptions<M>({options.begin(), options.size()}));
+  return ContactStepOf<M, double>(internal::WithOptions(M(), {options.begin(), options.size()}));
 }
 
 // All that a step depends on, as scalars that can carry derivatives.
