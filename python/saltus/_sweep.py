@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
+import numbers
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
@@ -13,6 +15,7 @@ import numpy as np
 from . import _saltus
 from ._scene import Scene, SceneLike, as_scene
 
+_LAST = ("reason", "status")  # columns that every table has
 Grid = Union[str, Mapping[Any, Sequence[Any]]]
 
 
@@ -56,7 +59,37 @@ def _scene_row(key: tuple[Any, ...], seconds: float, index: int) -> dict[str, An
 
 
 def _called_row(problem: Callable[..., Mapping[str, Any]], values: dict[str, Any]) -> dict[str, Any]:
-    return {**values, **problem(**values), "reason": "", "status": "done"}
+    result = problem(**values)
+    if not isinstance(result, Mapping):
+        raise TypeError(f"the function returned {type(result).__name__}, expected a dict of numbers and text by their names")
+    for name, value in result.items():
+        if name in values or name in _LAST:
+            what = "an option of the grid" if name in values else "a column that every table has"
+            raise ValueError(f"the function returned {name!r}, which is {what}; return it by another name")
+        if np.ndim(value) or not isinstance(value, (str, numbers.Real, np.bool_, np.ndarray, type(None))):
+            raise TypeError(f"the function returned {type(value).__name__} as {name!r}, expected a number, text or None")
+    return {**values, **result, "reason": "", "status": "done"}
+
+
+def _check_function(problem: Callable[..., Any], grid: Grid, for_scenes: Mapping[str, bool]) -> None:
+    """Raises if a function cannot be called with the options of the grid, or if what only scenes take is given."""
+    if isinstance(grid, str):
+        raise ValueError("grid: found text, expected a dict of the values of each argument of the function")
+    given = [name for name, is_given in for_scenes.items() if is_given]
+    if given:
+        raise ValueError(f"{given[0]}: expected with a scene only; give it to the function as an option of the grid")
+    names = [name for key in grid for name in (key if isinstance(key, tuple) else (key,))]
+    for name in _LAST:
+        if name in names:
+            raise ValueError(f"grid: found {name!r}, which is a column that every table has; give the option another name")
+    try:
+        signature = inspect.signature(problem)
+    except ValueError:  # of a function in C without one
+        return
+    try:
+        signature.bind(**dict.fromkeys(names))
+    except TypeError as error:
+        raise TypeError(f"problem: {error}; the function takes {signature}, and the grid has {', '.join(names)}") from None
 
 
 def _failed_call(values: dict[str, Any], reason: str) -> dict[str, Any]:
@@ -90,7 +123,8 @@ def sweep(
 
     Args:
         problem: a Scene, a dict or the path of a scene file; or a function that is called with the options of a point as
-            keyword arguments, and returns numbers and text by their names.
+            keyword arguments, and returns a dict of numbers and text by names that are no options of the grid. It takes
+            no argument that is for a scene: contact, solver, precision, iterations, learning_rate and point_seconds.
         grid: values of each option, such as ``{"stiffness": [1e3, 1e4], "steps": [120, 240]}``: every combination, the
             last option fastest. A tuple of names has a list of tuples. Of a scene also the text of ``--sweep``.
         client: where the points are computed: a ``distributed.Client`` of Dask, whose scheduler computes the points of a
@@ -105,13 +139,24 @@ def sweep(
 
     Raises:
         ValueError: an argument or an option is wrong.
+        TypeError: the function does not take the options of the grid.
     """
     study = None
     inputs: Sequence[Any]
     failed: Callable[[Any, str], dict[str, Any]]
     if callable(problem):
-        if isinstance(grid, str):
-            raise ValueError("grid: found text, expected a dict of the values of each argument of the function")
+        _check_function(
+            problem,
+            grid,
+            {
+                "contact": contact != "event",
+                "solver": solver is not None,
+                "precision": precision != "double",
+                "iterations": iterations != 1000,
+                "learning_rate": learning_rate is not None,
+                "point_seconds": point_seconds != 0,
+            },
+        )
         inputs, task, failed = _points(grid), partial(_called_row, problem), _failed_call
     else:
         scene = as_scene(problem)
@@ -136,9 +181,8 @@ def sweep(
             if study is not None:
                 study.stop()
             executor.shutdown(cancel_futures=True)
-    last = ("reason", "status")
-    names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in last]
-    return {name: _column([row.get(name) for row in rows]) for name in (*names, *last)}
+    names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in _LAST]
+    return {name: _column([row.get(name) for row in rows]) for name in (*names, *_LAST)}
 
 
 def _local_row(study: _saltus.SweepStudy, seconds: float, index: int) -> dict[str, Any]:

@@ -143,8 +143,19 @@ def _edges(values: Any, scale: str) -> Any:
     return np.exp(edges) if scale == "log" else edges
 
 
-def _done(table: Mapping[str, Any]) -> Any:
-    return np.asarray(table["status"]) == "done" if "status" in table else np.ones(len(table["reason"]), dtype=bool)
+def _done(table: Mapping[str, Any], values: Any) -> Any:
+    """Returns which rows are of points that are done: all rows of `values` in a table that does not say so."""
+    return np.asarray(table["status"]) == "done" if "status" in table else np.ones(len(values), dtype=bool)
+
+
+def _numbers(table: Mapping[str, Any], name: str, argument: str) -> Any:
+    """Returns a column of numbers of a sweep."""
+    if name not in table:
+        raise ValueError(f"{argument}: found {name!r}, expected a column of the table: {', '.join(table)}")
+    column = np.asarray(table[name])
+    if column.dtype.kind not in "fiub":
+        raise ValueError(f"{argument}: found the column {name!r} of text, expected one of numbers")
+    return column.astype(float)
 
 
 def curves(table: Mapping[str, Any], x: str, y: str, ax: Any = None, reduce: Any = np.min) -> Any:
@@ -152,10 +163,10 @@ def curves(table: Mapping[str, Any], x: str, y: str, ax: Any = None, reduce: Any
 
     `table` is as in heat_maps; `reduce` makes one number of the values at one x, over all other options.
     """
+    at, values = _numbers(table, x, "x"), _numbers(table, y, "y")
     ax = _axes(ax, x, y)
-    at, values = np.asarray(table[x], dtype=float), np.asarray(table[y], dtype=float)
     keys = [np.asarray(table[name]) for name in ("contact", "solver") if name in table]
-    shown = _done(table) & np.isfinite(values)
+    shown = _done(table, values) & np.isfinite(values)
     for key in dict.fromkeys(zip(*keys)) if keys else [()]:
         of_key = np.logical_and.reduce([shown, *(column == word for column, word in zip(keys, key))])
         xs = np.unique(at[of_key])
@@ -184,22 +195,25 @@ def heat_maps(
         clip: percentage of the values beyond each end of the colour scale.
         reduce: function that makes one number of the values of a cell, over all other options; default: the least.
     """
-    at_x, at_y = (np.unique(np.asarray(table[name], dtype=float)) for name in (x, y))
+    of_x, of_y = _numbers(table, x, "x"), _numbers(table, y, "y")
+    at_x, at_y = np.unique(of_x), np.unique(of_y)
     if len(at_x) < 2 or len(at_y) < 2:
         raise ValueError(f"{x}, {y}: expected at least two values of each; saltus.plot.curves draws one option")
-    done = _done(table)
-    numbers = {name: np.asarray(table[name]) for name in columns or table if name not in (x, y, "point")}
-    shown = {}
-    for name, values in numbers.items():
-        if values.dtype.kind in "fi" and (columns or len(np.unique(values[done & np.isfinite(values)])) > 1):
-            shown[name] = values
+    done = _done(table, of_x)
+    if columns is None:
+        candidates = [name for name in table if name not in (x, y, "point") and np.asarray(table[name]).dtype.kind in "fi"]
+    else:
+        candidates = [columns] if isinstance(columns, str) else list(columns)
+    shown = {name: _numbers(table, name, "columns") for name in candidates}
+    if columns is None:
+        shown = {name: cells for name, cells in shown.items() if len(np.unique(cells[done & np.isfinite(cells)])) > 1}
     if not shown:
         raise ValueError("columns: found none whose numbers differ; expected at least one")
     across = min(3, len(shown))
     down = -(-len(shown) // across)
     figure, axes = plt.subplots(down, across, figsize=(4.2 * across, 3.4 * down), layout="constrained", squeeze=False)
     scales = _scale(at_x), _scale(at_y)
-    row, column = np.searchsorted(at_y, table[y]), np.searchsorted(at_x, table[x])
+    row, column = np.searchsorted(at_y, of_y), np.searchsorted(at_x, of_x)
     for ax in axes.flat[len(shown) :]:
         ax.set_axis_off()
     for ax, (name, values) in zip(axes.flat, shown.items()):

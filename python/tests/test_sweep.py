@@ -83,6 +83,43 @@ def test_functions_are_called_with_the_options():
             assert list(table["reason"][4:]) == ["ValueError: too wide"] * 2
 
 
+@pytest.mark.parametrize(
+    "result, error",
+    [
+        ({"width": 7.0}, "ValueError: the function returned 'width', which is an option of the grid; return it by another name"),
+        ({"status": 7.0}, "ValueError: the function returned 'status', which is a column that every table has; return it by "
+                          "another name"),
+        (7.0, "TypeError: the function returned float, expected a dict of numbers and text by their names"),
+        (None, "TypeError: the function returned NoneType, expected a dict of numbers and text by their names"),
+        ({"path": [1.0, 2.0]}, "TypeError: the function returned list as 'path', expected a number, text or None"),
+        ({"point": 1j}, "TypeError: the function returned complex as 'point', expected a number, text or None"),
+    ],
+)
+def test_what_a_function_may_not_return(result, error):
+    table = saltus.sweep(lambda width: result if width > 1 else {"area": np.float32(2), "wide": np.bool_(False)}, {"width": [1, 2]})
+    assert list(table) == ["width", "area", "wide", "reason", "status"]
+    np.testing.assert_array_equal(table["width"], [1, 2])
+    np.testing.assert_array_equal(table["area"], [2, np.nan])
+    assert list(table["reason"]) == ["", error]
+
+
+@pytest.mark.parametrize(
+    "arguments, error, message",
+    [
+        ({"grid": "width=1,2"}, ValueError, "grid: found text"),
+        ({"grid": {"width": [1], "status": [2]}}, ValueError, "grid: found 'status', which is a column that every table has"),
+        ({"grid": {"width": [1]}}, TypeError, r"missing a required argument: 'height'; the function takes \(width, height\)"),
+        ({"grid": {("width", "depth"): [(1, 2)]}}, TypeError, "the grid has width, depth"),
+        ({"contact": "direct"}, ValueError, "contact: expected with a scene only; give it to the function as an option"),
+        ({"point_seconds": 1.0}, ValueError, "point_seconds: expected with a scene only"),
+        ({"iterations": 5}, ValueError, "iterations: expected with a scene only"),
+    ],
+)
+def test_functions_take_options_of_the_grid_alone(arguments, error, message):
+    with pytest.raises(error, match=message):
+        saltus.sweep(area, **{"grid": {"width": [1, 2], "height": [1]}, **arguments})
+
+
 def slow_square(x, folder):
     """Kills its worker, once."""
     mark = os.path.join(folder, "killed")
@@ -129,6 +166,14 @@ def test_figures():
     assert saltus.plot.heat_maps(table, "stiffness", "damping", ["flat"]).axes[0].get_title() == "flat"
     with pytest.raises(ValueError, match="at least two values"):
         saltus.plot.heat_maps(table, "flat", "damping")
+    for draw in (saltus.plot.heat_maps, saltus.plot.curves):
+        with pytest.raises(ValueError, match="x: found 'stifness', expected a column of the table: stiffness, damping, loss"):
+            draw(table, "stifness", "damping")
+        with pytest.raises(ValueError, match="y: found the column 'status' of text, expected one of numbers"):
+            draw(table, "stiffness", "status")
+    with pytest.raises(ValueError, match="columns: found 'lost', expected a column of the table"):
+        saltus.plot.heat_maps(table, "stiffness", "damping", ["lost"])
+    assert saltus.plot.heat_maps(table, "stiffness", "damping", "flat").axes[0].get_title() == "flat"
     (line,) = saltus.plot.curves(table, "stiffness", "loss", reduce=np.max).lines
     np.testing.assert_allclose(line.get_ydata(), [1, 1, 1e6])
     plt.close("all")
