@@ -75,7 +75,7 @@ class Expression:
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
         function = _UFUNCS.get(ufunc.__name__)
         if method != "__call__" or keywords or function is None:
-            raise TypeError(f"numpy.{ufunc.__name__} cannot be recorded; it can: {', '.join(sorted(_UFUNCS))}")
+            raise TypeError(f"numpy.{ufunc.__name__} cannot be recorded; expected saltus.where, or one of {', '.join(sorted(_UFUNCS))}")
         # Numbers of numpy would ask this method again.
         plain = [value.item() if isinstance(value, np.generic) else value for value in inputs]
         if not any(isinstance(value, (np.ndarray, list, tuple)) for value in plain):
@@ -378,6 +378,12 @@ def _solve(a: Any, b: Any) -> Any:
     return result[:, 0] if right.ndim == 1 else result
 
 
+def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0) -> Any:
+    for condition, choice in reversed(list(zip(conditions, choices))):
+        default = where(condition, choice, default)
+    return default
+
+
 def _inverse(a: Any) -> Any:
     return _solve(a, np.eye(len(a)))
 
@@ -465,6 +471,8 @@ _OF_MATH = {
     id(np.linalg.solve): _solve,
     id(np.linalg.inv): _inverse,
     id(np.linalg.norm): _norm,
+    id(np.select): _select,
+    id(np.where): lambda condition, *values: where(condition, *values) if values else np.where(condition),
 }
 _WITH_SUCH = (math, np, np.linalg)  # modules
 _NOT_OF_USERS = sys.stdlib_module_names | {"numpy", "saltus"}

@@ -32,6 +32,29 @@ def test_a_jump_by_the_state(tolerance):
     assert d.times_by_initial.shape == (0, 1)
 
 
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        lambda x, c: [np.where(x[0] < c, 1.0, 3.0)],
+        lambda x, c: np.where(x < c, 1.0, 3.0),
+        lambda x, c: [np.select([x[0] < c, x[0] < 9], [1.0, 3.0], 5.0)],
+    ],
+)
+def test_choices_of_numpy_are_recorded(chosen):
+    motion, d = derivatives(one_mode(lambda t, x, u, p: chosen(x, p[0]), parameters=["c"]), [0.3], [1.0], 2.0)
+    assert_allclose(motion.final, [4.9], rtol=1e-14)
+    assert_allclose([d.by_initial[0, 0], d.by_parameters[0, 0]], [3, -2], rtol=1e-13)
+
+
+def test_choices_of_numbers_are_those_of_numpy():
+    def flow(t, x, u, p):
+        (places,) = np.where(np.array([0.0, 2.0]) > 1)
+        return [x[0] * 0 + places[0] + np.where(3 > 2, 1.0, 5.0) + np.select([np.array(False)], [2.0], 4.0)]
+
+    motion, _ = derivatives(one_mode(flow), [0.0], [], 1.0)
+    assert_allclose(motion.final, [6.0], rtol=1e-14)
+
+
 def test_a_jump_by_the_time():
     system = one_mode(lambda t, x, u, p: [-x[0] + saltus.where(t < p[0], 1.0, 0.0)], parameters=["off"])
     motion, d = derivatives(system, [0.0], [1.0], 2.0)
