@@ -19,6 +19,7 @@ constexpr int kMostSteps = 1 << 20;         // of a motion
 constexpr int kMostGivenSteps = 1 << 24;    // likewise, that the user chooses: a few GB
 constexpr int kMostForGuards = 1 << 18;     // likewise, where only guards ask for more
 constexpr double kRounding = 1e-15;         // of a component, of the largest of the final state
+constexpr double kOfProjections = 1e-12;    // likewise, where the state is projected and more steps do not lower it
 constexpr double kSlopeChange = 0.1;        // relative, in the part of a step in which a closed form is compared
 constexpr int kMostHalvings = 60;           // of that part
 constexpr double kSameFlow = 1e-6;          // of a step: a closed form of the flow and its integration
@@ -29,6 +30,7 @@ constexpr double kSameTime = 6;             // steps: failures at the same time
 constexpr double kLater = 16;               // steps: not a failure of steps that are too long
 constexpr double kSameRefusal = 1e-3;       // steps: refusals at the same time
 constexpr double kSameAccuracy = 10;        // times the error that was reached
+constexpr double kHardlyFalls = 1e-2;       // of an error, that is left of it with twice as many steps
 constexpr double kHalving = 256;            // of steps: how much the error of a method of order 8 grows
 constexpr double kRoundingOfMotion = 1e-7;  // an error that more steps do not lower may be rounding if it is below this
 constexpr int kMostWithoutJump = 512;       // steps of a motion after which a jump of the flow is looked for
@@ -64,8 +66,9 @@ class HybridSimulator::Impl {
   }
 
   // The largest relative difference of final state and event times of two motions; infinite if they have other events.
-  // The last of bounces that accumulate depend on rounding, and count by what they do to the final state.
-  double Difference(const RolloutRun& one, const RolloutRun& other) const {
+  // The last of bounces that accumulate depend on rounding, and count by what they do to the final state. Changes of up
+  // to `rounding` of the largest component do not count.
+  double Difference(const RolloutRun& one, const RolloutRun& other, double rounding = kRounding) const {
     const bool by_state = system.functions().EndsAccumulations() && one.tape().final_mode == other.tape().final_mode;
     if (!by_state && !HaveSameEvents(one, other)) return std::numeric_limits<double>::infinity();
     const std::vector<HybridEvent>&events = one.events(), &others = other.events();
@@ -77,18 +80,18 @@ class HybridSimulator::Impl {
     }
     const double *at = &one.tape().numbers[one.tape().final_state],
                  *to = &other.tape().numbers[other.tape().final_state];
-    return std::max(difference, RelativeChange(one.tape(), [&](int i) { return std::abs(at[i] - to[i]); }));
+    return std::max(difference, RelativeChange(one.tape(), rounding, [&](int i) { return std::abs(at[i] - to[i]); }));
   }
 
   // Returns the largest change of a component of the final state, relative to its largest value in the final mode.
-  double RelativeChange(const MotionTape& tape, const auto& change_of) const {
+  double RelativeChange(const MotionTape& tape, double rounding, const auto& change_of) const {
     const int mode = tape.final_mode, n = system.state_size(mode);
     const double* at = &tape.numbers[tape.final_state];
     double relative = 0, largest = 0;
     for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(at[i]));
     for (int i = 0; i < n; ++i) {
       const double change = change_of(i);
-      if (change <= kRounding * largest) continue;
+      if (change <= rounding * largest) continue;
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : tape.entries) {
         if (entry.mode == mode) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
@@ -100,21 +103,38 @@ class HybridSimulator::Impl {
 
   // Returns the error of steps that events cut, by two halves of each: a motion with twice as many steps may take the
   // same ones. Returns that of the steps alone if the motion has no finite derivative after them.
-  double ErrorOfCutSteps(const RolloutRun& of) {
+  double ErrorOfCutSteps(const RolloutRun& of, double rounding = kRounding) {
     const MotionDerivatives::Change change = derivatives.ByHalvesOfCutSteps(input, of.tape(), of.events().size());
-    double largest = RelativeChange(of.tape(), [&](int i) { return std::abs(change.final_state[i]); });
+    double largest = RelativeChange(of.tape(), rounding, [&](int i) { return std::abs(change.final_state[i]); });
     for (const double time : change.times) largest = std::max(largest, std::abs(time) / input.duration);
     const bool finite = change.final_state.allFinite() && IsFinite(change.times);
     return finite ? largest : change.of_steps;
   }
 
+  // Returns the error of a motion without that of components that are rounding errors of others: the projection onto
+  // the equations of closed contacts adds them in each step. They are no more than kOfProjections of the largest
+  // component, and with twice as many steps their difference hardly falls. Infinite if another component has a large
+  // error.
+  double ErrorButRounding(const RolloutRun& coarse, const RolloutRun& fine, double before, double now) {
+    const double inf = std::numeric_limits<double>::infinity();
+    if (!system.functions().EndsAccumulations() || !(now > kHardlyFalls * before)) return inf;
+    const double most = std::max(options.tolerance, kOfProjections);
+    if (Difference(coarse, fine, kOfProjections) > most || ErrorOfCutSteps(coarse, kOfProjections) > most) return inf;
+    return most;
+  }
+
   // Returns the value of HybridSimulator::IntegrationError().
   double Error() {
     if (!error) {
-      RolloutRun finer(system, options);
+      RolloutRun finer(system, options), finest(system, options);
       error = finer.Run(input, 2 * steps, /*compare_guards=*/true) == RolloutEnd::kDone
                   ? std::max(Difference(*run, finer), ErrorOfCutSteps(*run))
                   : std::numeric_limits<double>::infinity();
+      if (*error > options.tolerance && std::isfinite(*error) && system.functions().EndsAccumulations() &&
+          finest.Run(input, 4 * steps) == RolloutEnd::kDone) {
+        const double but = ErrorButRounding(*run, finer, Difference(*run, finer), Difference(finer, finest));
+        error = std::min(*error, but);
+      }
       unresolved = finer.unresolved().what;
     }
     return *error;
@@ -182,7 +202,7 @@ class HybridSimulator::Impl {
       (before ? to : from) = middle;
       (before ? high : low) = at;
     }
-    if (!(most > 0) || std::abs(high[component] - low[component]) <= kJump * sizes[component]) return "";
+    if (!(most > 0) || std::abs(high[component] - low[component]) <= kJump * sizes[component] + rounding) return "";
     const std::string what = "the flow of mode '" + system.ModeName(culprit->mode) + "' ";
     const std::string where = " at t = " + ToText(culprit->t + from, 10);
     const double beside = std::max(std::abs(slopes.front()[component]), std::abs(slopes.back()[component]));
@@ -225,7 +245,8 @@ class HybridSimulator::Impl {
   bool ChooseSteps() {
     int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals, stalls = 0;
     std::unique_ptr<RolloutRun> best, finer;
-    double least = std::numeric_limits<double>::infinity(), reference = least, last_failure = least, scatter = 0;
+    double least = std::numeric_limits<double>::infinity(), reference = least, last = least, last_failure = least,
+           scatter = 0;
     std::vector<double> slow;  // differences, of steps that do not resolve the guards
     int same_failures = 0;
     why.clear();
@@ -301,6 +322,12 @@ class HybridSimulator::Impl {
           stalls = 0;
         }
         const RolloutRun& coarse = run ? *run : *best;
+        const double but_rounding = ErrorButRounding(coarse, *finer, last, now);
+        last = now;
+        if (std::isfinite(but_rounding)) {
+          steps = n;
+          return Accept(run ? std::move(run) : std::move(best), but_rounding, *finer);
+        }
         if (n * input.num_intervals >= kMostWithoutJump && HaveSameEvents(coarse, *finer)) {
           why = FindJump(coarse, *finer, now);
         }

@@ -7,14 +7,16 @@
 //   simulator.Rollout({.initial = scene.InitialState(), .parameters = scene.Parameters(), .duration = 2});
 //
 // Contacts: each vertex or disc against each plane; each vertex of a polygon against each edge of another; each disc
-// against each polygon and disc. A vertex that slides off the end of an edge opens its contact. Not supported: corners
-// that meet, as where a box slides flush over the end of another.
+// against each polygon and disc. A vertex that slides off the end of an edge opens its contact. Bodies may lie flush on
+// each other, as boxes of one width in a column, and slide over the joint of two others that are flush.
 // Restitution and friction are the same at all contacts. Units are SI; angles are in rad.
 #pragma once
 
 #include <array>
 #include <cmath>
 #include <string>
+#include <tuple>
+#include <utility>
 #include <vector>
 
 #include "saltus/internal/mechanical_functions.h"
@@ -270,11 +272,13 @@ class RigidBodies2D {
     const RigidBody2D& body = scene_.bodies[of.a];
     const Pose<T> a = PoseAt(of.a, q);
     Closest<T> at{a.x, a.y, T(0.0), T(0.0), T(0.0), T(1.0), T(0.0)};
+    T a_c(1.0), a_s(0.0);
     if (of.kind == Contact::kVertexPlane || of.kind == Contact::kVertexEdge) {
       const Point2D& vertex = body.polygon[of.vertex];
-      const T c = cos(a.angle), s = sin(a.angle);
-      at.x += vertex[0] * c - vertex[1] * s;
-      at.y += vertex[0] * s + vertex[1] * c;
+      a_c = cos(a.angle);
+      a_s = sin(a.angle);
+      at.x += vertex[0] * a_c - vertex[1] * a_s;
+      at.y += vertex[0] * a_s + vertex[1] * a_c;
     }
     if (of.kind == Contact::kVertexPlane || of.kind == Contact::kDiscPlane) {
       const RigidPlane2D& plane = scene_.planes[of.b];
@@ -306,6 +310,44 @@ class RigidBodies2D {
       const Point2D &from = other.polygon[edge], &normal = normals_[of.b][edge];
       return normal[0] * (x - from[0]) + normal[1] * (y - from[1]);
     };
+    const auto turned = [](const T& cosine, const T& sine, const Point2D& by) {
+      return std::pair<T, T>(cosine * by[0] - sine * by[1], sine * by[0] + cosine * by[1]);
+    };
+    if (of.kind == Contact::kVertexEdge) {
+      std::tie(at.normal_x, at.normal_y) = turned(c, s, normals_[of.b][of.edge]);
+      // How much nearer than the vertex another one of its body is to the line of an edge.
+      const auto nearer = [&](int edge) {
+        const auto [n_x, n_y] = turned(c, s, normals_[of.b][edge]);
+        const T own_x = a_c * n_x + a_s * n_y, own_y = a_c * n_y - a_s * n_x;
+        const auto vertices = static_cast<int>(body.polygon.size());
+        const auto along = [&](int vertex) {
+          return own_x * (body.polygon[of.vertex][0] - body.polygon[vertex % vertices][0]) +
+                 own_y * (body.polygon[of.vertex][1] - body.polygon[vertex % vertices][1]);
+        };
+        const T next = along(of.vertex + 1), last = along(of.vertex + vertices - 1);
+        return next > last ? next : last;
+      };
+      // The gap is the distance from the line of the edge where the vertex is above the edge, no other vertex is nearer
+      // to the line, and the vertex is not above another edge of which that holds, too: bodies that touch at a corner
+      // are apart as long as they are apart along one normal. Elsewhere the gap is larger. Bodies that lie flush on
+      // each other are not moved by rounding.
+      const double flush = kFlush * (size_of_[of.a] + size_of_[of.b]);
+      const T distance = beyond(of.edge);
+      T nearest = beyond((of.edge + 1) % edges), excess = nearer(of.edge) - flush;
+      for (int edge = 0; edge < edges; ++edge) {
+        if (edge == of.edge) continue;
+        const T beside = beyond(edge);
+        if (beside > nearest) nearest = beside;
+        T apart = beside - distance + flush;
+        if (apart > excess && nearer(edge) > T(flush)) apart -= T(2.0 * flush);
+        if (apart > excess) excess = apart;
+      }
+      at.from_line = distance;
+      at.gap = excess > T(0.0) ? distance + 2.0 * excess : distance;
+      at.reach = 2.0 * flush - nearest;
+      return at;
+    }
+    // The nearest point of the polygon is on the outermost edge or at one of its ends.
     int outermost = 0;
     T most = beyond(0);
     for (int edge = 1; edge < edges; ++edge) {
@@ -316,48 +358,33 @@ class RigidBodies2D {
       }
     }
     T n_x(0.0), n_y(0.0);
-    if (of.kind == Contact::kVertexEdge) {
-      // Zero where the vertex is on this edge, and above zero where it is outside or on another.
-      const T distance = beyond(of.edge);
-      at.from_line = distance;
-      at.gap = outermost == of.edge ? distance : 2.0 * most - distance;
-      T nearest = beyond((of.edge + 1) % edges);
-      for (int edge = 0; edge < edges; ++edge) {
-        if (edge == of.edge) continue;
-        if (const T other_distance = beyond(edge); other_distance > nearest) nearest = other_distance;
-      }
-      at.reach = -nearest;
-      n_x = T(normals_[of.b][of.edge][0]);
-      n_y = T(normals_[of.b][of.edge][1]);
+    const Point2D &from = other.polygon[outermost], &to = other.polygon[(outermost + 1) % edges];
+    const Point2D& normal = normals_[of.b][outermost];
+    const T along = normal[0] * (y - from[1]) - normal[1] * (x - from[0]);
+    const double length = std::hypot(to[0] - from[0], to[1] - from[1]);
+    const bool before = along<T(0.0), behind = along> T(length);
+    if (before || behind) {
+      const Point2D& end = before ? from : to;
+      const T to_x = x - end[0], to_y = y - end[1], distance = sqrt(to_x * to_x + to_y * to_y);
+      n_x = to_x / distance;
+      n_y = to_y / distance;
+      at.gap = distance - body.radius;
     } else {
-      // The nearest point of the polygon is on the outermost edge or at one of its ends.
-      const Point2D &from = other.polygon[outermost], &to = other.polygon[(outermost + 1) % edges];
-      const Point2D& normal = normals_[of.b][outermost];
-      const T along = normal[0] * (y - from[1]) - normal[1] * (x - from[0]);
-      const double length = std::hypot(to[0] - from[0], to[1] - from[1]);
-      const bool before = along<T(0.0), behind = along> T(length);
-      if (before || behind) {
-        const Point2D& end = before ? from : to;
-        const T to_x = x - end[0], to_y = y - end[1], distance = sqrt(to_x * to_x + to_y * to_y);
-        n_x = to_x / distance;
-        n_y = to_y / distance;
-        at.gap = distance - body.radius;
-      } else {
-        n_x = T(normal[0]);
-        n_y = T(normal[1]);
-        at.gap = most - body.radius;
-      }
+      n_x = T(normal[0]);
+      n_y = T(normal[1]);
+      at.gap = most - body.radius;
     }
     at.normal_x = c * n_x - s * n_y;
     at.normal_y = s * n_x + c * n_y;
-    if (of.kind == Contact::kDiscPolygon) {
-      at.x -= body.radius * at.normal_x;
-      at.y -= body.radius * at.normal_y;
-    }
+    at.x -= body.radius * at.normal_x;
+    at.y -= body.radius * at.normal_y;
     return at;
   }
 
+  // Distances that are zero where bodies lie flush on each other, of the sizes of both.
+  static constexpr double kFlush = 1e-10;
   const RigidScene2D scene_;
+  std::vector<double> size_of_;                // m: the largest distance of a vertex of each body from its centre
   std::vector<int> first_;                     // coordinate of each body
   int size_ = 0;                               // number of coordinates
   std::vector<double> inertia_;                // about the centre of mass

@@ -4,9 +4,9 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <optional>
 
-#include "base/linear_algebra.h"
 #include "contact/solvers/complementarity.h"
 #include "contact/thresholds.h"
 
@@ -92,7 +92,7 @@ std::optional<TriedForces> ForcesOf(const ContactProblem& problem, const std::st
     terms[i] = all_terms[rows[i]];
   }
   Eigen::VectorXd solution(r);
-  LeastNormSolver(matrix, kRedundant).Solve(right, solution);
+  BlockSolver(matrix, kRedundant).Solve(right, solution);
   const double size = right.cwiseAbs().maxCoeff();
   if (!((matrix * solution - right).cwiseAbs().maxCoeff() <= 1e-8 * size + kOfTerms * terms.maxCoeff())) {
     return std::nullopt;
@@ -220,6 +220,37 @@ Eigen::VectorXd MaximizeSmallest(const Eigen::MatrixXd& slopes, const Eigen::Vec
 
 }  // namespace
 
+BlockSolver::BlockSolver(const Eigen::MatrixXd& matrix, double threshold) {
+  const Eigen::Index size = matrix.rows();
+  std::vector<Eigen::Index> block(size);
+  std::iota(block.begin(), block.end(), 0);
+  for (Eigen::Index i = 0; i < size; ++i) {
+    for (Eigen::Index j = 0; j < i; ++j) {
+      if (matrix(i, j) == 0 && matrix(j, i) == 0) continue;
+      const auto [low, high] = std::minmax({block[i], block[j]});
+      std::replace(block.begin(), block.end(), high, low);
+    }
+  }
+  for (Eigen::Index first = 0; first < size; ++first) {
+    if (block[first] != first) continue;
+    std::vector<Eigen::Index> rows;
+    for (Eigen::Index i = first; i < size; ++i) {
+      if (block[i] == first) rows.push_back(i);
+    }
+    LeastNormSolver solver(matrix(rows, rows), threshold);
+    blocks_.push_back({std::move(rows), std::move(solver)});
+  }
+}
+
+void BlockSolver::Solve(const Eigen::VectorXd& right, Eigen::VectorXd& solution) const {
+  solution.resize(right.size());
+  for (const Block& block : blocks_) {
+    Eigen::VectorXd part = right(block.rows);
+    if (!part.isZero(0)) block.solver.Solve(part, part);
+    solution(block.rows) = part;
+  }
+}
+
 ForceLimits LimitsOf(const std::vector<UnknownForces>& contacts, Eigen::Index num_forces) {
   ForceLimits limits{Eigen::MatrixXd::Zero(3 * static_cast<Eigen::Index>(contacts.size()), num_forces),
                      Eigen::VectorXd::Zero(3 * static_cast<Eigen::Index>(contacts.size()))};
@@ -302,7 +333,10 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
       limits.rows * force + limits.constants;
   std::vector<Eigen::Index> tight;
   const Eigen::VectorXd stress = MaximizeSmallest(slopes, constants, &tight);
-  split.force += stresses * stress;
+  const Eigen::VectorXd found = force + stresses * stress;
+  // Rounding errors of many stresses may lead the search astray.
+  if (!(SmallestLimit(limits, found) >= SmallestLimit(limits, force))) return split;
+  split.force = found;
   split.by_stress.resize(d + 1, d + 1);
   for (Eigen::Index i = 0; i <= d; ++i) {
     split.by_stress.row(i) << slopes.row(tight[i]), -1;
@@ -370,8 +404,14 @@ std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) 
     for (int i = 0; i < k; ++i) {
       if (!problem.has_friction[i]) friction[i] = 0;
     }
-    // Bodies at rest are tried first: all contacts stay closed, and stick unless they slide. This needs no search.
-    try_status(StatusOfMotion(problem, Eigen::VectorXd::Zero(2 * k), 0));
+    // Without a search: contacts that do not approach need no forces, and those of bodies at rest all stay closed, and
+    // stick unless they slide.
+    const double zero = kTolerance * problem.given.cwiseAbs().maxCoeff() + terms;
+    if (problem.given(Eigen::seq(0, Eigen::last, 2)).minCoeff() >= -zero) {
+      all.push_back({{StatusOfMotion(problem, problem.given, zero), Eigen::VectorXd::Zero(2 * k)}, false});
+    } else {
+      try_status(StatusOfMotion(problem, Eigen::VectorXd::Zero(2 * k), 0));
+    }
     std::optional<Eigen::VectorXd> found;
     if (all.empty()) found = SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding);
     for (std::size_t i = 0; found && all.empty() && i < kStands.size(); ++i) {

@@ -5,7 +5,27 @@
 #include <string>
 #include <vector>
 
+#include "base/linear_algebra.h"
+
 namespace saltus {
+
+// Least squares solutions of least norm for a square matrix, block by block: rows and columns are in one block where an
+// entry couples them. Forces of a block whose right side is zero are exactly zero, whatever the rounding errors of the
+// others: those along the tangents of a column at rest do not make it fall.
+class BlockSolver {
+ public:
+  // `threshold`: as of LeastNormSolver, within each block.
+  BlockSolver(const Eigen::MatrixXd& matrix, double threshold);
+  // `solution` may be `right`.
+  void Solve(const Eigen::VectorXd& right, Eigen::VectorXd& solution) const;
+
+ private:
+  struct Block {
+    std::vector<Eigen::Index> rows;
+    LeastNormSolver solver;
+  };
+  std::vector<Block> blocks_;
+};
 
 // With forces f, the contacts' relative accelerations are w = W f + given. Rows and columns come in pairs, normal and
 // tangential, of one contact after the other; those of a contact without friction have zeros in the second place.

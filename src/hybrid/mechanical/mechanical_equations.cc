@@ -34,7 +34,7 @@ std::vector<TimeJet<S>> Constant(int n, const S* p) {
 }
 
 // The solution for each column, in place.
-void SolveColumns(const LeastNormSolver& solver, Block* right) {
+void SolveColumns(const BlockSolver& solver, Block* right) {
   Eigen::VectorXd column(right->rows());
   for (int j = 0; j < right->cols(); ++j) {
     column = right->col(j);

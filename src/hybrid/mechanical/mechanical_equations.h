@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
+#include "hybrid/mechanical/contact_problem.h"
 #include "saltus/internal/mechanical_functions.h"
 
 namespace saltus {
@@ -94,8 +95,8 @@ class MechanicalEquations {
   struct System {
     MassMatrix mass;
     std::vector<Row> rows;
-    Eigen::MatrixXd G, F, mobile_F;          // r x n, n x r, M^-1 F
-    std::optional<LeastNormSolver> contact;  // of G M^-1 F; none without rows
+    Eigen::MatrixXd G, F, mobile_F;      // r x n, n x r, M^-1 F
+    std::optional<BlockSolver> contact;  // of G M^-1 F; none without rows
     // For derivatives only: whether M depends on anything, and by contact, of those that are closed, what its rows
     // depend on, as indices in [q p].
     bool mass_varies = true;

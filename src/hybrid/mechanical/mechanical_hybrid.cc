@@ -246,6 +246,12 @@ std::string MechanicalHybrid::Close(const std::string& before, const Closing& cl
     *why = TooLarge(closing.contacts.size());
     return "";
   }
+  if (all.empty() && closing.contacts.size() > kMostTriedContacts) {
+    *why = "no accelerations were found that satisfy the conditions of the " + std::to_string(closing.contacts.size()) +
+           " contacts that touch: the search may fail where forces are not unique. Use fewer bodies, or let them touch "
+           "less";
+    return "";
+  }
   *why = all.empty() ? "painleve_inconsistent: no accelerations satisfy the conditions of "
                      : "painleve_indeterminate: " + std::to_string(all.size()) + " accelerations satisfy those of ";
   for (std::size_t i = 0; i < closing.contacts.size(); ++i) {
@@ -450,13 +456,13 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
   for (Eigen::Index i = 0; i < k; ++i) {
     const int number = impact.contacts[i];
     takes_part[number] = 1;
-    impact.rebounds.push_back(restitution[i] > 0 &&
-                              (poisson ? impact.status[i] != 'o' && after[2 * i] > 0 : impact.status[i] != 'o'));
     impact.next[number] = 'o';
     const double speed = impact.W.row(2 * i).cwiseAbs().dot(impact.impulse.cwiseAbs()) +
                          equations_.RowAt({number, false}, at).cwiseAbs().dot(impact.v_plus.cwiseAbs().transpose());
-    const bool parts = impact.status[i] == 'o' ? after[2 * i] > kRests * speed : impact.rebounds[i] != 0;
-    if (parts) continue;
+    // One that touches without speed, as where a box slides onto a flush table, does not rebound.
+    const bool parts = after[2 * i] > kRests * speed;
+    impact.rebounds.push_back(restitution[i] > 0 && impact.status[i] != 'o' && parts);
+    if (impact.status[i] == 'o' ? parts : impact.rebounds[i] != 0) continue;
     closing.contacts.push_back(number);
     int sign = SlidingSign(impact.status[i]);
     if ((impact.status[i] == 'o' || impact.status[i] == 'n') && problem.has_friction[i]) {

@@ -2,6 +2,8 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
+
 namespace saltus {
 namespace {
 
@@ -70,7 +72,9 @@ RigidBodies2D::RigidBodies2D(RigidScene2D scene) : scene_(std::move(scene)) {
     size_ += Count(b);
     const double uniform = body.polygon.empty() ? 0.5 * body.radius * body.radius : UniformInertia(body.polygon);
     inertia_.push_back(body.inertia > 0 ? body.inertia : body.mass * uniform);
+    size_of_.push_back(0);
     for (std::size_t i = 0; i < body.polygon.size(); ++i) {
+      size_of_[b] = std::max(size_of_[b], std::hypot(body.polygon[i][0], body.polygon[i][1]));
       const Point2D edge = Minus(body.polygon[(i + 1) % body.polygon.size()], body.polygon[i]);
       const double length = std::hypot(edge[0], edge[1]);
       normals_[b].push_back({edge[1] / length, -edge[0] / length});
