@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "base/sparse_factors.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -25,7 +26,7 @@ double Distance(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) { return (a 
 
 // Below, at and above the sizes that take no memory from the heap, and where Eigen begins to work by blocks.
 class PseudoInverseOf : public testing::TestWithParam<int> {};
-INSTANTIATE_TEST_SUITE_P(Sizes, PseudoInverseOf, testing::Values(1, 2, 5, 8, 15, 16, 17, 40, 60));
+INSTANTIATE_TEST_SUITE_P(Sizes, PseudoInverseOf, testing::Values(1, 2, 5, 8, 15, 16, 17, 40, 60), ParameterName());
 
 void ExpectMoorePenrose(const Eigen::MatrixXd& a, const Eigen::MatrixXd& inverse) {
   EXPECT_LT(Distance(a, a * inverse * a), kRounding);

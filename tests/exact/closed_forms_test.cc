@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "exact/exact_scenes.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -183,7 +184,7 @@ TEST_P(GroundWallTest, GradientDescentEqualsReference) {
   EXPECT_NEAR(Evaluate(scene).loss, Number(reference["loss_1000"]), 1e-12);
 }
 
-INSTANTIATE_TEST_SUITE_P(Friction, GroundWallTest, ::testing::Values(0.0, 0.1));
+INSTANTIATE_TEST_SUITE_P(Friction, GroundWallTest, ::testing::Values(0.0, 0.1), ParameterName());
 
 TEST(TwoBallsTest, EqualsReference) {
   const ClosedForm form = Evaluate(TwoBalls());

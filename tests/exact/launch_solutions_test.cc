@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "exact/exact_scenes.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -46,7 +47,7 @@ TEST_P(LaunchSolutionsTest, HaveZeroLossAndIncreasingSpeed) {
   EXPECT_NEAR(FindLaunchSolutions(scene).front().velocity.squaredNorm(), 20.4880444444444, 1e-12);
 }
 
-INSTANTIATE_TEST_SUITE_P(Friction, LaunchSolutionsTest, ::testing::Values(0.0, 0.1));
+INSTANTIATE_TEST_SUITE_P(Friction, LaunchSolutionsTest, ::testing::Values(0.0, 0.1), ParameterName());
 
 TEST(LaunchSolutionsRefusalTest, OtherProblems) {
   std::string why_not;

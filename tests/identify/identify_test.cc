@@ -12,6 +12,7 @@
 #include "identify/segment_motion.h"
 #include "identify/statistics.h"
 #include "identify/unknowns.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -92,7 +93,8 @@ void ExpectDerivativesOfDifferences(const char* contact, Scene scene) {
 class DerivativeUnder : public testing::TestWithParam<const char*> {};
 
 TEST_P(DerivativeUnder, IsThatOfDifferences) { ExpectDerivativesOfDifferences(GetParam(), DropAndHit()); }
-INSTANTIATE_TEST_SUITE_P(Models, DerivativeUnder, testing::Values("event", "qcqp", "smooth_compliant"));
+INSTANTIATE_TEST_SUITE_P(Models, DerivativeUnder, testing::Values("event", "qcqp", "smooth_compliant"),
+                         ParameterName());
 
 // The disc that is hit falls into a pocket where it would be late in the motion.
 TEST(SegmentMotion, HasDerivativesThroughAPocket) {
@@ -395,7 +397,7 @@ TEST_P(FewSamplesTest, IntervalsHold) {
   EXPECT_GE(intervals, 50);
   EXPECT_GE(covered, 0.87 * intervals);
 }
-INSTANTIATE_TEST_SUITE_P(Identify, FewSamplesTest, testing::Bool());
+INSTANTIATE_TEST_SUITE_P(Identify, FewSamplesTest, testing::Bool(), ParameterName());
 
 // A quarter of the samples, in these recordings up to half of them, are outliers.
 TEST(Identify, OutliersDoNotContradictTheTrueModel) {

@@ -8,6 +8,7 @@
 #include "base/linear_algebra.h"
 #include "control/pushed_scenes.h"
 #include "optimality/condensed.h"
+#include "parameter_name.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/simulate/exact_run.h"
@@ -464,7 +465,8 @@ TEST_P(LeavesSaddle, AndTouchesThePost) {
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid);
 }
 
-INSTANTIATE_TEST_SUITE_P(Solvers, LeavesSaddle, testing::Values("ceres_event", "ceres_phases", "hmp", "mode_search"));
+INSTANTIATE_TEST_SUITE_P(Solvers, LeavesSaddle, testing::Values("ceres_event", "ceres_phases", "hmp", "mode_search"),
+                         ParameterName());
 
 // Whatever a solver thinks: what the certificate denies has not converged.
 TEST(Converged, ComesWithAStationaryVerdict) {

@@ -9,6 +9,7 @@
 
 #include "folders.h"
 #include "output/npz.h"
+#include "parameter_name.h"
 #include "programs/run_program.h"
 
 namespace saltus {
@@ -136,7 +137,8 @@ TEST_P(ShippedDrops, TeachTheirLaw) {
   }
   EXPECT_GT(compared, 15);
 }
-INSTANTIATE_TEST_SUITE_P(IdentifyProgram, ShippedDrops, testing::Values("network:3", "network:4", "network:6"));
+INSTANTIATE_TEST_SUITE_P(IdentifyProgram, ShippedDrops, testing::Values("network:3", "network:4", "network:6"),
+                         ParameterName());
 
 TEST(IdentifyProgram, TheDropsAreWhatTheirProgramWrites) {
   const std::string written = TempFile("written");

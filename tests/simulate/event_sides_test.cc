@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "contact/event/event_run.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -175,7 +176,7 @@ Scene OnPlane(double restitution, double friction, double angle, double speed, c
 }
 
 class EventSides : public ::testing::TestWithParam<double> {};
-INSTANTIATE_TEST_SUITE_P(Restitution, EventSides, ::testing::Values(0.0, 0.3, 0.7));
+INSTANTIATE_TEST_SUITE_P(Restitution, EventSides, ::testing::Values(0.0, 0.3, 0.7), ParameterName());
 
 TEST_P(EventSides, OnOnePlane) {
   const double e = GetParam();

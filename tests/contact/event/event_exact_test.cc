@@ -3,6 +3,7 @@
 
 #include "contact/event/event_run.h"
 #include "exact/exact_scenes.h"
+#include "parameter_name.h"
 
 namespace saltus {
 namespace {
@@ -33,7 +34,7 @@ class EventExact : public ::testing::TestWithParam<int> {
     return scene;
   }
 };
-INSTANTIATE_TEST_SUITE_P(Steps, EventExact, ::testing::Values(1, 7, 100, 480));
+INSTANTIATE_TEST_SUITE_P(Steps, EventExact, ::testing::Values(1, 7, 100, 480), ParameterName());
 
 TEST_P(EventExact, BounceOnce) {
   const auto& exact = References()["task1"];

@@ -9,6 +9,7 @@
 
 #include "contact/event/event_run.h"
 #include "exact/exact_scenes.h"
+#include "parameter_name.h"
 #include "reference_values.h"
 #include "saltus/simulate/event_sides.h"
 
@@ -116,7 +117,7 @@ class EventSpin : public ::testing::TestWithParam<int> {
     }
   }
 };
-INSTANTIATE_TEST_SUITE_P(Steps, EventSpin, ::testing::Values(1, 7, 240));
+INSTANTIATE_TEST_SUITE_P(Steps, EventSpin, ::testing::Values(1, 7, 240), ParameterName());
 
 TEST_P(EventSpin, BallThatSlipsThenSticks) { ExpectReference(SpinBall(), References()["s1"]); }
 

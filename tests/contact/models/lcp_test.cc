@@ -6,6 +6,7 @@
 
 #include "base/linear_algebra.h"
 #include "contact/one_step.h"
+#include "parameter_name.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/internal/contact_step.h"
 #include "test_scenes.h"
@@ -67,6 +68,11 @@ TEST(Lcp, LossesGradientsAndImpactSteps) {
 struct FaceCase {
   double friction, tangential;
   ContactMode mode;
+
+  friend void PrintTo(const FaceCase& face, std::ostream* out) {
+    const char* mode = face.mode == ContactMode::kSlip ? "slips" : face.mode == ContactMode::kStick ? "sticks" : "free";
+    *out << mode << " friction " << face.friction << (face.tangential < 0 ? " back" : " forth");
+  }
 };
 class LcpFace : public testing::TestWithParam<FaceCase> {};
 
@@ -115,7 +121,8 @@ INSTANTIATE_TEST_SUITE_P(Lcp, LcpFace,
                          testing::Values(FaceCase{0, 1, ContactMode::kFrictionless},
                                          FaceCase{5e-4, 1, ContactMode::kFrictionless},
                                          FaceCase{0.3, 3, ContactMode::kSlip}, FaceCase{0.3, -3, ContactMode::kSlip},
-                                         FaceCase{0.3, 0.5, ContactMode::kStick}));
+                                         FaceCase{0.3, 0.5, ContactMode::kStick}),
+                         ParameterName());
 
 // --- Two discs.
 
@@ -184,7 +191,8 @@ TEST_P(LcpDiscs, ClosedForm) {
 INSTANTIATE_TEST_SUITE_P(Lcp, LcpDiscs,
                          testing::Values(FaceCase{0, 1, ContactMode::kFrictionless},
                                          FaceCase{0.3, 5, ContactMode::kSlip}, FaceCase{0.3, -5, ContactMode::kSlip},
-                                         FaceCase{0.3, 0.5, ContactMode::kStick}));
+                                         FaceCase{0.3, 0.5, ContactMode::kStick}),
+                         ParameterName());
 
 // --- What counts as a contact and as a bounce.
 

@@ -7,6 +7,8 @@
 #include <random>
 #include <vector>
 
+#include "parameter_name.h"
+
 namespace saltus {
 namespace {
 
@@ -76,7 +78,7 @@ TEST_P(LatticesOf, ObeyTheConditions) {
     }
   }
 }
-INSTANTIATE_TEST_SUITE_P(ImpulseQp, LatticesOf, ::testing::Values(8, 24));
+INSTANTIATE_TEST_SUITE_P(ImpulseQp, LatticesOf, ::testing::Values(8, 24), ParameterName());
 
 // A disc thrown against a wall: it slides on if that is faster than friction stops it.
 TEST(ImpulseQp, ADiscOnAWall) {

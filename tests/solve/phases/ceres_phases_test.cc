@@ -9,6 +9,7 @@
 #include <span>
 
 #include "constrained_reference.h"
+#include "parameter_name.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -221,7 +222,8 @@ TEST_P(FlownByAModel, HasTheLossOfItsStepsAndOfAnExactImpact) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Models, FlownByAModel,
-                         testing::Values("direct_toi", "compliant_warp", "lcp", "pbd_brax", "smooth_compliant"));
+                         testing::Values("direct_toi", "compliant_warp", "lcp", "pbd_brax", "smooth_compliant"),
+                         ParameterName());
 
 TEST(CeresPhases, LaunchesByAModelsSteps) {
   for (const int steps : {36, 288}) {

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "parameter_name.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
@@ -274,7 +275,7 @@ TEST_P(ByPhases, DoesNotCallAnImpossibleMotionConverged) {
   EXPECT_THAT(report.reason, HasSubstr("target-wall"));
 }
 
-INSTANTIATE_TEST_SUITE_P(Solvers, ByPhases, testing::Values("hmp", "ceres_event"));
+INSTANTIATE_TEST_SUITE_P(Solvers, ByPhases, testing::Values("hmp", "ceres_event"), ParameterName());
 
 }  // namespace
 }  // namespace saltus

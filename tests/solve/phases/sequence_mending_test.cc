@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "box_scene.h"
+#include "parameter_name.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "scene/control_problems.h"
@@ -110,7 +111,7 @@ TEST_P(BySequence, LeavesASaddleForAGraze) {
   EXPECT_FALSE(Resimulate(scene, report).events.empty());
 }
 
-INSTANTIATE_TEST_SUITE_P(Solvers, BySequence, testing::Values("ceres_phases", "ceres_event"));
+INSTANTIATE_TEST_SUITE_P(Solvers, BySequence, testing::Values("ceres_phases", "ceres_event"), ParameterName());
 
 // Through a gap between two posts that the guess bounces off.
 TEST(CeresPhases, TouchesOnTheWayThroughAGap) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "parameter_name.h"
 #include "rescaled_scene.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/simulate/exact_run.h"
@@ -132,7 +133,7 @@ TEST_P(StrikeWithSpin, IsAsGoodAsSingleShooting) {
   EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-3);
 }
 
-INSTANTIATE_TEST_SUITE_P(Friction, StrikeWithSpin, ::testing::Values(0.02, 0.1, 1.0));
+INSTANTIATE_TEST_SUITE_P(Friction, StrikeWithSpin, ::testing::Values(0.02, 0.1, 1.0), ParameterName());
 
 // Velocities and spins at the start have no grid: the two solvers find the same.
 TEST(SpinPhases, LaunchAsSingleShootingDoes) {

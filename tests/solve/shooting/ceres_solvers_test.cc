@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "base/linear_algebra.h"
+#include "parameter_name.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
@@ -109,7 +110,8 @@ TEST_P(LinearQuadratic, ReachesTheKktSolution) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, LinearQuadratic,
-                         testing::Values("gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting", "ceres_lagrangian"));
+                         testing::Values("gd", "ceres_lbfgs", "ceres_lm", "ceres_shooting", "ceres_lagrangian"),
+                         ParameterName());
 
 // All models fly, with one of two ways to advance positions or the exact one between them.
 TEST(CeresLm, ReachesTheKktSolutionUnderEveryModel) {
@@ -237,7 +239,8 @@ TEST_P(ByCeres, FailsWhereTheGuessHasNoLoss) {
   EXPECT_EQ(report.control.size(), 2u * kSteps);
 }
 
-INSTANTIATE_TEST_SUITE_P(Solvers, ByCeres, testing::Values("ceres_lbfgs", "ceres_lm", "ceres_shooting"));
+INSTANTIATE_TEST_SUITE_P(Solvers, ByCeres, testing::Values("ceres_lbfgs", "ceres_lm", "ceres_shooting"),
+                         ParameterName());
 
 TEST(CeresLm, RefusesALinearObjective) {
   Scene scene = ProblemScene("bounce_once");

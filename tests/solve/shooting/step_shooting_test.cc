@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "base/linear_algebra.h"
+#include "parameter_name.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -44,7 +45,8 @@ TEST_P(FeasiblePath, BeatsGradientDescentOnTwoBalls) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Grids, FeasiblePath,
-                         testing::Combine(testing::Values("event", "toi_velocity"), testing::Values(480, 1000)));
+                         testing::Combine(testing::Values("event", "toi_velocity"), testing::Values(480, 1000)),
+                         ParameterName());
 
 // The best control on a grid, with the impact on the right node; values from 50-digit arithmetic. Other solvers, and
 // this one without moving impacts, stall at another node.
