@@ -49,6 +49,11 @@ constexpr int kScatters = 3;             // likewise, after which it is that of 
 constexpr double kMostScatter = 1e-2;    // the largest of these that is accepted
 constexpr int kFewestForScatter = 2048;  // steps of a motion with it
 
+constexpr const char* kEndsThere =
+    ", however short the steps are: there is no solution after that, or the flow has no value beside it. If the motion "
+    "goes on, as that of a tank that is empty, give the mode a guard that falls through zero a little before, with a "
+    "reset to a mode whose flow has values there";
+
 }  // namespace
 
 class HybridSimulator::Impl {
@@ -276,8 +281,7 @@ class HybridSimulator::Impl {
                 " steps to integrate the flow to the tolerance; the system may be stiff";
         } else {
           why = run->why() + (same_failures >= kSameFailures
-                                  ? ", however short the steps are: there is no solution after that, or the flow has "
-                                    "no value beside it"
+                                  ? kEndsThere
                                   : " with " + std::to_string(n * input.num_intervals) +
                                         " steps of an explicit method: the flow may be stiff or have no solution");
         }
@@ -351,6 +355,7 @@ class HybridSimulator::Impl {
     }
     steps = 0;
     why = run->why();
+    if (end == RolloutEnd::kNotFinite) why += kEndsThere;
     return false;
   }
 

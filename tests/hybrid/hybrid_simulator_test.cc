@@ -525,6 +525,7 @@ TEST(HybridSimulator, SaysWhatIsWrongWithTheFunctionsOfUsers) {
   EXPECT_EQ(why(Wrong::kReset),
             "the reset of guard 'guard 0' in mode 'only' at t = 1 gives no finite b in mode 'only'");
   EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("gives no finite derivative of a, however short the steps are"));
+  EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("give the mode a guard that falls through zero a little before"));
   EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("mode 'only' at t = 1.00000"));
   EXPECT_THAT(why(Wrong::kNoTime), HasSubstr("more than 100 events without time passing"));
   HybridSimulator right{HybridSystem(Wrong{})};
