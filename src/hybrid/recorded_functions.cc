@@ -698,8 +698,7 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
   }
   for (std::size_t i = 0; i < modes_.size(); ++i) {
     const Mode& mode = modes_[i];
-    Evaluated as_recorded{
-        static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, nullptr, {}, {}, {}, {}};
+    Evaluated as_recorded{static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, nullptr, {}, {}, {}};
     std::vector<const ExpressionGraph*> functions = {&mode.flow.recording()};
     for (const Transition& transition : mode.transitions) {
       as_recorded.guards.push_back(&transition.guard);
@@ -743,7 +742,7 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   const auto [known, is_new] = known_.try_emplace({base, sides}, num_modes());
   if (!is_new) return known->second;
   const RecordedSwitches& switches = *switches_[base];
-  Evaluated piece{base, nullptr, {}, nullptr, nullptr, sides, {}, {}, {}};
+  Evaluated piece{base, nullptr, {}, nullptr, nullptr, sides, {}, {}};
   if (modes_[base].fly) piece.floors = {0};  // functions of such a mode have the length of a flight as an input
   for (const double floor : switches.Floors(sides)) piece.floors.push_back(floor);
   std::vector<int> kind = sides;  // except for integer parts
@@ -754,34 +753,56 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
     if (slides || switches.IsFloor(number)) piece.switches.push_back({number, 1, slides});
     if (switches.IsFloor(number)) kind[number] = 0;
   }
-  std::shared_ptr<const Functions>& functions = known_functions_[{base, kind}];
-  if (functions == nullptr) {
-    const int num_guards = static_cast<int>(modes_[base].transitions.size());
-    std::vector<ExpressionGraph> along;  // the flow, then the ends of the piece by the switches along which it slides
-    const auto sliding = std::ranges::count_if(piece.switches, [&](const End& end) { return end.slides; }) / 2;
-    if (sliding > 0) {
-      const int n = layout().state_sizes[base];
-      const ExpressionGraph all = FlowAlong(switches.Beside(sides), n, static_cast<int>(sliding));
-      along.assign(1 + 2 * sliding, all);
-      along[0].outputs.resize(n);
-      for (int i = 0; i < 2 * sliding; ++i) along[1 + i].outputs = {all.outputs[n + i]};
-    }
-    Functions made{RecordedFunction(sliding > 0 ? along[0] : switches.Function(0, sides)), {}, {}, {}};
-    for (int i = 0; i < num_guards; ++i) made.guards.emplace_back(switches.Function(1 + i, sides));
-    auto next = along.begin() + (sliding > 0 ? 1 : 0);
-    for (const End& end : piece.switches) {
-      made.guards.emplace_back(end.slides ? *next++ : switches.Guard(end.number, end.by, sides));
-    }
-    if (modes_[base].fly && sliding == 0) made.fly.emplace(switches.Function(1 + num_guards, sides));
-    if (!modes_[base].fly) made.linear = LinearFlowOf(base, made.flow);
-    functions = std::make_shared<const Functions>(std::move(made));
+  const int num_guards = static_cast<int>(modes_[base].transitions.size());
+  const auto sliding = std::ranges::count_if(piece.switches, [](const End& end) { return end.slides; }) / 2;
+  std::optional<ExpressionGraph> along;  // the flow, then the ends of the piece by the switches along which it slides
+  const auto output_along = [&](int first, int count, std::vector<int>* used) {
+    const int n = layout().state_sizes[base];
+    if (!along) along = FlowAlong(switches.Beside(sides), n, static_cast<int>(sliding));
+    ExpressionGraph graph = *along;
+    graph.outputs.assign(along->outputs.begin() + first, along->outputs.begin() + first + count);
+    used->resize(switches.count());
+    std::iota(used->begin(), used->end(), 0);
+    return graph;
+  };
+  const Shared& flow = SharedBy({base, 0, 0}, kind, [&](std::vector<int>* used) {
+    return sliding > 0 ? output_along(0, layout().state_sizes[base], used) : switches.Function(0, sides, used);
+  });
+  piece.flow = &flow.function;
+  piece.linear = flow.linear ? &*flow.linear : nullptr;
+  for (int i = 1; i <= num_guards; ++i) {
+    const auto make = [&](std::vector<int>* used) { return switches.Function(i, sides, used); };
+    piece.guards.push_back(&SharedBy({base, i, 0}, kind, make).function);
   }
-  piece.of_piece = functions;
-  piece.flow = &functions->flow;
-  piece.fly = functions->fly ? &*functions->fly : nullptr;
-  piece.linear = functions->linear ? &*functions->linear : nullptr;
-  for (const RecordedFunction& guard : functions->guards) piece.guards.push_back(&guard);
+  int end_along = layout().state_sizes[base];
+  for (const End& end : piece.switches) {
+    const auto make = [&](std::vector<int>* used) {
+      return end.slides ? output_along(end_along, 1, used) : switches.Guard(end.number, end.by, sides, used);
+    };
+    piece.guards.push_back(&SharedBy({base, num_guards + 2 + end.number, end.by}, kind, make).function);
+    if (end.slides) ++end_along;
+  }
+  if (modes_[base].fly && sliding == 0) {
+    const auto make = [&](std::vector<int>* used) { return switches.Function(1 + num_guards, sides, used); };
+    piece.fly = &SharedBy({base, 1 + num_guards, 0}, kind, make).function;
+  }
   return Keep(std::move(piece));
+}
+
+template <typename Make>
+const RecordedSystem::Shared& RecordedSystem::SharedBy(std::tuple<int, int, int> key, const std::vector<int>& sides,
+                                                       const Make& make) const {
+  std::deque<Shared>& known = shared_[key];
+  const auto same = [&](const std::pair<int, int>& of) { return sides[of.first] == of.second; };
+  for (const Shared& shared : known) {
+    if (std::ranges::all_of(shared.sides, same)) return shared;
+  }
+  std::vector<int> used;
+  Shared made{{}, RecordedFunction(make(&used)), {}};
+  for (const int number : used) made.sides.emplace_back(number, sides[number]);
+  const auto [base, function, by] = key;
+  if (function == 0 && !modes_[base].fly) made.linear = LinearFlowOf(base, made.function);
+  return known.emplace_back(std::move(made));
 }
 
 std::vector<double> RecordedSystem::SwitchInputsAt(const ModePoint& point) const {

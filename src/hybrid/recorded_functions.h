@@ -12,6 +12,7 @@
 #include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -19,6 +20,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -217,10 +219,10 @@ class RecordedSystem final : public HybridFunctions {
     int number, by;
     bool slides;
   };
-  struct Functions {
-    RecordedFunction flow;
-    std::vector<RecordedFunction> guards;
-    std::optional<RecordedFunction> fly;
+  // A function of pieces that have these sides of the switches on which it depends; any integer parts.
+  struct Shared {
+    std::vector<std::pair<int, int>> sides;
+    RecordedFunction function;
     std::optional<LinearFlow> linear;
   };
   // A mode as it is recorded, or a piece of one.
@@ -233,7 +235,6 @@ class RecordedSystem final : public HybridFunctions {
     std::vector<int> sides;
     std::vector<End> switches;  // the last guards
     std::vector<double> floors;
-    std::shared_ptr<const Functions> of_piece;  // of pieces that differ in integer parts alone
   };
 
   // Modes do not move: the first of all blocks has one, each further one twice as many as the one before.
@@ -244,6 +245,9 @@ class RecordedSystem final : public HybridFunctions {
   }
   int Keep(Evaluated mode) const;
   int PieceOf(int base, std::vector<int> sides) const;
+  // Returns the function with this key in a piece of these sides, which `make(&used)` makes if none is known.
+  template <typename Make>
+  const Shared& SharedBy(std::tuple<int, int, int> key, const std::vector<int>& sides, const Make& make) const;
   int PieceAlong(const ModePoint& point, int guard) const;
   bool PointsAt(const ModePoint& point, int number) const;
   std::vector<double> SwitchInputsAt(const ModePoint& point) const;
@@ -270,7 +274,8 @@ class RecordedSystem final : public HybridFunctions {
   mutable std::atomic<int> num_modes_ = 0;
   mutable std::mutex mutex_;                                       // while modes are created
   mutable std::map<std::pair<int, std::vector<int>>, int> known_;  // under mutex_: pieces
-  mutable std::map<std::pair<int, std::vector<int>>, std::shared_ptr<const Functions>> known_functions_;  // likewise
+  // Functions of pieces, by base mode and number, or switch and direction; under mutex_; the elements do not move.
+  mutable std::map<std::tuple<int, int, int>, std::deque<Shared>> shared_;
 };
 
 // Residuals of the given blocks.

@@ -91,7 +91,7 @@ std::vector<double> RecordedSwitches::Floors(const Sides& sides) const {
 class RecordedSwitches::Piece {
  public:
   Piece(const RecordedSwitches& all, const Sides& sides)
-      : all_(all), sides_(sides), to_(all.nodes_.size(), -1), truth_(all.nodes_.size(), kUnknown) {}
+      : all_(all), sides_(sides), to_(all.nodes_.size(), -1), truth_(to_), is_used_(all.count()) {}
 
   int Needed(int node) {
     if (to_[node] >= 0) return to_[node];
@@ -139,7 +139,8 @@ class RecordedSwitches::Piece {
   static constexpr int kUnknown = -1;
 
   void Use(int number) {
-    if (std::find(used.begin(), used.end(), number) == used.end()) used.push_back(number);
+    if (!is_used_[number]) used.push_back(number);
+    is_used_[number] = true;
   }
 
   // Returns the value of a condition, 0 or 1, if the sides determine it.
@@ -171,6 +172,7 @@ class RecordedSwitches::Piece {
   const RecordedSwitches& all_;
   const Sides& sides_;
   std::vector<int> to_, truth_;
+  std::vector<bool> is_used_;
 };
 
 std::vector<int> RecordedSwitches::Sliding(const Sides& sides) const {
@@ -338,15 +340,16 @@ ExpressionGraph RecordedSwitches::MixedChanges(const Sides& sides) const {
   return graph;
 }
 
-ExpressionGraph RecordedSwitches::Function(int function, const Sides& sides) const {
+ExpressionGraph RecordedSwitches::Function(int function, const Sides& sides, std::vector<int>* used) const {
   const Sides corner = Corner(sides, {});
   Piece piece(*this, corner);
   for (const int output : outputs_[function]) piece.graph.outputs.push_back(piece.Needed(output));
   piece.graph.num_inputs = FloorInput(count());
+  *used = std::move(piece.used);
   return std::move(piece.graph);
 }
 
-ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides) const {
+ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides, std::vector<int>* used) const {
   using enum Operation;
   const Sides corner = Corner(sides, {});
   Piece piece(*this, corner);
@@ -364,6 +367,8 @@ ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides) 
   }
   piece.graph.outputs = {output};
   piece.graph.num_inputs = FloorInput(count());
+  *used = std::move(piece.used);
+  used->push_back(number);
   return std::move(piece.graph);
 }
 

@@ -42,9 +42,10 @@ class RecordedSwitches {
   // irrelevant, for SidesAt to find. Integer parts, and what is computed from them, are such numbers.
   Sides WithSide(std::span<const double> inputs, Sides sides, int number, int side) const;
 
-  // A function in a piece. Its inputs are followed by the integer parts, of all switches that have one.
+  // A function in a piece. Its inputs are followed by the integer parts, of all switches that have one. `used`: the
+  // switches on whose sides it depends; it is the same function wherever these have the same sides.
   // Precondition: the function does not depend on a switch along which the motion slides.
-  ExpressionGraph Function(int function, const Sides& sides) const;
+  ExpressionGraph Function(int function, const Sides& sides, std::vector<int>* used) const;
   // Whether no function but the first, and no number of a switch, depends on a switch along which the motion slides.
   bool OnlyFirstFunctionJumps(const Sides& sides) const;
   // Returns the first function below zero of all of k numbers and above zero of each one alone, and the numbers.
@@ -53,7 +54,7 @@ class RecordedSwitches {
   ExpressionGraph MixedChanges(const Sides& sides) const;
   // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part
   // below (by = -1) or above (by = 1), or where the sign changes. On a sign of zero it is the number itself.
-  ExpressionGraph Guard(int number, int by, const Sides& sides) const;
+  ExpressionGraph Guard(int number, int by, const Sides& sides, std::vector<int>* used) const;
   // The integer parts, as inputs of functions.
   std::vector<double> Floors(const Sides& sides) const;
 
