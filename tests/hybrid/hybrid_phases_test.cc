@@ -754,6 +754,30 @@ TEST(HybridModeSearch, FindsTheBounceAndProvesNothing) {
   EXPECT_THAT(Solve("mode_search", problem, options).reason, HasSubstr("not complete: the limit of work"));
 }
 
+// Squares that are all zero need no other start and no neighbour.
+TEST(HybridModeSearch, EndsAtALossOfZero) {
+  HybridProblem problem = ControlledBall(20);
+  problem.terms.pop_back();  // the effort
+  const SolveReport report = Solve("mode_search", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LE(report.final_loss, 1e-9);
+  EXPECT_EQ(report.iterations, 1) << report.reason;
+  EXPECT_THAT(report.reason, HasSubstr("with a loss of zero, which ends the search"));
+  ASSERT_TRUE(report.certificate);
+  EXPECT_NE(report.certificate->verdict, kNotStationary) << report.certificate->reason;
+  ASSERT_TRUE(report.searched);
+  EXPECT_TRUE(report.searched->complete);
+  EXPECT_EQ(report.searched->starts, 1);
+
+  // A cost that is no square may be negative: nothing ends the search early.
+  problem.terms.push_back(MakeTerminalCost(1, 0.0, 0.0, 2));
+  problem.terms.back().role = HybridTerm::Role::kValue;
+  SolverOptions options;
+  options.search_options.starts = 1;
+  const SolveReport other = Solve("mode_search", problem, options);
+  EXPECT_GT(other.iterations, 1) << other.reason;
+}
+
 TEST(HybridPhases, SayWhatTheyCannotTake) {
   HybridProblem problem = ControlledBall(10);
   problem.free = {.parameters = {1}};

@@ -27,6 +27,8 @@ constexpr double kNoWeight = 1e-300;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
+constexpr double kSameCost = 1e-10;  // relative change of the cost from solve to solve
+constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares that become zero change by all they are
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 // The relative changes of the cost that end the first solves, which only prepare the next.
@@ -310,6 +312,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.parameter_tolerance = 1e-15;
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
+  const double least_change = kNoCost * std::abs(Cost());
   bool estimated = false, near = false;
   int estimates = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
@@ -337,7 +340,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     }
     if (options.after_round) options.after_round();
     if (result.interrupted || result.iterations >= options.iterations) break;
-    const bool settled = round >= (near ? kLast : 1) && std::abs(result.cost - before) <= 1e-10 * std::abs(result.cost);
+    const double same = std::max(kSameCost * std::abs(result.cost), least_change);
+    const bool settled = round >= (near ? kLast : 1) && std::abs(result.cost - before) <= same;
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
     const double most = LargestWeight();

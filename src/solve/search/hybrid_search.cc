@@ -141,6 +141,10 @@ class HybridSearch {
 
   double WorkByRollout() const { return 10 + 1.0 * StatesOfSteps(); }
   double WorkBySteps() const { return 20 + 4.0 * StatesOfSteps(); }
+  bool AllCostsAreSquares() const {
+    return std::ranges::none_of(problem_.terms,
+                                [](const HybridTerm& term) { return term.role == HybridTerm::Role::kValue; });
+  }
   double LossForUser(double loss) const { return loss; }
 
   LocalOptimum OptimumOf(const HybridMotion& motion) const {

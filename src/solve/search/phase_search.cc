@@ -122,6 +122,7 @@ class DiscSearch {
 
   double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
   double WorkBySteps() const { return saltus::WorkBySteps(scene_); }
+  bool AllCostsAreSquares() const { return scene_.objective.IsSumOfSquares() && request_.terms.empty(); }
   double LossForUser(double loss) const { return ConvertLoss(loss, scene_.units, {}); }
   LocalOptimum OptimumOf(const Trial& trial) const {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};

@@ -9,7 +9,8 @@
 // and go on along the neighbours of the best optimum, whose sequences have one event inserted, removed or replaced,
 // each from that optimum, until none is better.
 //
-// Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried.
+// Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried; or
+// the loss is a sum of squares and zero.
 // Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
 // many. Solves are looked at in one order, whatever the threads (task_line.h).
 //
@@ -22,7 +23,7 @@
 //   Shoot(options, &trial)                     a motion nearer to the targets, by shooting; the gradients computed
 //   SolveAlong(trial, sequence, options)       one solve; this and Shoot are called by several threads at the same time
 //   WorkByRollout(), WorkBySteps()             of a gradient by shooting and of a Jacobian, as SearchOptions::work
-//   LossForUser(loss), OptimumOf(trial), kLeftOut
+//   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
 #pragma once
 
 #include <algorithm>
@@ -152,6 +153,7 @@ inline constexpr int kIterationsUpdating = 1000;
 inline constexpr int kIterationsAlong = 400;    // of a neighbour, which begins near an optimum
 inline constexpr int kIterationsShooting = 30;  // from random starts
 inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
+inline constexpr double kZero = 1e-12;          // of the loss of the initial guess
 
 }  // namespace sequence_search
 
@@ -162,12 +164,13 @@ class SequenceSearch : LimitedSearch {
       : LimitedSearch(run->options()), run_(*run), problem_(problem) {}
 
   SolveReport Search() {
+    searched_.starts = 1;
     SolveAll({{run_.guess(), false, run_.given_sequence()}});
-    if (!options_.search) return Report();
+    if (!options_.search || IsZero()) return Report();
     std::vector<Start> along;
     SolveAll(FirstStarts(&along));
     SolveAll(std::move(along));
-    while (!end_ && best_) {
+    while (!end_ && best_ && !IsZero()) {
       std::vector<Start> neighbours = NeighboursOfBest();
       if (neighbours.empty()) break;
       SolveAll(std::move(neighbours));
@@ -186,6 +189,14 @@ class SequenceSearch : LimitedSearch {
     const Start* start;
     double most_work;
   };
+
+  // Whether no motion can have a lower loss.
+  bool IsZero() const {
+    const double first = run_.report().losses.front();
+    return best_ && std::isfinite(first) && problem_.AllCostsAreSquares() && MeetsConstraints(best_->trial) &&
+           best_->report.termination == Termination::kConverged &&
+           best_->trial.exact.loss <= sequence_search::kZero * first;
+  }
 
   double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().losses.front(); }
 
@@ -247,7 +258,7 @@ class SequenceSearch : LimitedSearch {
     TaskLine<Draw, Finding> line;
     line.draw = [&]() -> std::optional<Draw> {
       if (Stopped()) EndByStop();
-      if (end_ || next == starts.end()) return std::nullopt;
+      if (end_ || next == starts.end() || IsZero()) return std::nullopt;
       const std::optional<double> most_work = CountDrawn();
       if (!most_work) return std::nullopt;
       return Draw{&*next++, *most_work};
@@ -344,7 +355,8 @@ class SequenceSearch : LimitedSearch {
     if (end_ == End::kIterations) end = Termination::kIterationLimit;
     const Trial trial = best_->trial;
     const std::string sequence = run_.NameOf(trial.exact.contacts);
-    const std::string reason = converged ? BestOf(found) + ", along " + sequence : best.reason;
+    const std::string zero = options_.search && IsZero() ? ", with a loss of zero, which ends the search" : "";
+    const std::string reason = converged ? BestOf(found) + ", along " + sequence + zero : best.reason;
     return run_.Finish(trial, trial.exact.loss, end, reason + limits);
   }
 

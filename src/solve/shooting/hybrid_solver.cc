@@ -22,6 +22,7 @@ namespace saltus {
 namespace {
 
 constexpr int kFewColumns = 200;         // of a dense Jacobian, up to which its factors cost less than those of phases
+constexpr double kZero = 1e-12;          // of the loss of the guess: a loss that is zero
 constexpr double kNoSlope = 1e-8;        // of the largest one: of a state whose target is met
 constexpr double kNearJump = 1e-3;       // of an interval: how near to a jump of the control an event is named
 constexpr double kSameSaltation = 1e-9;  // relative
@@ -245,8 +246,23 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& repor
   return found;
 }
 
+// Takes back what a certificate says of derivatives where squares are zero: they are small beside terms that are
+// rounding.
+void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
+  const bool squares =
+      std::ranges::none_of(problem.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kValue; });
+  const bool zero = squares && report->final_violation <= kFeasible && std::isfinite(report->initial_loss) &&
+                    report->final_loss <= kZero * report->initial_loss;
+  if (!zero || !report->certificate || report->certificate->verdict != Certificate::Verdict::kNotStationary) return;
+  report->certificate->verdict = Certificate::Verdict::kNotApplicable;
+  report->certificate->reason =
+      "all costs are squares and zero, so that no motion has a lower loss; conditions relative to their size do not "
+      "apply";
+}
+
 // Returns whether the loss depends on something that the variables do not change.
 bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
+  JudgeSquaresOfZero(problem, report);
   JudgeByCertificate(report);
   const OutOfReach out = FindOutOfReach(problem, *report);
   if (out.states.empty() && !out.motion) return false;
