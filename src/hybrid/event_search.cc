@@ -104,42 +104,72 @@ GuardValue EventSearch::After(const FlowStep& step, const double* slope, int gua
   return kept.guards[guard];
 }
 
-double EventSearch::Scale(const FlowStep& step, int guard) {
-  functions_.GuardGradient(step, guard, gradient_.data());
-  return ScaleBy(step, gradient_.data());
+double EventSearch::Scale(const FlowStep& step, int guard) { return ScaleBy(step, TermsOf(step, guard)); }
+
+void EventSearch::Append(const FlowStep& step, const double* gradient, std::vector<Term>* terms) const {
+  const int n = functions_.state_size(step.mode);
+  const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
+  if (gradient[n] != 0) terms->push_back({n, gradient[n]});
+  for (int i = 0; i < columns; ++i) {
+    if (gradient[i] != 0 && i != n) terms->push_back({i, gradient[i]});
+  }
 }
 
-double EventSearch::ScaleBy(const FlowStep& step, const double* gradient) const {
-  const int n = functions_.state_size(step.mode), num_parameters = functions_.layout().num_parameters;
-  double scale = SizeOf(gradient[n], step.t);
-  for (int i = 0; i < n; ++i) scale += SizeOf(gradient[i], step.x[i]);
-  for (int i = 0; i < num_parameters; ++i) scale += SizeOf(gradient[n + 1 + i], step.p[i]);
-  for (int i = 0; i < functions_.layout().num_controls; ++i) {
-    scale += SizeOf(gradient[n + 1 + num_parameters + i], step.u[i]);
+EventSearch::Terms EventSearch::TermsOf(const FlowStep& step, int guard) {
+  functions_.GuardGradient(step, guard, gradient_.data());
+  of_one_.clear();
+  Append(step, gradient_.data(), &of_one_);
+  return of_one_;
+}
+
+double EventSearch::ScaleBy(const FlowStep& step, Terms terms) const {
+  const int n = functions_.state_size(step.mode), controls = n + 1 + functions_.layout().num_parameters;
+  double scale = 0;
+  for (const auto& [input, derivative] : terms) {
+    const double value = input < n          ? step.x[input]
+                         : input == n       ? step.t
+                         : input < controls ? step.p[input - n - 1]
+                                            : step.u[input - controls];
+    scale += SizeOf(derivative, value);
   }
   return scale;
 }
 
-double EventSearch::ErrorBy(const FlowStep& step, const double* gradient, double rate, double elapsed,
-                            double of_states) const {
+double EventSearch::ErrorBy(const FlowStep& step, Terms terms, double rate, double elapsed, double of_states) const {
   const int n = functions_.state_size(step.mode);
-  double states = SizeOf(rate - gradient[n], elapsed);
-  for (int i = 0; i < n; ++i) states += SizeOf(gradient[i], step.x[i]);
-  return of_states * states + kTimeRounding * (ScaleBy(step, gradient) + std::abs(rate * step.t));
+  const double by_time = !terms.empty() && terms[0].input == n ? terms[0].derivative : 0;
+  double states = SizeOf(rate - by_time, elapsed);
+  for (const auto& [input, derivative] : terms) {
+    if (input < n) states += SizeOf(derivative, step.x[input]);
+  }
+  return of_states * states + kTimeRounding * (ScaleBy(step, terms) + std::abs(rate * step.t));
 }
 
 EventSearch::Window EventSearch::WindowOf(const FlowStep& step, int guard, double rate, double elapsed) {
-  functions_.GuardGradient(step, guard, gradient_.data());
-  return {ErrorBy(step, gradient_.data(), rate, elapsed, kStateRounding),
-          ErrorBy(step, gradient_.data(), rate, elapsed, kIntegrated)};
+  const Terms terms = TermsOf(step, guard);
+  return {ErrorBy(step, terms, rate, elapsed, kStateRounding), ErrorBy(step, terms, rate, elapsed, kIntegrated)};
 }
 
 void EventSearch::Enter(const FlowStep& step) {
-  const auto guards = static_cast<std::size_t>(functions_.num_guards(step.mode));
-  values_.resize(guards);
-  gradients_.resize(guards * gradient_.size());
-  functions_.GuardGradients(step, values_.data(), gradients_.data());
+  const int guards = functions_.num_guards(step.mode);
   flow_scales_.clear();
+  terms_.clear();
+  begins_.clear();
+  // The gradients of closed contacts are one problem for all guards.
+  const bool together = functions_.Projects(step.mode);
+  if (together) {
+    values_.resize(guards);
+    gradients_.resize(guards * gradient_.size());
+    functions_.GuardGradients(step, values_.data(), gradients_.data());
+  }
+  const auto columns = static_cast<std::size_t>(functions_.state_size(step.mode)) + 1 +
+                       functions_.layout().num_parameters + functions_.layout().num_controls;
+  for (int guard = 0; guard < guards; ++guard) {
+    begins_.push_back(terms_.size());
+    if (!together) functions_.GuardGradient(step, guard, gradient_.data());
+    Append(step, together ? &gradients_[guard * columns] : gradient_.data(), &terms_);
+  }
+  begins_.push_back(terms_.size());
 }
 
 // Whether a guard is zero up to s, as the force of bodies that touch in free flight, whose rate may be rounding. A
@@ -154,9 +184,9 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
                                             double elapsed) {
   const int n = functions_.state_size(step.mode);
   const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
-  const double* gradient = &gradients_[static_cast<std::size_t>(guard) * columns];
+  const Terms terms = Terms(terms_).subspan(begins_[guard], begins_[guard + 1] - begins_[guard]);
   elapsed = std::min(elapsed, step.h);
-  double at_zero = ErrorBy(step, gradient, now.rate, elapsed, kAtZero);
+  double at_zero = ErrorBy(step, terms, now.rate, elapsed, kAtZero);
   if (now.value > at_zero) return Standing::kArmed;
   const GuardValue later = After(step, slope, guard, 0.5 * step.h);
   at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
@@ -166,13 +196,18 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
     flow_scales_.resize(n);
     jacobian_.resize(static_cast<std::size_t>(n) * columns);
     functions_.FlowJacobian(step, flow_scales_.data(), jacobian_.data());
-    for (int i = 0; i < n; ++i) flow_scales_[i] = ScaleBy(step, &jacobian_[i * columns]);
+    for (int i = 0; i < n; ++i) {
+      of_one_.clear();
+      Append(step, &jacobian_[i * columns], &of_one_);
+      flow_scales_[i] = ScaleBy(step, of_one_);
+    }
   }
   const double of_flow = functions_.Projects(step.mode) ? kNoiseOfForces : kNoise;
-  double rate_scale = std::abs(gradient[n]), noise = 0;
-  for (int i = 0; i < n; ++i) {
-    rate_scale += std::abs(gradient[i] * slope[i]);
-    noise += of_flow * std::abs(gradient[i]) * flow_scales_[i];
+  double rate_scale = 0, noise = 0;
+  for (const auto& [input, derivative] : terms) {
+    if (input > n) continue;
+    rate_scale += std::abs(derivative * (input < n ? slope[input] : 1.0));
+    if (input < n) noise += of_flow * std::abs(derivative) * flow_scales_[input];
   }
   if (std::abs(now.rate) > std::max(noise, kNoRate * std::max(rate_scale, std::abs(later.rate)))) {
     return now.rate > 0 ? Standing::kRising : Standing::kFalling;
@@ -248,9 +283,9 @@ double EventSearch::FirstBelow(const FlowStep& step, const double* slope, int gu
 EventSearch::Found EventSearch::FindSinking(const FlowStep& step, const double* slope, int guard,
                                             const GuardValue& begin, const GuardValue& end, double elapsed) {
   if (!(end.value < 0)) return {};
-  functions_.GuardGradient(step, guard, gradient_.data());
-  if (!(end.value < -ErrorBy(step, gradient_.data(), end.rate, std::min(elapsed, step.h), kAtZero))) return {};
-  const double noise = 2 * std::abs(begin.value) + kNoise * ScaleBy(step, gradient_.data());
+  const Terms terms = TermsOf(step, guard);
+  if (!(end.value < -ErrorBy(step, terms, end.rate, std::min(elapsed, step.h), kAtZero))) return {};
+  const double noise = 2 * std::abs(begin.value) + kNoise * ScaleBy(step, terms);
   return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "contact/event/event_roots.h"
@@ -71,10 +72,20 @@ class EventSearch {
   void Forget() { kept_.clear(); }
 
  private:
-  double ScaleBy(const FlowStep& step, const double* gradient) const;
+  // A derivative of a guard by one of [x t p u] that is not zero: most are, in systems of many parts.
+  struct Term {
+    int input;
+    double derivative;
+  };
+  using Terms = std::span<const Term>;
+  // Appends the terms of a gradient in the order t x p u.
+  void Append(const FlowStep& step, const double* gradient, std::vector<Term>* terms) const;
+  // Returns the terms of a guard at a point, until the next call.
+  Terms TermsOf(const FlowStep& step, int guard);
+  double ScaleBy(const FlowStep& step, Terms terms) const;
   // The error of a guard's value, relative to the terms that states contribute, and to those of which time, parameters
   // and controls are known to rounding.
-  double ErrorBy(const FlowStep& step, const double* gradient, double rate, double elapsed, double of_states) const;
+  double ErrorBy(const FlowStep& step, Terms terms, double rate, double elapsed, double of_states) const;
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
@@ -95,8 +106,11 @@ class EventSearch {
   std::vector<Kept> kept_;
   std::vector<double> numbers_;  // state and slope at the beginning of the step, then those that are kept
   std::vector<double> gradient_;
-  std::vector<double> values_, gradients_;  // of all guards on entry into a mode
-  std::vector<double> flow_scales_;         // sizes of the terms of the flow there, once asked for: rounding is a part
+  std::vector<Term> of_one_;
+  std::vector<double> values_, gradients_;
+  std::vector<Term> terms_;          // of all guards on entry into a mode,
+  std::vector<std::size_t> begins_;  // and where those of each begin
+  std::vector<double> flow_scales_;  // sizes of the terms of the flow there, once asked for: rounding is a part
   std::vector<double> jacobian_;
 };
 
