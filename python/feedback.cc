@@ -161,7 +161,7 @@ class Filter {
       : num_controls_(scene.control_width()), state_sizes_{static_cast<int>(InitialSize(scene))} {
     CheckTakes("event", scene);
     const Eigen::VectorXd estimate = ReadMean(mean, 0);  // the mean is named first where both are wrong
-    filter_.emplace(scene, ReadTime(time), estimate, ReadCovariance(covariance, "covariance", 0));
+    filter_.emplace(scene, ReadTime(time), estimate, ReadCovariance(covariance, "covariance", 0), user_.stop());
   }
   Filter(const HybridSystem& system, const py::object& parameters, double time, int mode, const py::object& mean,
          const py::object& covariance)
@@ -173,7 +173,8 @@ class Filter {
                     ReadTime(time),
                     mode,
                     estimate,
-                    ReadCovariance(covariance, "covariance", mode));
+                    ReadCovariance(covariance, "covariance", mode),
+                    HybridOptions{.stop = user_.stop()});
   }
 
   double time() {

@@ -102,6 +102,18 @@ class TestInterrupts:
             function(problem)
         timer.join()
 
+    def test_a_prediction_of_a_filter(self):
+        """It would take millions of steps."""
+        system = saltus.HybridSystem(states={"m": ["x", "v"]}, parameters=["w"],
+                                     flow={"m": lambda x, p: [x[1], -p[0] ** 2 * np.sin(x[0])]})
+        found = saltus.SaltedKalmanFilter(system, [0.1, 0], np.eye(2), mode="m", parameters=[1000.0])
+        timer = interrupt_soon()
+        with pytest.raises(KeyboardInterrupt):
+            found.predict(20.0)
+        timer.join()
+        np.testing.assert_array_equal(found.mean, [0.1, 0])
+        assert found.time == 0
+
     @pytest.mark.parametrize("intervals", [1, 2, 3, 4, 1000])
     @pytest.mark.parametrize("function", [saltus.rollout, saltus.final_derivatives, saltus.loss_and_gradient])
     def test_more_steps_than_fit_into_memory(self, function, intervals):

@@ -11,6 +11,7 @@
 #include "base/linear_algebra.h"
 #include "base/number_text.h"
 #include "feedback/noisy_states.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_rules.h"
 
@@ -83,7 +84,7 @@ class HybridMotion final : public internal::FilterMotion {
 
 class SceneMotion final : public internal::FilterMotion {
  public:
-  explicit SceneMotion(Scene scene) : scene_(std::move(scene)) {
+  SceneMotion(Scene scene, StopRequest stop) : scene_(std::move(scene)), stop_(std::move(stop)) {
     scene_.steps = 1;
     scene_.free.clear();
     scene_.optimize = scene_.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
@@ -112,6 +113,7 @@ class SceneMotion final : public internal::FilterMotion {
       simulator_.reset();
       if (std::string why_not = WhyNotApplicable({"event"}, scene_); !why_not.empty()) return why_not;
       simulator_ = MakeSimulator({"event"}, scene_, Precision::kDouble);
+      simulator_->set_stop(stop_);
     }
     std::vector<double> force(simulator_->force_size());
     simulator_->ExpandForce(row, 0, force);
@@ -123,6 +125,7 @@ class SceneMotion final : public internal::FilterMotion {
     *F = Multiply(*F, backwards);
     Eigen::VectorXd next(x->size());
     simulator_->Step(state, force, {next.data(), state.size()});
+    if (simulator_->stopped()) return kStopped;
     if (!next.allFinite() || !F->allFinite()) return "the mean has no motion of rigid discs, or no derivative of it";
     *x = next;
     return "";
@@ -176,6 +179,7 @@ class SceneMotion final : public internal::FilterMotion {
   }
 
   Scene scene_;
+  StopRequest stop_;
   std::unique_ptr<Simulator> simulator_;
   const std::vector<HybridEvent> no_events_;
 };
@@ -199,10 +203,11 @@ SaltedKalmanFilter::SaltedKalmanFilter(HybridSystem system, std::vector<double> 
   motion_ = std::make_unique<HybridMotion>(std::move(system), std::move(parameters), integration);
 }
 
-SaltedKalmanFilter::SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance)
+SaltedKalmanFilter::SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance,
+                                       StopRequest stop)
     : time_(time), mean_(std::move(mean)), covariance_(std::move(covariance)) {
   CHECK_EQ(WhatIsWrongWithEstimate(mean_, covariance_, InitialSize(scene)), "");
-  motion_ = std::make_unique<SceneMotion>(std::move(scene));
+  motion_ = std::make_unique<SceneMotion>(std::move(scene), std::move(stop));
 }
 
 SaltedKalmanFilter::~SaltedKalmanFilter() = default;

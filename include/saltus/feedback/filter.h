@@ -24,6 +24,7 @@
 
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/scene/scene.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 
@@ -45,7 +46,9 @@ class SaltedKalmanFilter {
   // Filters a scene, whose states are those of simulator.h and whose controls are rows of its control; its initial
   // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene, and
   // WhatIsWrongWithEstimate(mean, covariance, InitialSize(scene)) is empty.
-  SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance);
+  // `stop` is asked during each Predict, which fails as soon as the answer is true.
+  SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance,
+                     StopRequest stop = nullptr);
   ~SaltedKalmanFilter();
   SaltedKalmanFilter(SaltedKalmanFilter&&) noexcept;
   SaltedKalmanFilter& operator=(SaltedKalmanFilter&&) noexcept;
