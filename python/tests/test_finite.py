@@ -350,6 +350,17 @@ def test_a_pole_of_the_flow_is_no_jump():
         saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1, 0, 0, 0], duration=2.0))
 
 
+def test_a_stiff_flow_is_refused_with_what_to_do():
+    def relaxation(rate):
+        flow = {"m": lambda t, x, u, p: [-rate(p) * (x[0] - 1)]}
+        return saltus.HybridProblem(saltus.HybridSystem(states={"m": ["x"]}, parameters=["k"], flow=flow),
+                                    mode="m", initial=[0.5], parameters=[1e9], duration=2.0)
+
+    assert_allclose(saltus.rollout(relaxation(lambda p: 1e9)).final, [1], rtol=1e-12)
+    with pytest.raises(RuntimeError, match="stiff.*; lower its fastest rates, or .* with numbers in place of parameters"):
+        saltus.rollout(relaxation(lambda p: p[0]))
+
+
 def test_steps_that_are_too_long_for_a_flow_are_no_jump_of_it():
     system = saltus.HybridSystem(states={"m": ["x"]}, flow={"m": lambda t, x, u, p: [np.sin(1e5 * x[0] * x[0])]})
     with pytest.raises(RuntimeError, match="does not converge|may be stiff"):

@@ -14,6 +14,10 @@
 namespace saltus {
 namespace {
 
+// Ends the messages on flows that may be stiff.
+constexpr char kOfStiff[] =
+    "; lower its fastest rates, or make it linear in the state with numbers in place of parameters as coefficients, "
+    "since such flows have a closed form";
 constexpr int kFewestSteps = 16;            // of a motion
 constexpr int kMostSteps = 1 << 20;         // of a motion
 constexpr int kMostGivenSteps = 1 << 24;    // likewise, that the user chooses: a few GB
@@ -278,12 +282,13 @@ class HybridSimulator::Impl {
       if (2.0 * n * input.num_intervals > kMostSteps) {
         if (end == RolloutEnd::kDone) {
           why = "an explicit method needs more than " + std::to_string(kMostSteps) +
-                " steps to integrate the flow to the tolerance; the system may be stiff";
+                " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
         } else {
-          why = run->why() + (same_failures >= kSameFailures
-                                  ? kEndsThere
-                                  : " with " + std::to_string(n * input.num_intervals) +
-                                        " steps of an explicit method: the flow may be stiff or have no solution");
+          why = run->why() +
+                (same_failures >= kSameFailures
+                     ? kEndsThere
+                     : " with " + std::to_string(n * input.num_intervals) +
+                           " steps of an explicit method: the flow may be stiff or have no solution" + kOfStiff);
         }
         return false;
       }
