@@ -70,6 +70,15 @@ class TestFits:
         fit = saltus.identify(scene, {name: recording[name] for name in ("time", "body", "position")})
         assert fit.reason == "" and fit.remarks[0].startswith("sigma was estimated")
 
+    def test_a_sigma_that_is_far_too_large_has_a_remark(self, scene, recording):
+        fit = saltus.identify(scene, {**recording, "sigma": 100 * SIGMA})
+        (remark,) = fit.remarks
+        # Both coordinates are SIGMA off, and half of the lengths of two normal numbers are below 1.177.
+        assert f"residuals are only {np.sqrt(2) / 117.7:.2g} times the stated sigma" in remark
+        assert "check the unit of sigma" in remark
+        few = {name: recording[name][::6] for name in ("time", "body", "position")}
+        assert saltus.identify(scene, {**few, "sigma": 100 * SIGMA}).remarks == []  # so few may do so by chance
+
     def test_a_law_of_impact(self, scene, recording):
         fit = saltus.identify(scene, recording, law="network:2")
         assert fit["law"]["impacts"] == 1

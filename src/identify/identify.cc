@@ -28,6 +28,7 @@ constexpr double kWideLoss = 10;             // times the loss scale, while the 
 constexpr double kGainOfSearch = 1e-8;       // share of the cost that an iteration must gain, before Polish()
 constexpr double kFits = 1.25;               // misfit of a motion that is found
 constexpr double kContradicts = 2.5;         // misfit that noise does not make
+constexpr double kFarBelow = 0.2;            // misfit that noise of the stated sigma does not leave
 constexpr double kFewestDegrees = 4;         // of freedom, of which an interval is computed
 constexpr double kFewestBesideOutliers = 6;  // the same, where it is open too which samples are outliers
 constexpr double kFewOutliers = 0.12;        // share of samples, of a motion that is found
@@ -746,10 +747,15 @@ class Identification {
     return names;
   }
 
-  // Returns the reason why no parameters explain the samples; empty if these may. Without a stated sigma, adds remarks
-  // on the residuals.
+  // Returns the reason why no parameters explain the samples; empty if these may. Adds remarks on the residuals.
   std::string ContradictionOf(const FitResult& fit) {
     if (states_sigma_) {
+      if (report_.misfit < kFarBelow && NumbersLeft() >= kFewLeft) {
+        report_.remarks.push_back(
+            FormatNumbers("residuals are only %.2g times the stated sigma, which makes the standard errors too large; "
+                          "check the unit of sigma",
+                          report_.misfit));
+      }
       // Errors of the model are systematic, those of single samples come at any time.
       const bool scatters = report_.misfit > kContradicts && !confidence_.is_noise;
       const bool strays =
