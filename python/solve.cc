@@ -4,11 +4,13 @@
 #include <cmath>
 
 #include "arrays.h"
+#include "base/number_text.h"
 #include "computation.h"
 #include "convert.h"
 #include "programs/solve_output.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/global/global_bound.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "saltus/solve/solvers_by_name.h"
 
@@ -131,12 +133,27 @@ py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds
   computation.Run([&] {
     bound = BoundGlobally(scene, loss, {.gap = gap, .seconds = seconds, .boxes = boxes, .stop = computation.stop()});
   });
+  py::list remarks;
+  if (bound.interrupted && computation.StoppedBy().is_none()) {
+    remarks.append("ended after " + std::to_string(bound.boxes) +
+                   " boxes, before the gap was reached; raise boxes or seconds (0 is no limit)");
+  }
+  // A known motion is in one of the parts that are left.
+  if (!bound.interrupted && bound.left.empty()) {
+    remarks.append("no control has the given loss: all are above it; give the loss of a motion");
+  }
+  const ExactRun own = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps));
+  if (own.ok && own.loss < loss) {
+    remarks.append("the scene's own control has a smaller loss, " + ToText(own.loss) +
+                   "; the bound is best with the loss of a solution");
+  }
   py::dict result;
   result["loss"] = bound.upper;
   result["lower_bound"] = bound.lower;
   result["gap"] = bound.gap();
   result["boxes"] = bound.boxes;
   result["complete"] = !bound.interrupted;
+  result["remarks"] = remarks;
   result["left"] = BoundsToPython(scene, bound.left);
   result["excluded"] = BoundsToPython(scene, bound.excluded);
   return py::make_tuple(result, computation.StoppedBy());

@@ -130,7 +130,7 @@ def solve(
 
 
 def bound_globally(
-    scene: SceneLike, loss: float, *, gap: float = 1e-6, seconds: float = 0.0, boxes: int = 0
+    scene: SceneLike, loss: float, *, gap: float = 1e-6, seconds: float = 0.0, boxes: int = 400_000
 ) -> dict[str, Any]:
     """Bounds the loss of all controls from below, rigorously, over all sequences of impacts.
 
@@ -142,11 +142,11 @@ def bound_globally(
         loss: that of a known motion, such as ``solve(scene, "event", "mode_search")["exact_loss"]``.
         gap: ends as soon as ``loss`` less the bound is at most this.
         seconds: limit of time; 0 is no limit.
-        boxes: limit of the number of boxes; 0 is no limit.
+        boxes: limit of the number of boxes; 0 is no limit. The default is that of the solver "global".
 
     Returns:
-        A dict of ``loss``, ``lower_bound``, ``gap``, ``boxes``, ``complete`` (whether the gap was reached), and the parts of
-        all motions that are ``left`` and ``excluded``, each with its ``sequence`` of the impacts that decide about the
+        A dict of ``loss``, ``lower_bound``, ``gap``, ``boxes``, ``complete`` (whether the gap was reached), ``remarks`` (such
+        as that a limit ended it, or that no motion has this loss), and the parts of all motions that are ``left`` and ``excluded``, each with its ``sequence`` of the impacts that decide about the
         loss, ``repeated`` by impact (the pair may touch again before one of its discs touches another one), ``open``
         (any impacts follow), ``lower_bound`` and ``boxes``.
 
@@ -155,6 +155,8 @@ def bound_globally(
     """
     expect("a number", loss=loss, gap=gap, seconds=seconds)
     expect("a whole number", boxes=boxes)
+    if not 0 <= boxes < 2**63:
+        raise ValueError(f"boxes: found {boxes}, expected a whole number >= 0; 0 is no limit")
     found, stopped_by = _saltus.bound_globally(
         as_scene(scene), float(loss), gap=float(gap), seconds=float(seconds), boxes=boxes
     )
