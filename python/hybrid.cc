@@ -21,6 +21,7 @@
 #include "feedback.h"
 #include "hybrid/recorded_functions.h"
 #include "hybrid/recorded_mechanics.h"
+#include "output/page.h"
 #include "programs/bodies_file.h"
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
@@ -141,18 +142,18 @@ std::vector<std::string> GuardsOf(const MechanicalSystem& system, int mode) {
   return names;
 }
 
-// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, letters of what
-// the function reads (some of "xupth", in this order), sizes of these, the function.
+// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, interval, letters
+// of what the function reads (some of "xiupth", in this order; i: the initial state), sizes of these, the function.
 using TermTuple =
-    std::tuple<std::string, std::string, std::string, int, int, bool, std::string, std::vector<int>, Outputs>;
+    std::tuple<std::string, std::string, std::string, int, int, bool, int, std::string, std::vector<int>, Outputs>;
 
 // A term that was recorded, or one that was read from a file.
 using GivenTerm = std::variant<HybridTerm, TermTuple>;
 
 HybridTerm ReadTerm(const GivenTerm& given) {
   if (const auto* term = std::get_if<HybridTerm>(&given)) return *term;
-  const auto& [name, at, role, mode, guard, before, reads, sizes, function] = std::get<TermTuple>(given);
-  HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before};
+  const auto& [name, at, role, mode, guard, before, interval, reads, sizes, function] = std::get<TermTuple>(given);
+  HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before, .interval = interval};
   term.at = at == "steps"   ? HybridTerm::At::kEachInterval
             : at == "event" ? HybridTerm::At::kEvent
                             : HybridTerm::At::kEnd;
@@ -162,6 +163,7 @@ HybridTerm ReadTerm(const GivenTerm& given) {
                                      : HybridTerm::Role::kCost;
   const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
   term.with_state = has('x');
+  term.with_initial = has('i');
   term.with_control = has('u');
   term.with_parameters = has('p');
   term.with_time = has('t');
@@ -191,6 +193,11 @@ py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
                   "values"_a = guess.parameters,
                   "duration"_a = guess.duration,
                   "control"_a = control,
+                  "draw"_a = py::cpp_function([draw = task->extras.draw](double t, const std::vector<double>& x) {
+                    HybridDrawing drawing;
+                    draw(0, t, x.data(), nullptr, &drawing);
+                    return py::make_tuple(drawing.lines(), drawing.circles());
+                  }),
                   "terms"_a = terms,
                   "free"_a = py::make_tuple(free.control, free.initial, free.parameters, free.duration),
                   "control_bounds"_a = py::make_tuple(free.control_min, free.control_max),
@@ -539,6 +546,22 @@ class Problem {
     return py::make_tuple(ToPython(document), computation.StoppedBy());
   }
 
+  // Returns the problem as the page of a program has it: the system, the guess, its motion, loss and gradient.
+  py::object PageDocument(const Guess& guess) const {
+    Computation computation;
+    const HybridProblem problem = At(guess, computation.stop());
+    Json document;
+    computation.RunOrThrow([&] {
+      Json motion = DrawnMotionToJson(problem, problem.guess);
+      document = HybridLossToJson(problem, false);
+      // The system last, as it has the modes that motions have met.
+      document["system"] = HybridSystemToJson(problem.system);
+      document["guess"] = HybridInputToJson(problem.system, problem.guess);
+      document["motion"] = std::move(motion);
+    });
+    return ToPython(document);
+  }
+
   // The motion from the guess, for feedback.
   PlannedMotion Planned(const Guess& guess) const {
     const HybridProblem problem = At(guess);
@@ -695,6 +718,11 @@ void BindHybrid(py::module_* module) {
            py::arg("with_gradients"),
            py::arg("threads"))
       .def("end_state", &Problem::EndState, py::arg("guess"), py::arg("cotangent"));
+  problem.def("page_document", &Problem::PageDocument, py::arg("guess"));
+  module->def(
+      "render_page",
+      [](const std::string& document) { return RenderPage(Json::parse(document)); },
+      py::arg("document"));
   problem.def("planned", &Problem::Planned, py::arg("guess"))
       .def("track_continuously",
            &Problem::TrackContinuously,

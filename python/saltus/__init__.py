@@ -20,7 +20,7 @@ Sweeps          sweep: many points of some options, on all cores or with a distr
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where; terminal, effort,
-                final_time, residuals, cost, maximise; rollout, final_derivatives, loss_and_gradient, solve,
+                final_time, residuals, cost, maximise, measurements; rollout, final_derivatives, loss_and_gradient, solve,
                 hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
@@ -58,6 +58,7 @@ from ._hybrid import (
     final_time,
     hybrid_solvers,
     maximise,
+    measurements,
     residuals,
     terminal,
 )
@@ -115,6 +116,7 @@ __all__ = [
     "load_scene",
     "loss_and_gradient",
     "maximise",
+    "measurements",
     "noisy_runs",
     "propagate",
     "residuals",

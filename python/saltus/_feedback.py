@@ -106,10 +106,12 @@ def track(
     if isinstance(Q, Mapping):
         if not isinstance(problem, HybridProblem):
             raise ValueError("Q: a scene has no modes, expected one matrix")
-        missing = [mode for mode in problem.system.modes if mode not in Q]
-        if missing or len(Q) != len(problem.system.modes):
-            raise ValueError(f"Q: expected a matrix for each of the modes {', '.join(problem.system.modes)}")
-        weights = [_matrix(Q[mode]) for mode in problem.system.modes]
+        system = problem.system
+        if not isinstance(system, HybridSystem):
+            raise ValueError("Q: the modes of a mechanical system have one state, expected one matrix")
+        if set(Q) != set(system.modes):
+            raise ValueError(f"Q: expected a matrix for each of the modes {', '.join(system.modes)}")
+        weights = [_matrix(Q[mode]) for mode in system.modes]
     else:
         weights = [_matrix(Q)]
     if not continuous:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import functools
+import json
+import os
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -14,7 +16,9 @@ from ._expression import Condition, Tape, _as_array, call, outputs
 from ._results import KINDS, Result, WrongGradient, on_intervals
 from ._types import Closed, asked_for, expect, parameters_of
 
-_READS = "xupth"
+# The arguments of terms, in the order of the blocks of C++; there x0 is "i", and xT is "x".
+_READS = "xiupth"
+_LETTERS = {"x": "x", "xT": "x", "x0": "i", "u": "u", "p": "p", "t": "t", "h": "h"}
 
 
 def _named(kind: str, value: Any) -> dict[str, Any]:
@@ -69,6 +73,7 @@ class System(Closed):
 
     controls: list[str]
     parameters: list[str]
+    draw: Any = None
     _system: Any
 
     def _make(self) -> Any:
@@ -93,8 +98,27 @@ class System(Closed):
         """Returns the sizes of the states of all modes."""
         raise NotImplementedError
 
+    def _drawn(self, mode: str, t: float, x: Any) -> dict[str, Any]:
+        """The values by whose names a drawing may ask for them."""
+        return {"mode": mode, "t": t, "x": x}
+
+    def _frame(self, draw: Any, mode: str, t: float, x: Any, p: Any) -> dict[str, Any]:
+        """Lines and circles of a state, from what the user's function returns."""
+        known = {**self._drawn(mode, t, x), "p": p}
+        frame: dict[str, Any] = {"lines": [], "circles": []}
+        try:
+            positional, keywords = asked_for(draw, known, "txp")
+            for shape in draw(*positional, **keywords):
+                numbers = [float(number) for number in np.ravel(shape)]
+                if len(numbers) not in (3, 4):
+                    raise ValueError(f"found {len(numbers)} numbers, expected [x0, y0, x1, y1] of a line or [x, y, r] of a circle")
+                frame["circles" if len(numbers) == 3 else "lines"].append(numbers)
+        except Exception as error:
+            raise _at("draw", error) from error
+        return frame
+
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_system"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_system", "draw")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -116,6 +140,9 @@ class HybridSystem(System):
     sliding: "filippov": a motion that both sides of a condition drive towards its zero goes on along it, with the average of
     both flows that keeps it there, until one side leads away. Without it such a motion ends with the reason.
 
+    draw: for pages (``save_page``), a function of some of mode, t, x and p that returns a list of lines [x0, y0, x1, y1] and
+    circles [x, y, radius]. It is called with numbers; a pickle has none.
+
     The names of a function's arguments decide what it gets, in any order. A function with other names gets the arguments in
     the order (t, x, u, p), (t, x, p) or (t, s, x, u, p); a name that would stand in the place of another is refused.
 
@@ -132,7 +159,7 @@ class HybridSystem(System):
     what a function raises; each names the mode and the guard.
     """
 
-    _attributes = ("modes", "states", "controls", "parameters", "guards", "sliding")
+    _attributes = ("modes", "states", "controls", "parameters", "guards", "sliding", "draw")
 
     def __init__(
         self,
@@ -146,7 +173,10 @@ class HybridSystem(System):
         on_accumulation: Mapping[str, Mapping[str, str]] | None = None,
         fly: Mapping[str, Callable[..., Any]] | None = None,
         sliding: str | None = None,
+        draw: Callable[..., Any] | None = None,
     ):
+        expect("a callable", draw=draw)
+        self.draw = draw
         if sliding not in (None, "filippov"):
             raise ValueError(f"sliding: found {sliding!r}, expected 'filippov' or None")
         self.sliding = sliding
@@ -280,15 +310,28 @@ class Cost(Closed):
 
     _attributes = ("name", "function", "at", "role", "mode", "guard", "before", "size")
 
-    def __init__(self, name: str, function: Callable[..., Any], at: str, role: str, mode: str | None,
+    def __init__(self, name: str, function: Callable[..., Any], at: str | Sequence[float], role: str, mode: str | None,
                  guard: str | None, before: bool, size: int | None):
         self.name, self.function, self.at, self.role = name, function, at, role
         self.mode, self.guard, self.before = mode, guard, before
         self.size = size  # of the state, where the function implies it
 
     def __repr__(self) -> str:
-        where = f"{self.at} of guard '{self.guard}'" if self.guard else self.at
+        where = self.at if isinstance(self.at, str) else f"{len(self.at)} times"
+        where = f"{where} of guard '{self.guard}'" if self.guard else where
         return f"<saltus cost '{self.name}', {self.role} at {where}>"
+
+    @property
+    def _times(self) -> tuple[float, ...]:
+        """The times at which it counts, if these are given."""
+        return () if isinstance(self.at, str) else tuple(self.at)
+
+    def _terms(self, problem: HybridProblem) -> list[Any]:
+        """The terms of C++: one, or one for each time."""
+        recorded = self._recorded(problem)
+        if not self._times:
+            return [recorded]
+        return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
 
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         """The same cost with its record in place of its function."""
@@ -298,7 +341,7 @@ class Cost(Closed):
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
         if isinstance(self.function, Record):
-            reads, sizes = self.function.of_cost[6:8]
+            reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
             return self.function.of_cost
@@ -309,24 +352,28 @@ class Cost(Closed):
         for name, parameter in parameters.items():
             if parameter.default is not parameter.empty:
                 continue
-            if name not in _READS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-                raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p and h")
+            if name not in _LETTERS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+                raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
         if self.at != "steps" and ("u" in names or "h" in names):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
-        sizes = {"x": self._state_size(system) if "x" in names else 0, "u": len(system.controls),
-                 "p": len(system.parameters), "t": 1, "h": 1}
+        if self.at != "end" and ("x0" in names or "xT" in names):
+            raise ValueError(f"{self.name}: only a term at the end reads the states x0 at the start and xT at the end")
+        letters = {_LETTERS[name] for name in names}
+        sizes = {"x": self._state_size(system) if "x" in letters else 0, "i": len(system._states_of(problem.mode)),
+                 "u": len(system.controls), "p": len(system.parameters), "t": 1, "h": 1}
         tape, first, symbols = Tape(), 0, {}
-        reads = [name for name in _READS if name in names]
+        reads = [letter for letter in _READS if letter in letters]
         for name in reads:
             inputs = tape.inputs(first, sizes[name])
             symbols[name] = inputs[0] if name in "th" else inputs
             first += sizes[name]
-        values = _call(self.name, self.function, {name: symbols[name] for name in names}, "")
+        values = _call(self.name, self.function, {name: symbols[_LETTERS[name]] for name in names}, "")
         mode = -1 if self.mode is None else system._mode_number(self.mode)
         guard = -1 if self.guard is None else system._guards_of(str(self.mode)).index(self.guard)
         found = _outputs(self.name, tape, values)
-        return (self.name, self.at, self.role, mode, guard, self.before, "".join(reads), [sizes[r] for r in reads], found)
+        at = self.at if isinstance(self.at, str) else "steps"
+        return (self.name, at, self.role, mode, guard, self.before, -1, "".join(reads), [sizes[r] for r in reads], found)
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
@@ -356,10 +403,26 @@ class Cost(Closed):
         return sizes.pop()
 
 
+def _at_node(recorded: Any, node: int, intervals: int) -> Any:
+    """A term of C++ at the beginning of an interval, or at the end of the motion."""
+    name, _, *rest = recorded
+    role, mode, guard, before, _, *function = rest
+    if node == intervals:
+        return (name, "end", role, mode, guard, before, -1, *function)
+    return (name, "steps", role, mode, guard, before, node, *function)
+
+
+def _read_times(name: str, times: Any) -> tuple[float, ...]:
+    found = np.asarray(times, dtype=float)
+    if found.ndim != 1 or found.size == 0 or not np.all(np.isfinite(found)) or np.any(found < 0):
+        raise ValueError(f"{name}: found {times!r}, expected a list of finite times of at least 0")
+    return tuple(found.tolist())
+
+
 def residuals(
     function: Callable[..., Any],
     *,
-    at: str = "end",
+    at: str | Sequence[float] = "end",
     mode: str | None = None,
     guard: str | None = None,
     before: bool = False,
@@ -369,26 +432,33 @@ def residuals(
     """A term of a problem from a function of some of t, x, u, p and h, by the names of its arguments.
 
     at: "steps", the beginnings of the control intervals, of length h; "event", every event of `guard` in `mode`, with
-    the state after it, or before it if `before`; or "end", after events there. mode: where it counts; any without.
+    the state after it, or before it if `before`; "end", after events there; or a list of times, which are those of
+    beginnings of control intervals or of the end (``durations=`` puts these anywhere). A function at the end may also read
+    the state at the start as x0 and that at the end as xT: ``lambda x0, xT: xT - x0`` is zero for a periodic motion. mode:
+    where it counts; any without.
     role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
     """
-    for key, value, known in (("at", at, ("steps", "event", "end")), ("role", role, ("cost", "equality", "inequality"))):
-        if value not in known:
-            raise ValueError(f"{key}: found {value!r}, expected one of {', '.join(known)}")
+    if not isinstance(at, str):
+        at = _read_times("at", at)
+    elif at not in ("steps", "event", "end"):
+        raise ValueError(f"at: found {at!r}, expected one of steps, event, end, or a list of times")
+    if role not in ("cost", "equality", "inequality"):
+        raise ValueError(f"role: found {role!r}, expected one of cost, equality, inequality")
     if not callable(function):
         raise TypeError(f"function: found {type(function).__name__}, expected a function")
     if at == "event" and (mode is None or guard is None):
         raise ValueError("at: an event needs the mode and the guard")
     if at != "event" and (guard is not None or before):
         raise ValueError("guard: only a term at events has one")
-    label = name or getattr(function, "__name__", "cost").replace("<lambda>", f"cost at {at}")
+    place = at if isinstance(at, str) else "given times"
+    label = name or getattr(function, "__name__", "cost").replace("<lambda>", f"cost at {place}")
     return Cost(label, function, at, role, mode, guard, before, None)
 
 
 def cost(
     function: Callable[..., Any],
     *,
-    at: str = "end",
+    at: str | Sequence[float] = "end",
     mode: str | None = None,
     guard: str | None = None,
     before: bool = False,
@@ -416,13 +486,35 @@ def maximise(function: Callable[..., Any], **options: Any) -> Cost:
     return cost(negative, **options)
 
 
-def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = None) -> Cost:
+def _components(values: Any) -> Any:
+    """Numbers of components, NaN for those that are left out."""
+    listed = np.ravel(np.asarray(values, dtype=object))
+    return np.array([np.nan if value is None else value for value in listed], dtype=float)
+
+
+def terminal(
+    target: Any = None,
+    *,
+    weight: ArrayLike = 1.0,
+    mode: str | None = None,
+    min: Any = None,
+    max: Any = None,
+    hard: bool = False,
+) -> Cost:
     """weight * |x_i - target_i|^2 at the end. NaN or None leaves a component out; weight: a number, or one for each.
 
+    hard: the state must be the target there, in place of a cost.
+    min, max: a goal region in place of a target: the least and the greatest value of each component, or None.
     mode: in which the motion must end; without one the number of targets must be that of its states.
     """
-    targets = np.array([np.nan if value is None else value for value in np.ravel(np.asarray(target, dtype=object))],
-                       dtype=float)
+    expect("True or False", hard=hard)
+    if min is not None or max is not None:
+        if target is not None or hard or np.any(np.asarray(weight) != 1):
+            raise ValueError("min and max: found them beside a target, hard or a weight, expected a region alone")
+        return _region(min, max, mode)
+    targets = _components(target)
+    if hard and np.any(np.asarray(weight) != 1):
+        raise ValueError("weight: found one of a hard target, expected none")
     weights = np.broadcast_to(np.asarray(weight, dtype=float), targets.shape)
     if not np.all((weights >= 0) & np.isfinite(weights)):
         raise ValueError("weight: expected finite numbers >= 0")
@@ -435,7 +527,105 @@ def terminal(target: ArrayLike, *, weight: ArrayLike = 1.0, mode: str | None = N
     def misses(x: Any) -> Any:
         return [float(np.sqrt(weights[i])) * (x[i] - float(targets[i])) for i in used]
 
-    return Cost("terminal cost", misses, "end", "cost", mode, None, False, len(targets))
+    name, role = ("terminal condition", "equality") if hard else ("terminal cost", "cost")
+    return Cost(name, misses, "end", role, mode, None, False, len(targets))
+
+
+def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
+    """The inequalities of a goal region."""
+    size = len(_components(greatest if least is None else least))
+    low = np.full(size, np.nan) if least is None else _components(least)
+    high = np.full(size, np.nan) if greatest is None else _components(greatest)
+    if len(low) != len(high):
+        raise ValueError(f"min and max: found {len(low)} and {len(high)} numbers, expected as many")
+    if np.any(low > high):
+        raise ValueError(f"min: found {low[low > high][0]:g} above max, expected at most that")
+    sides = [(i, sign, bounds[i]) for sign, bounds in ((-1.0, low), (1.0, high)) for i in range(size)
+             if np.isfinite(bounds[i])]
+    if not sides:
+        raise ValueError("min and max: found no finite number, expected at least one")
+
+    def outside(x: Any) -> Any:
+        return [sign * (x[i] - float(bound)) for i, sign, bound in sides]
+
+    return Cost("goal region", outside, "end", "inequality", mode, None, False, size)
+
+
+class _Measurements(Cost):
+    """Values of states at given times. Each time has its own function, without the values that are missing."""
+
+    def __init__(self, times: tuple[float, ...], values: Any, states: Any, sigma: Any):
+        super().__init__("measurements", states, times, "cost", None, None, False, None)
+        self._values, self._sigma = values, sigma
+
+    def __reduce__(self) -> Any:
+        return (_Measurements, (self._times, self._values, self.function, self._sigma))
+
+    def _as_recorded(self, problem: HybridProblem) -> Cost:
+        if not callable(self.function):
+            return self
+        kept = copy.copy(self)
+        kept.function = [self._recorded(problem, row) for row in range(len(self._times))]
+        return kept
+
+    def _recorded(self, problem: HybridProblem, row: int = 0) -> Any:
+        if isinstance(self.function, list) and isinstance(self.function[0], tuple):
+            return self.function[row]
+        if callable(self.function):
+            measured = self.function
+        else:
+            states = problem.system._states_of(problem.mode)
+            unknown = [name for name in self.function if name not in states]
+            if unknown:
+                raise ValueError(f"measurements: found state {unknown[0]!r}, expected some of {', '.join(states)}")
+            places = [states.index(name) for name in self.function]
+
+            def measured(x: Any) -> Any:
+                return [x[i] for i in places]
+
+        values, sigma = self._values[row], self._sigma[row]
+
+        def misses(x: Any) -> Any:
+            found = np.ravel(_as_array(measured(x)))
+            if len(found) != len(values):
+                raise ValueError(f"found {len(found)} numbers, expected {len(values)}, as many as a row of values has")
+            return [(found[i] - float(values[i])) / float(sigma[i]) for i in range(len(values)) if not np.isnan(values[i])]
+
+        return Cost(self.name, misses, self.at, "cost", None, None, False, None)._recorded(problem)
+
+    def _terms(self, problem: HybridProblem) -> list[Any]:
+        nodes = problem._nodes_of(self)
+        return [_at_node(self._recorded(problem, row), node, problem.intervals) for row, node in enumerate(nodes)
+                if not np.all(np.isnan(self._values[row]))]
+
+
+def measurements(
+    times: ArrayLike, values: ArrayLike, states: Sequence[str] | Callable[..., Any], *, sigma: ArrayLike = 1.0
+) -> Cost:
+    """A term that compares a motion with data: the sum of ((state - value) / sigma)^2 over all values.
+
+    times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
+    values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
+    returns S numbers. sigma: the standard deviation of a value, one number, or one for each value.
+    """
+    at = _read_times("times", times)
+    array = np.array(values, dtype=float)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or len(array) != len(at):
+        raise ValueError(f"values: found shape {np.shape(values)}, expected ({len(at)}, S), a row for each time")
+    if not callable(states):
+        states = _names("states", states)
+        if len(states) != array.shape[1]:
+            raise ValueError(f"states: found {len(states)}, expected {array.shape[1]}, as many as a row of values has")
+    if np.any(np.isinf(array)) or np.all(np.isnan(array)):
+        raise ValueError("values: expected finite numbers, and NaN where one is missing")
+    deviations = np.asarray(sigma, dtype=float)
+    if deviations.ndim == 1 and np.ndim(values) == 1:
+        deviations = deviations[:, None]
+    if not np.all((deviations > 0) & np.isfinite(deviations)):
+        raise ValueError("sigma: expected finite numbers > 0")
+    return _Measurements(at, array, states, np.broadcast_to(deviations, array.shape))
 
 
 def effort(weight: float = 1.0) -> Cost:
@@ -544,12 +734,13 @@ class HybridProblem(Closed):
         guess = (number, self.initial, self.parameters, float(self.duration),
                  *self._intervals())
         limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events, self.most_repeats)
-        rest = (self.system, tuple(self.costs), *limits)
+        nodes = tuple(self._nodes_of(cost) for cost in self.costs if isinstance(cost, Cost) and cost._times)
+        rest = (self.system, tuple(self.costs), nodes, *limits)
         made = self._made
         if made is None or len(made[0]) != len(rest) or any(
             a is not b and not (isinstance(a, (tuple, float, int)) and a == b) for a, b in zip(made[0], rest)
         ):
-            terms = [cost._recorded(self) for cost in self._costs()]
+            terms = [term for cost in self._costs() for term in cost._terms(self)]
             self._made = made = (rest, _saltus.HybridProblem(self.system._system, terms, *limits))
         return getattr(made[1], method)(guess, *arguments)
 
@@ -594,6 +785,23 @@ class HybridProblem(Closed):
             )
         return np.asarray(self.control), lengths
 
+    def _nodes_of(self, cost: Cost) -> tuple[int, ...]:
+        """The control intervals at whose beginnings the times of a term are; their number K stands for the end."""
+        _, durations = self._intervals()
+        K = self.intervals
+        lengths = np.full(K, self.duration / K) if durations is None else durations
+        nodes = np.concatenate([[0.0], np.cumsum(lengths)])
+        found = []
+        for time in cost._times:
+            node = int(np.argmin(np.abs(nodes - time)))
+            if abs(nodes[node] - time) > 1e-9 * self.duration:
+                raise ValueError(
+                    f"{cost.name}: found the time {time:.10g}, expected the beginning of a control interval or the end, such "
+                    f"as {nodes[node]:.10g}; durations= of the problem puts intervals anywhere"
+                )
+            found.append(node)
+        return tuple(found)
+
     def start_from(self, run: HybridRun) -> None:
         """Takes over the solution of a run: initial state, control and its intervals, parameters and duration."""
         if not isinstance(run, HybridRun):
@@ -636,6 +844,12 @@ class HybridProblem(Closed):
                     f"optimize: found {name!r}, expected some of control, initial, parameters, duration, "
                     f"{', '.join([*states, *parameters])}"
                 )
+        if "duration" in optimize:
+            for cost in self._costs():
+                if cost._times:
+                    raise ValueError(
+                        f"optimize: found the duration, with which the times of '{cost.name}' would move; expected a fixed one"
+                    )
         return "control" in optimize, initial, free, "duration" in optimize
 
     def _bounds(self, bounds: Mapping[str, Any] | None, free: Any) -> list[list[tuple[float, float]]]:
@@ -661,7 +875,65 @@ class HybridProblem(Closed):
         return result
 
 
-class HybridRollout(Result):
+def _finite(value: Any) -> Any:
+    """What JSON can hold: without numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(held) for key, held in value.items()}
+    if isinstance(value, list):
+        return [_finite(held) for held in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+class _Paged(Result):
+    """A result of a problem that has a page."""
+
+    _problem: HybridProblem | None = None
+    _found: dict[str, Any] | None = None  # of a run: as programs have it
+
+    def save_page(self, folder: str | os.PathLike[str], *, draw: Callable[..., Any] | None = None) -> None:
+        """Writes the page that programs write, ``report.html``, and its numbers, ``result.json``, to a folder.
+
+        The page shows states, guards and control over time, events, the loss and its gradient, and of a run the solution. It
+        has a replay if there is a drawing.
+
+        Args:
+            folder: is made if there is none.
+            draw: as of a system, whose own is taken if this is None.
+
+        Raises:
+            ValueError: this result was read from a file or a pickle, which do not have its problem.
+        """
+        if self._problem is None:
+            raise ValueError("save_page: found a result without its problem; expected one that rollout or solve has returned")
+        problem = self._problem
+        expect("a callable", draw=draw)
+        document = {"program": "saltus", **problem._call("page_document"), "runs": [], "audits": []}
+        drawn = [(problem, document)]
+        if self._found is not None:
+            run = dict(self._found)
+            document["runs"].append(run)
+            if "solution" in run:
+                solved = problem._from(self)
+                of_solution = solved._call("page_document")
+                run["motion"] = of_solution["motion"]
+                document["system"] = of_solution["system"]  # with the modes of its motion
+                drawn.append((solved, run))
+        os.makedirs(folder, exist_ok=True)
+        plain = _finite(document)
+        with open(os.path.join(folder, "result.json"), "w", encoding="utf-8") as file:
+            json.dump(plain, file, indent=1)
+        function = draw or problem.system.draw
+        for of, part in drawn if function is not None else []:
+            motion = part["motion"]
+            motion["frames"] = [
+                of.system._frame(function, mode, t, np.array(x), np.array(of.parameters, dtype=float))
+                for t, mode, x in zip(motion["times"], motion["modes"], motion["states"])
+            ]
+        with open(os.path.join(folder, "report.html"), "w", encoding="utf-8") as file:
+            file.write(_saltus.render_page(json.dumps(_finite(document))))
+
+
+class HybridRollout(_Paged):
     """A motion of a hybrid system: ``mode`` and ``final``, the state at the end, after events there; ``events``, a list
     of (time, mode, guard, next_mode); ``switches``, a list of (time, mode, number) where a condition of a function
     changes, as its number is zero or an integer; ``times``, ``modes``, ``states`` and ``guards`` at every step of the
@@ -679,7 +951,7 @@ class HybridGradient(Result):
     _kind = "hybrid gradient"
 
 
-class HybridRun(Result):
+class HybridRun(_Paged):
     """What a solver found: ``loss``, ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
     ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
     ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of solvers that certify, otherwise None."""
@@ -728,7 +1000,9 @@ def _error(value: float | None) -> float:
 
 
 def rollout(problem: HybridProblem) -> HybridRollout:
-    return HybridRollout(_motion(problem._call("rollout")))
+    motion = HybridRollout(_motion(problem._call("rollout")))
+    motion._problem = copy.copy(problem)
+    return motion
 
 
 def final_derivatives(problem: HybridProblem) -> Result:
@@ -917,6 +1191,7 @@ def solve(
         }
     data["certificate"] = found.get("certificate")
     run = HybridRun(data)
+    run._problem, run._found = copy.copy(problem), found
     if stopped_by is not None:
         stopped_by.run = run
         raise stopped_by

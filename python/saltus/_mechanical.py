@@ -76,6 +76,7 @@ class MechanicalSystem(System):
     contacts: a saltus.Contact for each name.
     impact_law: "newton" or "poisson", both with Coulomb's law. rest_speed: bounces accumulate; a contact whose next bounce
     would begin with less than this speed, in units of the gap per time, closes; None: 1e-5.
+    draw: as of a HybridSystem; the function may also read q and v.
 
     A mode is a text with one letter for each contact: "o" open, "n" closed without friction, "+" or "-" closed and sliding
     with this sign of the velocity, "s" sticking. Events of a contact named tip: "tip hit", "tip off", "tip stop",
@@ -95,7 +96,7 @@ class MechanicalSystem(System):
     symmetric, RuntimeError for what a function raises; each names the function.
     """
 
-    _attributes = ("coordinates", "states", "controls", "parameters", "contacts", "impact_law", "rest_speed")
+    _attributes = ("coordinates", "states", "controls", "parameters", "contacts", "impact_law", "rest_speed", "draw")
 
     def __init__(
         self,
@@ -108,7 +109,10 @@ class MechanicalSystem(System):
         parameters: Sequence[str] = (),
         impact_law: str = "newton",
         rest_speed: float | None = None,
+        draw: Callable[..., Any] | None = None,
     ):
+        expect("a callable", draw=draw)
+        self.draw = draw
         if impact_law not in _LAWS:
             raise ValueError(f"impact_law: found {impact_law!r}, expected 'newton' or 'poisson'")
         if rest_speed is not None:
@@ -189,6 +193,10 @@ class MechanicalSystem(System):
             value = _call(what, value, {"p": p}, "p")
         return self._shaped(what, tape, value, ())
 
+    def _drawn(self, mode: str, t: float, x: Any) -> dict[str, Any]:
+        n = len(self.coordinates)
+        return {"mode": mode, "t": t, "x": x, "q": x[:n], "v": x[n:]}
+
     def _mode_number(self, mode: str | None) -> int:
         return -1 if mode is None else self._system.mode(mode)
 
@@ -223,6 +231,12 @@ class _Bodies(MechanicalSystem):
 
     def _make(self) -> Any:
         self._read = _saltus.read_bodies(self._text, self._name)
+
+        def draw(t: float, x: Any) -> Any:
+            lines, circles = self._read["draw"](t, x)
+            return [*lines, *circles]
+
+        self.draw = draw
         return self._read["system"]
 
     def __getstate__(self) -> dict[str, Any]:

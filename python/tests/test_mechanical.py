@@ -450,6 +450,8 @@ def test_solve_certificate_audit_and_feedback_take_a_mechanical_problem():
     audit = saltus.audit(problem, step=step, steps=16)
     assert audit.verdict == "consistent"
     regulator = saltus.track(problem, np.eye(4), np.eye(1), np.eye(4))
+    with pytest.raises(ValueError, match="Q: the modes of a mechanical system have one state, expected one matrix"):
+        saltus.track(problem, {"s": np.eye(4)}, np.eye(1), np.eye(4))
     noise = 1e-6 * np.diag([1, 0, 1, 0])
     # While it slides, the error of the position grows with that of the velocity: var x + T^2 var v.
     opened, closed = saltus.propagate(problem, noise), saltus.propagate(problem, noise, regulator=regulator)

@@ -49,7 +49,8 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
   }
   for (const HybridTerm& term : problem_.terms) {
     if (!term.IsCost() || term.at == HybridTerm::At::kEvent) continue;
-    const int times = term.at == HybridTerm::At::kEachInterval ? start_.num_intervals : 1;
+    const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
+    const int times = repeats ? start_.num_intervals : 1;
     num_residuals_ += times * term.function->num_residuals();
   }
 }
@@ -114,7 +115,8 @@ bool HybridShooting::FindPlaces() {
       continue;
     }
     const bool at_end = term.at == HybridTerm::At::kEnd;
-    for (int k = 0; k < (at_end ? 1 : input_.num_intervals); ++k) {
+    const int first = std::max(term.interval, 0), past = term.interval >= 0 ? first + 1 : input_.num_intervals;
+    for (int k = first; k < (at_end ? 1 : past); ++k) {
       const int node = at_end ? input_.num_intervals : k, mode = simulator_.ModeAt(node);
       const std::span<const double> state = simulator_.StateAt(node);
       const bool counts = term.mode < 0 || term.mode == functions.BaseMode(mode);
@@ -138,6 +140,7 @@ std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
   const HybridTerm& term = *place.term;
   std::vector<const double*> blocks;
   if (term.with_state) blocks.push_back(place.state.data());
+  if (term.with_initial) blocks.push_back(input_.initial.data());
   if (term.with_control) blocks.push_back(input_.control.data() + place.interval * problem_.system.num_controls());
   if (term.with_parameters) blocks.push_back(input_.parameters.data());
   if (term.with_time) blocks.push_back(&place.time);
@@ -236,6 +239,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   HybridCotangent cotangent;
   // The derivatives through the parts of z that terms read directly.
   HybridGradient by;
+  by.initial.resize(input_.initial.size());
   by.control.resize(input_.control.size());
   by.parameters.resize(num_parameters);
   bool reads_motion = false;
@@ -271,6 +275,10 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
       }
       add_to(sum, by_state.data(), by_state.size());
     }
+    if (term.with_initial) {
+      const Eigen::RowVectorXd by_start = pull_back();
+      for (Eigen::Index i = 0; i < by_start.size(); ++i) by.initial[i] += by_start[i];
+    }
     if (term.with_control) {
       const Eigen::RowVectorXd by_row = pull_back();
       for (int i = 0; i < num_controls; ++i) by.control[place.interval * num_controls + i] += by_row[i];
@@ -293,13 +301,12 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   }
   if (!std::isfinite(*loss)) return Fail("the loss is not finite");
   if (gradient == nullptr) return true;
-  by.initial.resize(input_.initial.size());
   if (reads_motion) {
     ++num_adjoints_;
     const HybridGradient of_motion = simulator_.Adjoint(cotangent);
     for (std::size_t i = 0; i < by.control.size(); ++i) by.control[i] += of_motion.control[i];
     for (int i = 0; i < num_parameters; ++i) by.parameters[i] += of_motion.parameters[i];
-    by.initial = of_motion.initial;
+    for (std::size_t i = 0; i < by.initial.size(); ++i) by.initial[i] += of_motion.initial[i];
     by.duration += of_motion.duration;
   }
   for (std::size_t i = 0; i < variables_.size(); ++i) gradient[i] = variables_[i].In(by);
@@ -378,6 +385,7 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       for (int row = 0; !motion && row < rows; ++row) all.row(row) = RowByMotion(place, by_state.row(row));
     }
     const int m = system.num_controls();
+    if (term.with_initial) all.leftCols(n0) += next();
     if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();
     if (term.with_parameters) all.middleCols(first_parameter, system.num_parameters()) += next();
     if (term.with_time) all.col(duration) += next() * (place.time / input_.duration);

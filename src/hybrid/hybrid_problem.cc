@@ -52,9 +52,11 @@ struct Price {
 std::string Number(int number) { return std::to_string(number); }
 
 // The sizes of the function's blocks, of a term that reads states of `state_size` numbers.
-std::vector<int> BlocksOf(const HybridTerm& term, const HybridSystem& system, int state_size) {
+std::vector<int> BlocksOf(const HybridTerm& term, const HybridProblem& problem, int state_size) {
+  const HybridSystem& system = problem.system;
   std::vector<int> sizes;
   if (term.with_state) sizes.push_back(state_size);
+  if (term.with_initial) sizes.push_back(static_cast<int>(problem.guess.initial.size()));
   if (term.with_control) sizes.push_back(system.num_controls());
   if (term.with_parameters) sizes.push_back(system.num_parameters());
   if (term.with_time) sizes.push_back(1);
@@ -62,7 +64,8 @@ std::vector<int> BlocksOf(const HybridTerm& term, const HybridSystem& system, in
   return sizes;
 }
 
-std::string WhatIsWrongWith(const HybridTerm& term, const HybridSystem& system) {
+std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem) {
+  const HybridSystem& system = problem.system;
   if (term.function == nullptr) return "found no function";
   const bool of_events = term.at == HybridTerm::At::kEvent;
   if (term.mode < (of_events ? 0 : -1) || term.mode >= system.num_modes()) {
@@ -75,13 +78,20 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridSystem& system) 
   if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
     return "only a term of each interval reads a control or a length";
   }
+  if (term.at != HybridTerm::At::kEnd && term.with_initial) return "only a term at the end reads the initial state";
+  const bool of_one = term.interval != -1;
+  if (of_one &&
+      (term.at != HybridTerm::At::kEachInterval || term.interval < 0 || term.interval >= problem.guess.num_intervals)) {
+    return "found interval " + Number(term.interval) + ", expected 0 to " + Number(problem.guess.num_intervals - 1) +
+           " of a term of intervals";
+  }
   // The size of a state in any mode is that of the function's block; that after an event is known with the event.
   const std::vector<int>& found = term.function->parameter_block_sizes();
   int size = found.empty() ? 0 : found[0];
   if (term.mode >= 0 && (!of_events || term.before)) size = system.state_size(term.mode);
-  if (found == BlocksOf(term, system, size)) return "";
+  if (found == BlocksOf(term, problem, size)) return "";
   std::string expected, have;
-  for (const int block : BlocksOf(term, system, size)) expected += " " + Number(block);
+  for (const int block : BlocksOf(term, problem, size)) expected += " " + Number(block);
   for (const int block : found) have += " " + Number(block);
   return "found a function of blocks of sizes" + have + ", expected" + expected;
 }
@@ -188,7 +198,7 @@ std::string WhatIsWrongWith(const HybridProblem& problem) {
   if (std::string wrong = WhatIsWrongWith(problem.guess, system); !wrong.empty()) return wrong;
   if (problem.guess.begin != 0) return "found a motion that begins at another time than 0, expected 0";
   for (const HybridTerm& term : problem.terms) {
-    if (std::string wrong = WhatIsWrongWith(term, system); !wrong.empty()) return term.name + ": " + wrong;
+    if (std::string wrong = WhatIsWrongWith(term, problem); !wrong.empty()) return term.name + ": " + wrong;
   }
   if (free.control && system.num_controls() == 0) return "the system has no control to optimise";
   for (const std::string& wrong :

@@ -277,7 +277,7 @@ class HybridConditions {
   }
   // The derivatives of a term's contribution by what the term reads.
   struct Source {
-    VectorXd state, control, parameters;
+    VectorXd state, initial, control, parameters;
     double time = 0, length = 0;
     bool before = false;  // of an event: of the state before the reset
   };
@@ -295,6 +295,7 @@ class HybridConditions {
       return VectorXd((*by_rows * Eigen::Map<const Matrix>(jacobian.data(), rows, columns)).transpose());
     };
     if (at.term->with_state) source.state = next();
+    if (at.term->with_initial) source.initial = next();
     if (at.term->with_control) source.control = next();
     if (at.term->with_parameters) source.parameters = next();
     if (at.term->with_time) source.time = next()[0];
@@ -406,6 +407,9 @@ class HybridConditions {
       add_interval_states(step.begin);
     }
     for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
+    for (const Source& source : at_end) {
+      if (source.initial.size() > 0) costate += source.initial;
+    }
     sweep.initial = costate;
     sweep.initial_size = costate.cwiseAbs();
     // The state of the first step is the initial one if the motion does not begin with an event.
@@ -838,6 +842,7 @@ class HybridConditions {
       const SparseRow time = interval >= 0 ? TimeRow(to, begin, PhaseAt(begin, false))
                                            : to.boundaries[event >= 0 ? event + 1 : num_events() + 1];
       if (term.with_state) add(states, state_sizes);
+      if (term.with_initial) add(to.initial, {});
       if (term.with_control) add({to.control.begin() + interval * m, to.control.begin() + (interval + 1) * m}, {});
       if (term.with_parameters) add(to.parameters, {});
       if (term.with_time) add({time}, VectorXd::Constant(1, input_.duration));

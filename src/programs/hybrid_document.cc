@@ -11,6 +11,8 @@
 namespace saltus {
 namespace {
 
+constexpr int kMostSamples = 400;  // of a motion that is drawn
+
 Json NumbersOf(std::span<const double> numbers) { return std::vector<double>(numbers.begin(), numbers.end()); }
 
 // Adds times, modes, states and guards of the simulator's last rollout, in order of time.
@@ -133,6 +135,16 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   }
   if (states) AddSamples(simulator, input, ok, &motion);
   return motion;
+}
+
+Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input) {
+  HybridOptions options = problem.integration;
+  HybridSimulator chosen(problem.system, options);
+  chosen.Rollout(input);
+  options.steps_per_interval = std::max(chosen.steps_per_interval(), kMostSamples / input.num_intervals + 1);
+  HybridSimulator fine(problem.system, options);
+  const bool ok = fine.Rollout(input);
+  return HybridMotionToJson(fine, input, ok, true);
 }
 
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {

@@ -23,6 +23,9 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 // event.
 Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states);
 
+// The motion from an input with as many states as a figure needs.
+Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input);
+
 // Adds "integration_error" of the simulator's last rollout, which succeeded, and the remarks on it. Costs a rollout.
 void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulator, Json* motion);
 

@@ -34,8 +34,6 @@ namespace saltus {
 
 namespace {
 
-constexpr int kMostSamples = 400;  // of a motion that is drawn
-
 struct HybridRequest : HybridTask {
   std::vector<std::string> solvers = {};
   std::vector<std::shared_ptr<HybridScheme>> schemes = {};
@@ -162,13 +160,7 @@ void AddFrames(const HybridRequest& request, const std::vector<double>& paramete
 
 // A motion with as many states as a figure needs.
 Json DrawnMotion(const HybridRequest& request, const HybridInput& input) {
-  HybridOptions options = request.problem.integration;
-  HybridSimulator chosen(request.problem.system, options);
-  chosen.Rollout(input);
-  options.steps_per_interval = std::max(chosen.steps_per_interval(), kMostSamples / input.num_intervals + 1);
-  HybridSimulator fine(request.problem.system, options);
-  const bool ok = fine.Rollout(input);
-  Json motion = HybridMotionToJson(fine, input, ok, true);
+  Json motion = DrawnMotionToJson(request.problem, input);
   AddFrames(request, input.parameters, &motion);
   return motion;
 }

@@ -39,10 +39,14 @@ struct HybridTerm {
   int mode = -1;
   int guard = -1;
   bool before = false;  // kEvent: the state before the reset, in the place of that after it
+  // kEachInterval: the only interval at whose beginning it counts; -1: at each. Solvers in phases do not support it.
+  int interval = -1;
 
   // The function's parameter blocks, in this order:
   //   the state at the beginning of the interval, at the event, or at the final time after events there; if asked for
   bool with_state = false;
+  //   the state at the beginning of the motion; kEnd only
+  bool with_initial = false;
   //   the control of the interval; kEachInterval only
   bool with_control = false;
   //   all parameters of the system

@@ -109,6 +109,7 @@ class SchemeRun {
     }
     *loss = 0;
     std::vector<Eigen::RowVectorXd> at_interval(K);
+    Eigen::RowVectorXd by_start = Eigen::RowVectorXd::Zero(static_cast<int>(input.initial.size()));
     Eigen::RowVectorXd at_end = Eigen::RowVectorXd::Zero(static_cast<int>(states_.back().size()));
     if (gradient != nullptr) {
       gradient->control.assign(static_cast<std::size_t>(K) * m, 0.0);
@@ -117,6 +118,7 @@ class SchemeRun {
     for (const HybridTerm& term : problem_.terms) {
       const bool end = term.at == HybridTerm::At::kEnd;
       for (int k = end ? K : 0; k < (end ? K + 1 : K); ++k) {
+        if (term.interval >= 0 && term.interval != k) continue;
         const std::vector<double>& x = states_[k * per_interval];
         const int mode = modes_[k * per_interval];
         const bool fits = (term.mode < 0 || term.mode == mode) &&
@@ -126,6 +128,7 @@ class SchemeRun {
         const double time = k * length;
         std::vector<const double*> blocks;
         if (term.with_state) blocks.push_back(x.data());
+        if (term.with_initial) blocks.push_back(input.initial.data());
         if (term.with_control) blocks.push_back(input.control.data() + static_cast<std::ptrdiff_t>(k) * m);
         if (term.with_parameters) blocks.push_back(input.parameters.data());
         if (term.with_time) blocks.push_back(&time);
@@ -147,6 +150,7 @@ class SchemeRun {
           if (sum.size() == 0) sum = Eigen::RowVectorXd::Zero(static_cast<int>(x.size()));
           sum += by_block();
         }
+        if (term.with_initial) by_start += by_block();
         if (term.with_control) Eigen::Map<Eigen::RowVectorXd>(gradient->control.data() + k * m, m) += by_block();
         if (term.with_parameters) {
           Eigen::Map<Eigen::RowVectorXd>(gradient->parameters.data(), system_.num_parameters()) += by_block();
@@ -155,17 +159,19 @@ class SchemeRun {
     }
     if (!std::isfinite(*loss)) return Fail("the loss is not finite");
     if (gradient == nullptr) return true;
-    const Eigen::RowVectorXd first = PullBack(
-        at_end,
-        [&](int k, Eigen::RowVectorXd* lambda) {
-          if (k % per_interval == 0 && at_interval[k / per_interval].size() > 0)
-            *lambda += at_interval[k / per_interval];
-        },
-        [&](int k, const auto& by_control, const auto& by_parameters) {
-          Eigen::Map<Eigen::RowVectorXd>(gradient->control.data() + static_cast<std::ptrdiff_t>(k / per_interval) * m,
-                                         m) += by_control;
-          Eigen::Map<Eigen::RowVectorXd>(gradient->parameters.data(), system_.num_parameters()) += by_parameters;
-        });
+    const Eigen::RowVectorXd first =
+        by_start +
+        PullBack(
+            at_end,
+            [&](int k, Eigen::RowVectorXd* lambda) {
+              if (k % per_interval == 0 && at_interval[k / per_interval].size() > 0)
+                *lambda += at_interval[k / per_interval];
+            },
+            [&](int k, const auto& by_control, const auto& by_parameters) {
+              Eigen::Map<Eigen::RowVectorXd>(
+                  gradient->control.data() + static_cast<std::ptrdiff_t>(k / per_interval) * m, m) += by_control;
+              Eigen::Map<Eigen::RowVectorXd>(gradient->parameters.data(), system_.num_parameters()) += by_parameters;
+            });
     gradient->initial.assign(first.data(), first.data() + first.size());
     return true;
   }

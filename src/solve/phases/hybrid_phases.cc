@@ -436,6 +436,9 @@ std::string WhyNotHybridPhases(const HybridProblem& problem) {
   if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
     return "the problem leaves nothing to optimize";
   }
+  for (const HybridTerm& term : problem.terms) {
+    if (term.interval >= 0) return term.name + " is of one interval; intervals of phases move with the events";
+  }
   if (free.control || problem.guess.control.empty()) return "";
   const int width = problem.system.num_controls();
   for (size_t i = width; i < problem.guess.control.size(); ++i) {

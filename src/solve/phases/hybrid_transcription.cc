@@ -622,6 +622,7 @@ void HybridTranscription::AddTerms() {
       if (term.function->parameter_block_sizes()[0] != static_cast<int>(nodes_[node].size())) return;
       blocks.push_back(nodes_[node].data());
     }
+    if (term.with_initial) blocks.push_back(nodes_[phases_.front().first_node].data());
     if (term.with_control) blocks.push_back(controls_[control].data());
     if (term.with_parameters) blocks.push_back(parameters_.data());
     if (term.with_time || term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());

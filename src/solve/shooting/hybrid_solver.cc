@@ -296,7 +296,7 @@ std::string WhyNotGaussNewton(const HybridProblem& problem) {
   if (problem.free.duration) return "the duration is free";
   int rows = 0;
   for (const HybridTerm& term : problem.terms) {
-    const bool repeats = term.at == HybridTerm::At::kEachInterval;
+    const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
     rows += term.function->num_residuals() * (repeats ? problem.guess.num_intervals : 1);
   }
   const int columns = problem.free.control ? problem.guess.num_intervals * problem.system.num_controls() : 0;

@@ -1,0 +1,215 @@
+"""Terms of hybrid problems: regions, conditions, given times, start and end, data; and pages."""
+
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+from conftest import SOURCE
+from numpy.testing import assert_allclose
+
+import saltus
+
+
+def integrator(states=1, **changes):
+    """dx/dt = u, from x = 0 in 1 s: with an effort, the best control to a place is constant."""
+    names = [f"x{i}" for i in range(states)]
+    system = saltus.HybridSystem(states={"m": names}, controls=[f"u{i}" for i in range(states)], flow={"m": lambda x, u: u})
+    given = {"mode": "m", "initial": np.zeros(states), "duration": 1.0, "control": np.full((8, states), 0.5), **changes}
+    return saltus.HybridProblem(system, **{**given, "costs": [saltus.effort(), *given.get("costs", [])]})
+
+
+def ball(**changes):
+    system = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, parameters=["g", "e"], flow={"flight": lambda x, p: [x[1], -p[0]]},
+        guards={"flight": {"ground": lambda x: x[0]}},
+        resets={"flight": {"ground": lambda x, p: ("flight", [x[0], -p[1] * x[1]])}},
+        draw=lambda x: [[-1, 0, 1, 0], [0, x[0] + 0.1, 0.1]])
+    given = {"mode": "flight", "initial": [1.0, 0.0], "parameters": [9.81, 0.8], "duration": 1.5, **changes}
+    return saltus.HybridProblem(system, **given)
+
+
+def height(t, e, g=9.81, y0=1.0):
+    """The closed form of the ball from rest, up to its second bounce."""
+    falls = math.sqrt(2 * y0 / g)
+    return y0 - g * t**2 / 2 if t <= falls else (t - falls) * (e * g * falls - g * (t - falls) / 2)
+
+
+def check_gradient(problem, names=("initial", "parameters")):
+    gradient = saltus.loss_and_gradient(problem).gradient
+    for name in names:
+        at = np.array(getattr(problem, name), dtype=float)
+        for place in np.ndindex(at.shape):
+            ends = []
+            for step in (-1e-5, 1e-5):
+                moved = at.copy()
+                moved[place] += step
+                setattr(problem, name, moved)
+                ends.append(saltus.loss_and_gradient(problem).loss)
+            setattr(problem, name, at)
+            found = np.asarray(gradient[name])[place]
+            assert abs((ends[1] - ends[0]) / 2e-5 - found) < 1e-6 * max(1, abs(found)), (name, place)
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
+def test_a_goal_region_is_reached_at_its_edge(solver):
+    if solver not in saltus.hybrid_solvers():
+        pytest.skip(f"{solver} is not built")
+    problem = integrator(2, costs=[saltus.terminal(min=[2, None], max=[3, -1])])
+    run = saltus.solve(problem, solver=solver)
+    assert_allclose(run.final, [2, -1], rtol=0, atol=1e-6)
+    assert_allclose(run.loss, 5, rtol=1e-6)
+    assert run.certificate["verdict"] == "stationary"
+
+
+def test_a_region_that_holds_the_free_motion_changes_nothing():
+    run = saltus.solve(integrator(costs=[saltus.terminal(min=[-1], max=[1])]), solver="ceres_phases")
+    assert abs(run.final[0]) < 1e-4 and run.loss < 1e-8
+
+
+def test_a_hard_component_is_met_and_the_others_are_free():
+    run = saltus.solve(integrator(2, costs=[saltus.terminal([2.0, None], hard=True)]), solver="ceres_phases")
+    assert_allclose(run.final, [2, 0], rtol=0, atol=1e-7)
+    assert_allclose(run.loss, 4, rtol=1e-7)
+
+
+@pytest.mark.parametrize("changes, message", [
+    ({}, "target: found none"),
+    ({"min": [None]}, "min and max: found no finite number"),
+    ({"min": [1], "max": [0]}, "min: found 1 above max"),
+    ({"min": [1, 2], "max": [3]}, "min and max: found 2 and 1 numbers"),
+    ({"target": [1], "min": [0]}, "min and max: found them beside a target"),
+    ({"target": [1], "hard": True, "weight": 2}, "weight: found one of a hard target"),
+])
+def test_wrong_targets_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        saltus.terminal(**changes)
+
+
+def test_terms_of_parameters_of_the_start_and_of_both_ends():
+    terms = [saltus.residuals(lambda p: [p[1] - 0.3]), saltus.residuals(lambda x0: [x0[0] - 0.5, 2 * x0[1]]),
+             saltus.residuals(lambda x0, xT, p: [xT[0] - p[1] * x0[0], xT[1] * x0[1]]), saltus.cost(lambda x0: x0[0] ** 3)]
+    problem = ball(initial=[1.0, 0.2], costs=terms)
+    y, v = saltus.rollout(problem).final
+    expected = 0.5**2 + 0.5**2 + 0.4**2 + (y - 0.8) ** 2 + (0.2 * v) ** 2 + 1
+    assert_allclose(saltus.loss_and_gradient(problem).loss, expected, rtol=1e-12)
+    check_gradient(problem)
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
+def test_a_condition_links_start_and_end(solver):
+    """The state grows by 1, from a start that is drawn to 5: u = 1, and the loss is the effort."""
+    if solver not in saltus.hybrid_solvers():
+        pytest.skip(f"{solver} is not built")
+    problem = integrator(initial=[4.0], costs=[saltus.residuals(lambda x0: [x0[0] - 5]),
+                                               saltus.residuals(lambda x0, xT: xT - x0 - 1, role="equality")])
+    run = saltus.solve(problem, solver=solver, optimize=["control", "initial"])
+    assert_allclose(run.initial, [5], rtol=1e-6)
+    assert_allclose(np.ravel(run.control), 1, rtol=1e-6)
+    assert_allclose(run.loss, 1, rtol=1e-6)
+    assert run.certificate["verdict"] == "stationary"
+
+
+def test_residuals_of_the_start_have_a_jacobian():
+    """Levenberg-Marquardt finds the start and the restitution at once."""
+    problem = ball(costs=[saltus.residuals(lambda x0: [x0[0] - 1.2]), saltus.residuals(lambda xT: [xT[0] - 0.3])])
+    run = saltus.solve(problem, solver="ceres_lm", optimize=["y", "e"])
+    assert run.loss < 1e-20
+    assert_allclose([run.initial[0], run.final[0]], [1.2, 0.3], rtol=1e-8)
+
+
+def test_values_at_given_times():
+    times, targets = [0.2, 0.7], [0.5, 0.1]
+    durations = [0.2, 0.5, 0.8]
+    term = saltus.residuals(lambda x, t: [x[0] - t], at=times)
+    problem = ball(durations=durations, control=np.zeros((3, 0)), costs=[term])
+    expected = sum((height(t, 0.8) - t) ** 2 for t in times)
+    assert_allclose(saltus.loss_and_gradient(problem).loss, expected, rtol=1e-12)
+    check_gradient(problem)
+    at_end = ball(costs=[saltus.residuals(lambda x: [x[0]], at=[0.0, 1.5])])
+    assert_allclose(saltus.loss_and_gradient(at_end).loss, 1 + saltus.rollout(at_end).final[0] ** 2, rtol=1e-12)
+    copied = pickle.loads(pickle.dumps(problem))
+    assert saltus.loss_and_gradient(copied).loss == saltus.loss_and_gradient(problem).loss
+    with pytest.raises(ValueError, match=r"found the time 0.3, expected the beginning of a control interval or the end, such as 0.2"):
+        ball(durations=durations, control=np.zeros((3, 0)), costs=[saltus.residuals(lambda x: x, at=[0.3])])
+    with pytest.raises(ValueError, match="optimize: found the duration, with which the times of 'cost at given times'"):
+        saltus.solve(problem, optimize=["e", "duration"])
+    with pytest.raises(ValueError, match="is of one interval; intervals of phases move with the events"):
+        saltus.solve(problem, solver="ceres_phases", optimize=["e"])
+    with pytest.raises(ValueError, match="at: found .*, expected a list of finite times"):
+        saltus.residuals(lambda x: x, at=[-1.0])
+    with pytest.raises(ValueError, match="only a term at the end reads the states x0"):
+        ball(costs=[saltus.residuals(lambda x0: x0, at="steps")])
+
+
+def test_restitution_from_measurements_some_of_which_are_missing():
+    times = np.array([0.1, 0.3, 0.5, 0.6, 0.8, 1.0])
+    heights = np.array([height(t, 0.65) for t in times])
+    heights[2] = np.nan
+    durations = np.diff([0.0, *times, 1.1])
+    data = saltus.measurements(times, heights, ["y"], sigma=0.01)
+    problem = ball(duration=1.1, durations=durations, control=np.zeros((7, 0)), costs=[data])
+    expected = sum(((height(t, 0.8) - y) / 0.01) ** 2 for t, y in zip(times, heights) if np.isfinite(y))
+    assert_allclose(saltus.loss_and_gradient(problem).loss, expected, rtol=1e-10)
+    run = saltus.solve(problem, solver="ceres_lm", optimize=["e", "g"])
+    assert_allclose(run.parameters, [9.81, 0.65], rtol=1e-8)
+    copied = pickle.loads(pickle.dumps(problem))
+    assert saltus.loss_and_gradient(copied).loss == saltus.loss_and_gradient(problem).loss
+    both = saltus.measurements(times, np.column_stack([heights, 2 * heights]), lambda x: [x[0], 2 * x[0]], sigma=0.01)
+    problem.costs = [both]
+    assert_allclose(saltus.loss_and_gradient(problem).loss, 5 * expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("arguments, message", [
+    (([0.1], [[1, 2]], ["y"]), "states: found 1, expected 2"),
+    (([0.1, 0.2], [1.0], ["y"]), r"values: found shape \(1,\), expected \(2, S\)"),
+    (([0.1], [np.nan], ["y"]), "values: expected finite numbers, and NaN where one is missing"),
+    (([0.1], [1.0], ["y", "y"]), "states: found 'y' twice"),
+])
+def test_wrong_measurements_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        saltus.measurements(*arguments)
+    with pytest.raises(ValueError, match="sigma: expected finite numbers > 0"):
+        saltus.measurements([0.1], [1.0], ["y"], sigma=0)
+    with pytest.raises(ValueError, match="measurements: found state 'z', expected some of y, v"):
+        ball(costs=[saltus.measurements([0.0], [1.0], ["z"])])
+
+
+def test_an_audit_reads_the_start_and_single_intervals():
+    """dx/dt = u is integrated exactly by Euler's scheme, whose gradient is then right."""
+    terms = [saltus.residuals(lambda x0, xT: [xT[0] * x0[0] - 3]), saltus.residuals(lambda x: [x[0] - 1], at=[0.25])]
+    audit = saltus.audit(integrator(initial=[2.0], costs=terms), step=lambda x, u, p, h: ("m", x + h * u), steps=16)
+    assert audit.verdict == "right"
+
+
+class TestPages:
+    @pytest.mark.parametrize("draw", [None, lambda t, x: [(t, x[0], 0.2)]])
+    def test_a_rollout_and_a_run_have_a_page(self, tmp_path, draw):
+        problem = ball(costs=[saltus.terminal([0.4, None])])
+        saltus.rollout(problem).save_page(tmp_path / "motion", draw=draw)
+        run = saltus.solve(problem, solver="ceres_lm", optimize=["e"])
+        run.save_page(tmp_path / "run", draw=draw)
+        for name in ("motion", "run"):
+            document = json.loads((tmp_path / name / "result.json").read_text(encoding="utf-8"))
+            assert [event["guard"] for event in document["motion"]["events"]][0] == "ground"
+            page = (tmp_path / name / "report.html").read_text(encoding="utf-8")
+            assert page.startswith("<!") and '"frames"' in page
+        assert_allclose(document["runs"][0]["final_loss"], run.loss)
+        with pytest.raises(ValueError, match="found a result without its problem"):
+            pickle.loads(pickle.dumps(run)).save_page(tmp_path)
+
+    def test_a_page_of_bodies_draws_them(self, tmp_path):
+        problem = saltus.load_bodies(SOURCE / "problems" / "tossed_box.yaml")
+        saltus.rollout(problem).save_page(tmp_path)
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert '"frames"' in page and "bump" in page
+
+    def test_a_wrong_drawing_is_refused_with_its_place(self, tmp_path):
+        motion = saltus.rollout(ball())
+        with pytest.raises(ValueError, match="draw: found 2 numbers, expected"):
+            motion.save_page(tmp_path, draw=lambda x: [x])
+        with pytest.raises(ValueError, match="draw: found an argument 'w'"):
+            motion.save_page(tmp_path, draw=lambda w, x: [])
+        with pytest.raises(TypeError, match="draw: found int, expected a callable"):
+            motion.save_page(tmp_path, draw=3)
