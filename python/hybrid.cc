@@ -13,6 +13,7 @@
 #include <variant>
 
 #include "arrays.h"
+#include "base/number_text.h"
 #include "base/parallel_for.h"
 #include "blackbox/command_scheme.h"
 #include "computation.h"
@@ -82,6 +83,8 @@ HybridSystem MakeSystem(const std::vector<ModeTuple>& modes, const std::vector<s
   return HybridSystem(std::make_shared<RecordedSystem>(std::move(layout), std::move(recorded), slides));
 }
 
+constexpr double kMostGap = 1e-6;  // of a closed contact, relative to the numbers of the state
+
 // Gap, restitution, friction; slide, its row, reach and distance, or None.
 using ContactTuple = std::tuple<Outputs, Outputs, Outputs, std::optional<Outputs>, std::optional<Outputs>,
                                 std::optional<Outputs>, std::optional<Outputs>>;
@@ -138,6 +141,15 @@ std::vector<std::string> GuardsOf(const MechanicalSystem& system, int mode) {
   std::vector<std::string> names;
   for (int guard = 0; guard < system.hybrid().num_guards(mode); ++guard) {
     names.push_back(system.hybrid().GuardName(mode, guard));
+  }
+  return names;
+}
+
+std::vector<std::string> NextModesOf(const MechanicalSystem& system, int mode, int guard,
+                                     const std::vector<double>& parameters) {
+  std::vector<std::string> names;
+  for (const int next : system.hybrid().functions().NextModes(mode, guard, parameters.data())) {
+    names.push_back(system.hybrid().ModeName(next));
   }
   return names;
 }
@@ -499,7 +511,8 @@ class Problem {
   py::tuple Solve(const Guess& guess, const std::string& solver, bool control, const std::vector<int>& initial,
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
-                  double learning_rate, std::vector<double> guess_states, const py::object& callback) const {
+                  double learning_rate, std::vector<double> guess_states, const py::object& callback,
+                  const std::optional<std::vector<std::pair<int, int>>>& sequence) const {
     Computation computation;
     HybridProblem problem = At(guess, StopAfterGrace(&computation));
     problem.guess_states = std::move(guess_states);
@@ -526,6 +539,10 @@ class Problem {
     }
     options.iterations = iterations;
     options.learning_rate = learning_rate;
+    if (sequence) {
+      options.sequence.emplace();
+      for (const auto& [mode, guard] : *sequence) options.sequence->push_back({mode, guard, false});
+    }
     SolveReport report;
     Json document;
     options.stop = computation.stop();
@@ -625,6 +642,21 @@ class Problem {
   }
 
  private:
+  // Returns why a mechanical system is not in a mode: a closed contact has a gap.
+  std::string WhyNotIn(int mode, const HybridInput& input) const {
+    const MechanicalFunctions& functions = mechanical_->functions();
+    const std::string status = problem_.system.ModeName(mode);
+    double size = 1;
+    for (const double number : input.initial) size = std::max(size, std::abs(number));
+    for (int i = 0; i < functions.layout().num_contacts; ++i) {
+      const double gap = functions.Gap(i, input.initial.data(), input.parameters.data());
+      if (status[i] == 'o' || std::abs(gap) <= kMostGap * size) continue;
+      return "contact '" + functions.layout().contact_names[i] + "' is closed in mode '" + status +
+             "', and its gap is " + ToText(gap, 6) + "; leave the mode out to have it found";
+    }
+    return "";
+  }
+
   // Returns why a mechanical system has no motion from an input, whose mode is found if it is not given.
   std::string WhyNoStart(HybridInput* input) const {
     const auto finite = [](const std::vector<double>& numbers) {
@@ -634,7 +666,10 @@ class Problem {
       input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
       return "";
     }
-    if (input->mode >= 0) return mechanical_->WhatIsWrongAt(input->initial, input->parameters);
+    if (input->mode >= 0) {
+      const std::string why = mechanical_->WhatIsWrongAt(input->initial, input->parameters);
+      return why.empty() ? WhyNotIn(input->mode, *input) : why;
+    }
     std::vector<double> control = input->control;
     control.resize(problem_.system.num_controls());
     MechanicalSystem::Start start = mechanical_->FindMode(input->initial, control, input->parameters);
@@ -673,7 +708,8 @@ void BindHybrid(py::module_* module) {
            py::arg("poisson"),
            py::arg("rest_speed"))
       .def("mode", &ModeOf, py::arg("status"))
-      .def("guards", &GuardsOf, py::arg("mode"));
+      .def("guards", &GuardsOf, py::arg("mode"))
+      .def("next_modes", &NextModesOf, py::arg("mode"), py::arg("guard"), py::arg("parameters"));
   py::class_<Problem> problem(*module, "HybridProblem");
   const auto define_with = [&]<typename System>(const System*) {
     problem.def(py::init<const System&, const std::vector<GivenTerm>&, double, int, bool, int, int>(),
@@ -705,7 +741,8 @@ void BindHybrid(py::module_* module) {
            py::arg("iterations"),
            py::arg("learning_rate"),
            py::arg("guess_states"),
-           py::arg("callback"));
+           py::arg("callback"),
+           py::arg("sequence"));
   problem
       .def("losses",
            &Problem::Losses,

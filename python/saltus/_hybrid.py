@@ -98,6 +98,24 @@ class System(Closed):
         """Returns the sizes of the states of all modes."""
         raise NotImplementedError
 
+    def _modes_after(self, mode: str, guard: str, parameters: Any) -> list[str]:
+        """Returns the modes to which an event may lead, the likeliest first."""
+        raise NotImplementedError
+
+    def _find_sequence(self, mode: str, events: Sequence[Any], parameters: Any) -> list[tuple[str, str]] | None:
+        """Returns the modes and guards of events by their names from a mode on, and at last the mode at the end."""
+        if not events:
+            return [(mode, "")]
+        guard, wanted = (events[0], None) if isinstance(events[0], str) else events[0]
+        if guard not in self._guards_of(mode):
+            return None
+        for after in self._modes_after(mode, guard, parameters):
+            if wanted in (None, after):
+                rest = self._find_sequence(after, events[1:], parameters)
+                if rest is not None:
+                    return [(mode, guard), *rest]
+        return None
+
     def _drawn(self, mode: str, t: float, x: Any) -> dict[str, Any]:
         """The values by whose names a drawing may ask for them."""
         return {"mode": mode, "t": t, "x": x}
@@ -241,6 +259,9 @@ class HybridSystem(System):
 
     def _state_sizes(self) -> set[int]:
         return set(map(len, self.states.values()))
+
+    def _modes_after(self, mode: str, guard: str, parameters: Any) -> list[str]:
+        return [self._next_modes[mode, guard]]
 
     def _modes_after_accumulation(self, mode: str, named: Any) -> dict[str, int]:
         what = f"on_accumulation of mode '{mode}'"
@@ -1149,6 +1170,26 @@ def hybrid_solvers() -> dict[str, str]:
     return _saltus.hybrid_solvers()
 
 
+def _sequence(problem: HybridProblem, events: Any) -> list[tuple[int, int]]:
+    """The numbers of modes and guards of a sequence of events, and at last the mode at the end."""
+    if isinstance(events, str) or not isinstance(events, Iterable):
+        raise TypeError(f"sequence: found {events!r}, expected a list of names of events")
+    names = list(events)
+    for name in names:
+        if not isinstance(name, str) and not (isinstance(name, tuple) and len(name) == 2):
+            raise TypeError(f"sequence: found {name!r}, expected the name of an event, or a pair of it and the next mode")
+    system = problem.system
+    mode = problem.mode if problem.mode is not None else rollout(problem)["modes"][0]
+    found = system._find_sequence(mode, names, np.asarray(problem.parameters, dtype=float).tolist())
+    if found is None:
+        raise ValueError(
+            f"sequence: found {names}, which no modes have from mode '{mode}' on, whose events are "
+            f"{', '.join(system._guards_of(mode))}"
+        )
+    last = (system._mode_number(found[-1][0]), -1)
+    return [*((system._mode_number(at), system._guards_of(at).index(guard)) for at, guard in found[:-1]), last]
+
+
 def solve(
     problem: HybridProblem,
     solver: str,
@@ -1158,14 +1199,17 @@ def solve(
     learning_rate: float,
     guess_states: Any,
     callback: Any,
+    sequence: Any,
 ) -> HybridRun:
     free = problem._free(optimize)
+    along = None if sequence is None else _sequence(problem, sequence)
     states = [] if guess_states is None else np.asarray(guess_states, dtype=float)
     width = len(problem.initial)
     if guess_states is not None and (states.ndim != 2 or states.shape[1] != width or len(states) < 2):
         raise ValueError(f"guess_states: found an array of shape {states.shape}, expected (R, {width}) with R >= 2")
     found, stopped_by = problem._call(
-        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, np.ravel(states).tolist(), callback
+        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, np.ravel(states).tolist(), callback,
+        along
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
             "remarks": found.get("remarks", [])}

@@ -212,6 +212,9 @@ class MechanicalSystem(System):
     def _state_sizes(self) -> set[int]:
         return {len(self.states)}
 
+    def _modes_after(self, mode: str, guard: str, parameters: Any) -> list[str]:
+        return self._system.next_modes(self._system.mode(mode), self._guards_of(mode).index(guard), parameters)
+
     def __repr__(self) -> str:
         return (f"<saltus.MechanicalSystem of coordinates {self.coordinates}; contacts {self.contacts}, "
                 f"controls {self.controls}, parameters {self.parameters}>")

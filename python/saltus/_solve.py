@@ -33,7 +33,7 @@ def solve(
     iterations: int = 1000,
     learning_rate: float | None = None,
     rate_per_time: bool = False,
-    sequence: str = "auto",
+    sequence: str | Sequence[str | tuple[str, str]] = "auto",
     start: Run | HybridRun | None = None,
     guess_states: Any = None,
     surrogate: str | Mapping[str, Any] | None = None,
@@ -62,7 +62,9 @@ def solve(
         learning_rate: step size of gradient descent; default: that of the published experiments, 0.01 for a HybridProblem.
         rate_per_time: whether the learning rate is per unit of time.
         sequence: collision sequence of ceres_event, ceres_phases, hmp and mode_search: "auto", "fixed", "none" or pairs
-            such as "striker-target,target-ceiling".
+            such as "striker-target,target-ceiling". Of a HybridProblem, a list of names of events, each alone or in a pair
+            with the mode that it leads to: ceres_phases (the default then) and ipopt solve along it, whatever the events of
+            the guess are.
         start: a run from which to start: its control on its own intervals, its duration, and the initial velocities or
             positions that are free; of a HybridProblem also the parameters. Solvers on equal steps take the mean of the
             control over each of them.
@@ -75,7 +77,7 @@ def solve(
         callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
         status: called as status(text) with the progress of solvers that take long.
 
-    A HybridProblem takes optimize, bounds, iterations, learning_rate, start, guess_states and callback.
+    A HybridProblem takes optimize, bounds, iterations, learning_rate, sequence, start, guess_states and callback.
 
     Returns:
         A Run, or a HybridRun.
@@ -83,9 +85,14 @@ def solve(
     Raises:
         ValueError: the solver or the model does not support the scene, or an option is wrong.
     """
+    along = None if sequence == "auto" else sequence
+    if isinstance(scene, HybridProblem) and along is not None:
+        solver = solver or "ceres_phases"
+        if solver not in ("ceres_phases", "ipopt"):
+            raise ValueError(f"sequence: found one for the solver {solver!r}, expected ceres_phases or ipopt")
     if solver is None:
         solver = "auto" if learning_rate is None and not rate_per_time else "gd"
-    expect("text", solver=solver, precision=precision, sequence=sequence)
+    expect("text", solver=solver, precision=precision)
     expect("a whole number", iterations=iterations, threads=threads)
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
@@ -94,7 +101,8 @@ def solve(
         rate = 0.01 if learning_rate is None else float(learning_rate)
         problem = scene if start is None else scene._from(start)
         free = problem.optimize if optimize is None else optimize
-        return _hybrid.solve(problem, solver, free, bounds, iterations, rate, guess_states, callback)
+        return _hybrid.solve(problem, solver, free, bounds, iterations, rate, guess_states, callback, along)
+    expect("text", sequence=sequence)
     if optimize is not None or bounds is not None:
         raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
     if guess_states is not None:

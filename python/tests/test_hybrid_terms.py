@@ -183,6 +183,52 @@ def test_an_audit_reads_the_start_and_single_intervals():
     assert audit.verdict == "right"
 
 
+class TestSequence:
+    """A pendulum that swings up beside an elastic wall: the best motions with and without an impact are known (P12)."""
+
+    def problem(self, system=None, **changes):
+        system = system or saltus.MechanicalSystem(
+            coordinates=["th"], controls=["u"], mass=lambda q: [[1.0]], force=lambda q, u: [u[0] - 9.81 * np.sin(q[0])],
+            contacts={"wall": saltus.Contact(gap=lambda q: 0.5 - np.sin(q[0]), restitution=0.9)})
+        given = {"initial": [0, 0], "duration": 1.6, "control": np.full((40, 1), 1.0),
+                 "costs": [saltus.terminal([-math.pi, 0], weight=[100, 10]), saltus.effort(0.02)], **changes}
+        return saltus.HybridProblem(system, **given)
+
+    @pytest.mark.parametrize("solver", [None, "ipopt"])
+    def test_an_impact_that_the_guess_does_not_have(self, solver):
+        if solver is not None and solver not in saltus.hybrid_solvers():
+            pytest.skip(f"{solver} is not built")
+        problem = self.problem()
+        assert saltus.rollout(problem).events == []
+        run = saltus.solve(problem, solver=solver, sequence=["wall hit"])
+        assert run.solver == (solver or "ceres_phases")
+        assert run.termination == "converged", run.reason
+        assert [event[1:] for event in run.events] == [("o", "wall hit", "o")]
+        assert 1.29 < run.loss < 1.2940262535645844
+
+    def test_no_impact_is_the_optimum_without_a_wall(self):
+        free = saltus.MechanicalSystem(coordinates=["th"], controls=["u"], mass=lambda q: [[1.0]],
+                                       force=lambda q, u: [u[0] - 9.81 * np.sin(q[0])])
+        expected = saltus.solve(self.problem(system=free), solver="ceres_lm")
+        assert expected.termination == "converged", expected.reason
+        run = saltus.solve(self.problem(), sequence=[])
+        assert run.termination == "converged", run.reason
+        assert run.events == []
+        assert_allclose(run.loss, expected.loss, rtol=1e-8)
+
+    def test_refusals(self):
+        problem = self.problem()
+        with pytest.raises(ValueError, match=r"sequence: found \['floor hit'\], which no modes have from mode 'o' on, whose "
+                                             "events are wall hit"):
+            saltus.solve(problem, sequence=["floor hit"])
+        with pytest.raises(ValueError, match="sequence: found one for the solver 'gd', expected ceres_phases or ipopt"):
+            saltus.solve(problem, solver="gd", sequence=["wall hit"])
+        with pytest.raises(TypeError, match="sequence: found 'wall hit', expected a list of names of events"):
+            saltus.solve(problem, sequence="wall hit")
+        with pytest.raises(ValueError, match="does not lead from the mode at the start to one in which the terms at the end"):
+            saltus.solve(self.problem(costs=[saltus.terminal([0, 0], mode="n")]), sequence=["wall hit"])
+
+
 class TestPages:
     @pytest.mark.parametrize("draw", [None, lambda t, x: [(t, x[0], 0.2)]])
     def test_a_rollout_and_a_run_have_a_page(self, tmp_path, draw):

@@ -399,6 +399,7 @@ def test_wrong_contacts_are_refused_with_the_reason():
     ({"initial": (0, 1, 0)}, "initial"),
     ({"mode": "oo"}, "mode: found 'oo', expected a letter for each of 1 contacts"),
     ({"mode": "x"}, "mode: found 'x', expected a letter"),
+    ({"mode": "s"}, "contact 'ground' is closed in mode 's', and its gap is 1; leave the mode out to have it found"),
 ])
 def test_wrong_problems_are_refused_with_the_reason(changes, message):
     with pytest.raises(ValueError, match=message):

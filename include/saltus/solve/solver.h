@@ -66,7 +66,7 @@ struct SolverOptions {
   bool coarse_to_fine = true;
 
   // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets
-  // mode_search leave it for others, and with none given those that mend it.
+  // mode_search leave it for others, and with none given those that mend it. Hybrid: {mode, guard}..., {last mode, -1}.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
   SearchOptions search_options = {};  // of mode_search

@@ -167,6 +167,11 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
 }
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
+  if (sequence_ && !IsPossible(*sequence_)) {
+    return Refuse(Termination::kNotApplicable,
+                  "the sequence " + NameOf(*sequence_) +
+                      " does not lead from the mode at the start to one in which the terms at the end apply");
+  }
   if (!guess_.exact.ok && !guess_.guess_states.empty()) return std::nullopt;
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
   if (guess_.exact.only_impacts) return std::nullopt;
@@ -485,6 +490,17 @@ HybridProblem OnGrid(HybridProblem problem, int intervals) {
   return problem;
 }
 
+// The events along which the options ask to solve; none: those of the motion.
+std::optional<std::vector<ModeEvent>> GivenSequence(const SolverOptions& options) {
+  if (!options.sequence) return std::nullopt;
+  std::vector<ModeEvent> events;
+  for (std::size_t i = 0; i + 1 < options.sequence->size(); ++i) {
+    const Candidate &event = (*options.sequence)[i], &next = (*options.sequence)[i + 1];
+    events.push_back({event.a, event.b, next.a});
+  }
+  return events;
+}
+
 // One solve for each grid, from the solution of the grid before; all together take the iterations that are allowed.
 SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                         const SolverOptions& options) {
@@ -500,7 +516,7 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
     const SolverOptions of_grid = chain.Next();
     const bool last = intervals == grids.back();
     if (of_grid.iterations == 0 && !last) continue;
-    HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start);
+    HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start, GivenSequence(options));
     run.set_algorithm(algorithm);
     if (auto refused = run.WhyNotStart()) {
       if (!last) continue;
@@ -546,7 +562,9 @@ std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridP
 // start.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
-  if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
+  if (!options.sequence) {
+    if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
+  }
   SolverOptions directly = options;
   directly.coarse_to_fine = false;
   SolveChain chain(options);
