@@ -221,7 +221,6 @@ def test_every_function_has_its_derivative():
 @pytest.mark.parametrize("flow", [
     lambda t, x, u, p: [x[1], -p[0] if x[0] > 0 else 0],
     lambda t, x, u, p: [x[1], max(-p[0], x[0])],
-    lambda t, x, u, p: [x[1], np.where(x[0] > 0, 1.0, x[1])],
     lambda t, x, u, p: [x[1], x[0] and x[1]],
 ])
 def test_branching_on_a_value_raises(flow):
