@@ -156,12 +156,43 @@ def test_unknown_attributes_are_refused():
         saltus.Simulation(saltus.Scene(HOCKEY).replace(optimize="control")).control = None
 
 
+def discs(places):
+    """Discs at rest, and one that comes along x."""
+    return saltus.Scene(
+        name="discs", duration=1.0, steps=20, objective={"terminal": []}, optimize="none",
+        bodies=[{"name": n, "radius": 0.1, "mass": 1, "position": p, "velocity": [float(n == "s"), 0]}
+                for n, p in places.items()])
+
+
+TIE = {"s": [-0.5, 0], "a": [0, 0.1], "b": [0, -0.1]}
+ROW = {"s": [-0.75, 0], "a": [-0.2, 0], "b": [0, 0]}
+ASIDE = {"s": [-0.5, 0.5], "a": [0, 0.1], "b": [0, -0.1]}
+
+
 def test_impacts_at_the_same_time_warn():
-    tie = saltus.Scene(
-        name="tie", duration=1.0, steps=20, objective={"terminal": []}, optimize="none",
-        bodies=[{"name": n, "radius": 0.1, "mass": 1, "position": p, "velocity": v}
-                for n, p, v in (("s", [-0.5, 0], [1, 0]), ("a", [0, 0.1], [0, 0]), ("b", [0, -0.1], [0, 0]))])
-    found = saltus.propagate(tie, 1e-6 * np.eye(12))
+    found = saltus.propagate(discs(TIE), 1e-6 * np.eye(12))
     assert found.change_probability >= 0.5
-    assert "comes before" in found.warning
+    assert "comes before" in found.warning or "falls below zero" in found.warning
     assert "the order of the impacts of s, a and b" in found.remark
+
+
+@pytest.mark.parametrize("places", [TIE, ROW, ASIDE])
+def test_discs_that_touch_count(places):
+    """Half of all errors push them into each other at once, others later."""
+    scene, P = discs(places), 1e-8 * np.eye(12)
+    found, runs = saltus.propagate(scene, P), saltus.noisy_runs(scene, P, samples=1000)
+    assert 300 < runs.otherwise <= 1000 * found.change_probability
+    at_once = [risk for risk in found.risks if risk[:2] == ("the gap of a and b falls below zero", 0.0)]
+    assert [probability for _, _, probability in at_once] == [0.5]
+
+
+def test_discs_that_touch_without_errors_of_their_own():
+    P = np.diag([1e-8] * 4 + [0] * 8)
+    assert saltus.propagate(discs(ROW), P).change_probability < 1e-6
+    assert saltus.noisy_runs(discs(ROW), P, samples=100).otherwise == 0
+
+
+def test_a_wall_that_ends_is_not_touched_beside_its_end():
+    gate = saltus.load_scene(SOURCE / "problems" / "carrom_gate.yaml")
+    found = saltus.propagate(gate, 1e-10 * np.eye(8))
+    assert found.risks == [] and saltus.noisy_runs(gate, 1e-10 * np.eye(8), samples=50).otherwise == 0

@@ -222,11 +222,19 @@ class IntervalEvents {
     if (AddLeastGap(at_end_, pair, last, length_) && ends_) AddGap(at_end_, pair, length_, nullptr);
   }
 
-  // Adds the least gap between two times, if the gap falls before it and rises behind it. Returns whether it still
-  // falls at the end.
+  // Adds the least gap between two times, if the gap falls before it and rises behind it, and the gap of a pair that
+  // touches when the motion begins. Returns whether it still falls at the end, or is still zero.
   bool AddLeastGap(const Start& start, const Pair& pair, double from, double to) {
     const Gap before = GapAt(start, pair, from);
-    if (before.value <= kTouching * scene_.bodies[pair.a].radius) return false;
+    const double touching = kTouching * scene_.bodies[pair.a].radius;
+    if (before.value <= touching) {
+      const double first = GapAt({0, motion_.State(0), {}, {}}, pair, 0).value;
+      if (start.time > 0 || before.value < -touching || std::abs(first) > touching) return false;
+      if (k_ == 0) AddGap(start, pair, from, nullptr);
+      const auto [i, j] = pair.discs();
+      const double speed = std::max(Velocity(start, i, to).norm(), Velocity(start, j, to).norm());
+      return GapAt(start, pair, to).rate <= kAtRest * speed;
+    }
     if (GapAt(start, pair, to).rate < 0) return true;
     if (before.rate >= 0) return false;
     for (int i = 0; i < kBisections; ++i) {
