@@ -166,6 +166,16 @@ def test_answer_of_the_tutorial_is_a_local_minimum():
     assert len(run.events) == 2
 
 
+@pytest.mark.parametrize("solver", ["mode_search", "ceres_phases", "ipopt", "ceres_lm", "gd"])
+def test_no_iterations(solver):
+    problem = saltus.HybridProblem(ball(), mode="flight", initial=[4, 0], parameters=[9.8, 0.7], duration=1.0,
+                                   control=np.zeros((5, 1)))
+    problem.costs = [saltus.terminal([1, 0], weight=100), saltus.effort(1 / 32)]
+    run = saltus.solve(problem, solver=solver, iterations=0)
+    assert run.termination != "converged"
+    assert run.reason == "" or run.reason[0].isalnum() or run.reason[0] == "'", run.reason
+
+
 def test_phases_of_free_duration():
     """The ball of hybrid iLQR: 2.195888610303352 in continuous time, at least 2.197662650662964 on 50 equal intervals."""
     problem = saltus.HybridProblem(ball(), mode="flight", initial=[4, 0], parameters=[9.8, 0.7], duration=1.0,

@@ -29,6 +29,13 @@ class TestCallbacks:
         assert [k for k, _ in seen] == list(range(6))
         np.testing.assert_array_equal([loss for _, loss in seen], run.losses)
 
+    @pytest.mark.parametrize("iterations", [0, 1, 2, 6])
+    @pytest.mark.parametrize("solver", ["hmp", "mode_search", "ceres_phases"])
+    def test_no_more_iterations_than_allowed(self, two_balls, solver, iterations):
+        seen = []
+        run = saltus.solve(two_balls, "event", solver, iterations=iterations, callback=lambda k, loss: seen.append(k))
+        assert run["iterations"] == max(seen) == len(run.losses) - 1 <= iterations
+
     def test_false_ends_the_run(self, two_balls):
         run = saltus.solve(two_balls, "direct_toi", "gd", callback=lambda k, loss: k < 7)
         assert run["termination"] == "interrupted" and run["iterations"] == 7

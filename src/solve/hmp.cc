@@ -227,7 +227,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   const EventPhases phases(scene, sequence);
   const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, start), sequence);
   PhaseMinimumOptions minimum_options;
-  minimum_options.iterations = run->options().iterations;
+  const int left = run->iterations_left();
+  minimum_options.iterations = std::max(0, left - 1);  // Newton's method for the costates counts as the last one
   minimum_options.callback = [&](double loss) { return run->Record(loss); };
   const PhaseMinimum minimum =
       MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), minimum_options);
@@ -250,7 +251,7 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   }
   Attempt attempt;
   attempt.loss = phases.Loss(path);
-  run->Record(attempt.loss);
+  if (left > 0) run->Record(attempt.loss);
   std::vector<double> times;
   for (const PhaseImpact<double>& impact : path.impacts) times.push_back(impact.time);
   if (!WriteControl(scene, sequence, root.z, times, &attempt.trial)) {

@@ -109,11 +109,11 @@ class LimitedSearch {
     searched_.complete = false;
     if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
   }
-  // Returns the parts that limits have prevented, to be read after a reason; the search is over.
+  // Returns the parts that limits have prevented; empty if there are none. The search is over.
   std::string LeaveAtEnd() {
     static constexpr const char* kLimits[] = {"", "the limit of time", "the limit of work", "the limit of iterations"};
     if (end_) Leave(kLimits[static_cast<int>(*end_)]);
-    return left_.empty() ? "" : "; not complete: " + left_;
+    return left_.empty() ? "" : "not complete: " + left_;
   }
 
   // In words, after each solve.
@@ -334,6 +334,9 @@ class SequenceSearch : LimitedSearch {
 
   SolveReport Report() {
     const std::string limits = LeaveAtEnd();
+    const auto with_limits = [&](const std::string& reason) {
+      return reason + (reason.empty() || limits.empty() ? "" : "; ") + limits;
+    };
     searched_.sequences = static_cast<int>(searched_along_.size());
     const size_t found = optima_.size();
     run_.report().optima = TakeOptima();
@@ -341,7 +344,7 @@ class SequenceSearch : LimitedSearch {
     if (!best_) {
       const Trial& guess = run_.guess();
       const Termination none = end_ == End::kInterrupt ? Termination::kInterrupted : Termination::kNoProgress;
-      return run_.Finish(guess, guess.exact.loss, none, reason_ + limits);
+      return run_.Finish(guess, guess.exact.loss, none, with_limits(reason_));
     }
     SolveReport& best = best_->report;
     const bool converged = best.termination == Termination::kConverged;
@@ -357,7 +360,7 @@ class SequenceSearch : LimitedSearch {
     const std::string sequence = run_.NameOf(trial.exact.contacts);
     const std::string zero = options_.search && IsZero() ? ", with a loss of zero, which ends the search" : "";
     const std::string reason = converged ? BestOf(found) + ", along " + sequence + zero : best.reason;
-    return run_.Finish(trial, trial.exact.loss, end, reason + limits);
+    return run_.Finish(trial, trial.exact.loss, end, with_limits(reason));
   }
 
   typename Problem::Run& run_;
