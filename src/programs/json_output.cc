@@ -168,11 +168,16 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
 }
 
 Json SearchedToJson(const Searched& searched) {
-  return {{"sequences", searched.sequences},
-          {"starts", searched.starts},
-          {"work", searched.work},
-          {"complete", searched.complete},
-          {"lower_bound", searched.lower_bound}};
+  Json item = {{"sequences", searched.sequences},
+               {"starts", searched.starts},
+               {"work", searched.work},
+               {"complete", searched.complete},
+               {"lower_bound", searched.lower_bound}};
+  if (searched.proof) {
+    item["gap"] = searched.proof->gap;
+    item["boxes"] = searched.proof->boxes;
+  }
+  return item;
 }
 
 Json GradientToJson(const Scene& scene, const Sensitivity& gradient) {

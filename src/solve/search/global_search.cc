@@ -106,7 +106,10 @@ SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& opti
     global.progress = [&](const GlobalBound& bound) { options.status(Describe(request, bound)); };
   }
   const GlobalBound bound = BoundGlobally(request.scene, report.final_loss, global);
-  if (report.searched) report.searched->lower_bound = std::max(report.searched->lower_bound, bound.lower);
+  if (report.searched) {
+    report.searched->lower_bound = std::max(report.searched->lower_bound, bound.lower);
+    report.searched->proof = {.gap = bound.gap(), .boxes = bound.boxes};
+  }
   if (!report.certificate) {
     report.certificate = Certify(request.scene, report.initial_state, report.control, report.durations, options.stop);
   }
