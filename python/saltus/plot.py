@@ -144,7 +144,7 @@ def _edges(values: Any, scale: str) -> Any:
 
 
 def _done(table: Mapping[str, Any], values: Any) -> Any:
-    """Returns which rows are of points that are done: all rows of `values` in a table that does not say so."""
+    """Returns which rows are of points that are done: all rows of `values` in a table without a status."""
     return np.asarray(table["status"]) == "done" if "status" in table else np.ones(len(values), dtype=bool)
 
 

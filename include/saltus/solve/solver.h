@@ -107,7 +107,7 @@ struct Searched {
   double work = 0;         // as SearchOptions::work
   bool complete = false;   // it has ended by its own rule: no limit has kept it from anything
   double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts
-  // Of the bound over all controls by branch and bound, if it was computed: the loss less the bound, and the boxes.
+  // The result of a branch and bound over all controls, if one was run: the loss less the bound, and the boxes.
   struct Proof {
     double gap = 0;
     std::size_t boxes = 0;
