@@ -216,7 +216,7 @@ class HybridConditions {
       if (k == static_cast<int>(times_.size()) || event.time - times_[k - 1] < times_[k] - event.time) --k;
       const double length = k > 0 ? times_[k] - times_[k - 1] : times_[1];
       const bool at_node = std::abs(event.time - times_[k]) <= kAtNode * length;
-      on_node_.push_back(at_node);
+      on_node_.push_back(at_node && !ControlGoesOnAt(k));
       const int interval = IntervalAt(event.time);
       interval_before_.push_back(at_node ? std::max(k - 1, 0) : interval);
       interval_after_.push_back(at_node ? std::min(k, input_.num_intervals - 1) : interval);
@@ -982,6 +982,14 @@ class HybridConditions {
     for (int j = 0; j < num_multipliers(); ++j) weights_[j + 1] = std::abs(theta[j]);
   }
 
+  // Whether the control does not jump at the beginning of interval k: an event there is as one within an interval.
+  bool ControlGoesOnAt(int k) const {
+    if (k == 0 || k == input_.num_intervals) return false;
+    const auto width = static_cast<std::ptrdiff_t>(system_.num_controls());
+    const auto after = input_.control.begin() + k * width;
+    return input_.control.empty() || std::equal(after - width, after, after);
+  }
+
   static double Largest(const ConeConditions& conditions, const std::vector<size_t>& of) {
     double largest = 0;
     for (const size_t i : of) largest = std::max(largest, std::abs(conditions.Number(i)));
@@ -1052,7 +1060,7 @@ class HybridConditions {
   std::vector<double> times_;       // of the ends of control intervals
   std::vector<double> boundaries_;  // of the phases
   std::vector<Step> steps_;
-  std::vector<bool> on_node_;                          // of each event: it is at the end of a control interval
+  std::vector<bool> on_node_;                          // of each event: it is where the control jumps, or at an end
   std::vector<int> interval_before_, interval_after_;  // of each event: whose control acts
   std::vector<HybridShooting::TermAt> terms_;
   std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)

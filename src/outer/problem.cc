@@ -167,8 +167,9 @@ void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& sh
   const std::size_t before = parts_.terms.size();
   for (term.mode = 0; term.mode < system.num_modes(); ++term.mode) {
     for (term.guard = 0; term.guard < system.num_guards(term.mode); ++term.guard) {
-      names.push_back(system.GuardName(term.mode, term.guard));
-      if (names.back() == place.guard) AddTerm(term);
+      const std::string name = system.GuardName(term.mode, term.guard);
+      if (name == place.guard) AddTerm(term);
+      if (std::ranges::find(names, name) == names.end()) names.push_back(name);
     }
   }
   if (parts_.terms.size() == before) {

@@ -68,6 +68,7 @@ double Run::operator[](const std::string& name) const {
 
 Run Solve(const Problem& problem, const RunOptions& options) {
   const HybridProblem parts = OnEnoughIntervals(problem.parts());
+  if (parts.terms.empty()) throw std::invalid_argument("Solve: found a problem without terms, expected a cost");
   SolveReport report = Solve(options.solver, parts, OptionsOf(options));
   CheckTaken(report);
   std::vector<NamedValue> found;

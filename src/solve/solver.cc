@@ -280,6 +280,10 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     ConvertDesign(scene, motion->parameters);
   };
   ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
+  if (report.searched && report.searched->proof) {
+    double& gap = report.searched->proof->gap;
+    gap = ConvertLoss(gap, scene.units, si);
+  }
   convert_motion(&report);
   if (report.best) convert_motion(&*report.best);
   for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, z);

@@ -36,6 +36,33 @@ HybridProblem ControlledBall(int intervals) {
   return problem;
 }
 
+// Events at the ends of intervals, where no control jumps, are no kinks whose multipliers could be chosen.
+TEST(HybridCertificate, EventsWhereTheControlGoesOnLeaveNoChoice) {
+  const double g = 9.8, fall = std::sqrt(2 / g);
+  HybridProblem problem{.system = HybridSystem(BouncingBall()),
+                        .guess = {.initial = {1, 0},
+                                  .parameters = {g, 0.5},
+                                  .duration = 1,
+                                  .num_intervals = 3,
+                                  .lengths = {fall, fall, 1 - 2 * fall}},
+                        .terms = {MakeTerminalCost(1, 0.0, 1.0, 2)}};
+  problem.free.parameters = {0};
+  // v(T) = e^2 v_1 - g (T - t_2) with v_1 = g fall and t_2 = fall (1 + 2 e); fall = sqrt(2 / g).
+  const double v = 0.25 * g * fall - g * (1 - 2 * fall), slope = 0.125 * fall - (1 - 2 * fall) - fall;
+  EXPECT_NEAR(Solve("gd", problem, {.iterations = 0}).initial_loss, v * v, 1e-12);
+  ASSERT_GT(std::abs(2 * v * slope), 1e-4);
+  const Certificate certificate = Certify(problem, problem.guess);
+  EXPECT_EQ(certificate.verdict, kNotStationary) << VerdictInWords(certificate);
+  problem.free.parameters_min = {g};  // the loss falls with g, or it rises: one of the two bounds holds it
+  problem.free.parameters_max = {2 * g};
+  const Certificate above = Certify(problem, problem.guess);
+  problem.free.parameters_min = {0.5 * g};
+  problem.free.parameters_max = {g};
+  const Certificate below = Certify(problem, problem.guess);
+  EXPECT_EQ(v * slope > 0 ? above.verdict : below.verdict, kStationary);
+  EXPECT_EQ(v * slope > 0 ? below.verdict : above.verdict, kNotStationary);
+}
+
 TEST(HybridPhases, ReachTheOptimumOfTheBallByOrderTwo) {
   double last = 0;
   for (const int n : {50, 100, 200}) {

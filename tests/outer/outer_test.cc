@@ -5,6 +5,7 @@
 #include <cmath>
 #include <sstream>
 #include <stdexcept>
+#include <vector>
 
 #include "folders.h"
 #include "saltus/hybrid/mechanical_system.h"
@@ -196,6 +197,9 @@ TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {
   Problem problem(Ball(), guess);
   EXPECT_THAT([&] { problem.AddCost(kEnd, [](const auto& a) { return a.u[0]; }); },
               ThrowsMessage<std::out_of_range>(HasSubstr("u[0]: found 0 numbers here")));
+  EXPECT_THAT([&] { problem.AddCost(kEnd, [](const auto&) { return std::vector<double>(); }); },
+              ThrowsMessage<std::length_error>(HasSubstr("returns no numbers")));
+  EXPECT_THAT([&] { Solve(problem); }, ThrowsMessage<std::invalid_argument>(HasSubstr("without terms")));
   EXPECT_THAT([&] { problem.Free({.parameters = {{"e"}}}); },
               ThrowsMessage<std::invalid_argument>("parameters: found 'e', expected some of p[0], p[1]"));
   EXPECT_THAT(
@@ -206,6 +210,18 @@ TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {
   problem.AddCost(kEnd, [](const auto& a) { return a.x[0]; }).Free({.parameters = {{"p[1]"}}});
   EXPECT_THAT([&] { Solve(problem, {.solver = "simplex"}); },
               ThrowsMessage<std::invalid_argument>(HasSubstr("simplex")));
+}
+
+TEST(OuterTest, ATermOfAnotherSizeThanForTheGuessIsRefused) {
+  Problem problem(Ball(), {.initial = {1.25, 0}, .parameters = {10, 0.5}, .duration = 0.4});
+  problem.AddCost(kEnd, [](const auto& a) {
+    std::vector numbers = {a.x[0]};
+    if (a.x[1] < 0) numbers.resize(100, a.x[1]);  // as at the end, but not at the start
+    return numbers;
+  });
+  problem.Free({.initial = {{"x[0]"}}});
+  EXPECT_THAT([&] { Solve("gd", problem.parts(), {.iterations = 1}); },
+              ThrowsMessage<std::length_error>("term: found 100 numbers, expected 1 as for the guess"));
 }
 
 TEST(OuterTest, AForceIsTheSpringOfTheLibrary) {

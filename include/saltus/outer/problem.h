@@ -121,8 +121,14 @@ class Problem {
   struct Residuals {
     template <typename T>
     bool operator()(T const* const* blocks, T* residuals) const {
-      Visit(blocks, [&](const T& value) { *residuals++ = value; });
-      return true;
+      int written = 0;
+      Visit(blocks, [&](const T& value) {
+        if (written < count) residuals[written] = value;
+        ++written;
+      });
+      if (written == count) return true;
+      throw std::length_error("term: found " + std::to_string(written) + " numbers, expected " + std::to_string(count) +
+                              " as for the guess");
     }
     template <typename T, typename Visitor>
     void Visit(T const* const* blocks, const Visitor& visit) const {
@@ -144,13 +150,16 @@ class Problem {
 
     F function;
     Shape shape;
+    int count = 0;  // of the numbers that the function returns
   };
 
   template <typename F>
   Problem& Add(const Place& place, HybridTerm::Role role, F function) {
-    const Residuals<F> residuals{std::move(function), ShapeOf(place, role)};
+    Residuals<F> residuals{std::move(function), ShapeOf(place, role)};
     int count = 0;
     TryOut(residuals.shape, [&](const double* const* blocks) { residuals.Visit(blocks, [&](double) { ++count; }); });
+    if (count == 0) throw std::length_error("term: found a function that returns no numbers, expected one or more");
+    residuals.count = count;
     auto cost = std::make_shared<ceres::DynamicAutoDiffCostFunction<Residuals<F>, 4>>(new Residuals<F>(residuals));
     for (const int size : BlocksOf(residuals.shape)) cost->AddParameterBlock(size);
     cost->SetNumResiduals(count);

@@ -197,7 +197,7 @@ double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vect
 }
 
 // Returns the first contact of the exact motion; without one, the first two discs, or a disc and a plane.
-std::optional<Meeting> FirstMeeting(const Scene& scene, const std::optional<ModelGradient>& reference) {
+std::optional<HeadOnPair> FirstMeeting(const Scene& scene, const std::optional<ModelGradient>& reference) {
   const auto index_of = [](const auto& all, const std::string& name) {
     const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
     return found == all.end() ? -1 : static_cast<int>(found - all.begin());
@@ -210,13 +210,13 @@ std::optional<Meeting> FirstMeeting(const Scene& scene, const std::optional<Mode
     until.duration = event.time;
     until.steps = 1;
     const ExactRun run = SimulateExactly(until, InitialState(until), InitialControl(until, 1));
-    return Meeting{pair, run.ok ? AccelerationIn(scene, pair, run.end) : 0.0};
+    return HeadOnPair{pair, run.ok ? AccelerationIn(scene, pair, run.end) : 0.0};
   }
   const auto moving = std::find_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
   if (moving == scene.bodies.end()) return std::nullopt;
   const int a = static_cast<int>(moving - scene.bodies.begin());
-  if (scene.num_bodies() > 1) return Meeting{{a, a == 0 ? 1 : 0, false}};
-  if (!scene.planes.empty()) return Meeting{{a, 0, true}};
+  if (scene.num_bodies() > 1) return HeadOnPair{{a, a == 0 ? 1 : 0, false}};
+  if (!scene.planes.empty()) return HeadOnPair{{a, 0, true}};
   return std::nullopt;
 }
 
@@ -495,7 +495,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     findings.remarks.insert(findings.remarks.begin(), too_long("the shortest study that gives a verdict", of_verdict));
     return audit;
   }
-  if (const std::optional<Meeting> meeting = FirstMeeting(scene, reference)) {
+  if (const std::optional<HeadOnPair> meeting = FirstMeeting(scene, reference)) {
     const HeadOnImpact impact(box, scene, *meeting, findings.noise, stop);
     ContactRecognition recognition;
     recognition.words = impact.reason();

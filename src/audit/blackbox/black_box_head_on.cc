@@ -41,7 +41,7 @@ Scene SceneOf(const Scene& scene, const Candidate& pair) {
 
 }  // namespace
 
-HeadOnImpact::HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const Meeting& meeting, double noise,
+HeadOnImpact::HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const HeadOnPair& meeting, double noise,
                            const StopRequest& stop)
     : box_(std::move(box)),
       noise_(noise),

@@ -21,7 +21,7 @@
 namespace saltus {
 
 // A contact of a scene.
-struct Meeting {
+struct HeadOnPair {
   Candidate pair;
   double acceleration = 0;  // of the first towards the other, relative, m/s^2
 };
@@ -29,7 +29,7 @@ struct Meeting {
 class HeadOnImpact final : public ContactBench {
  public:
   // `noise` is the relative noise of the answers.
-  HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const Meeting& meeting, double noise,
+  HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, const HeadOnPair& meeting, double noise,
                const StopRequest& stop);
 
   // Returns the reason why the experiment is not possible; empty if it is.

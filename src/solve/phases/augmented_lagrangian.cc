@@ -31,6 +31,7 @@ constexpr double kSameCost = 1e-10;  // relative change of the cost from solve t
 constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares that become zero change by all they are
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
+constexpr double kLastRadius = 1e16;
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
@@ -317,7 +318,10 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   int estimates = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
-    ceres_options.initial_trust_region_radius = round == 0 ? kFirstRadius : options.radius;
+    // The last solves begin near an optimum, where damping in proportion to the weights would leave unchanged what
+    // changes the cost by no more than rounding.
+    const bool last = round >= kLast && options.weight_of_costs > 0;
+    ceres_options.initial_trust_region_radius = last ? kLastRadius : round == 0 ? kFirstRadius : options.radius;
     ceres_options.max_num_iterations = options.iterations - result.iterations;
     for (const auto& [function, blocks] : functions_) function->SetReferences(blocks);
     ceres::Solver::Summary summary;
@@ -341,7 +345,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     if (options.after_round) options.after_round();
     if (result.interrupted || result.iterations >= options.iterations) break;
     const double same = std::max(kSameCost * std::abs(result.cost), least_change);
-    const bool settled = round >= (near ? kLast : 1) && std::abs(result.cost - before) <= same;
+    // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
+    const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;
+    const bool settled = round >= earliest && std::abs(result.cost - before) <= same;
     result.converged = result.violation <= options.tolerance && settled;
     if (result.converged) break;
     const double most = LargestWeight();

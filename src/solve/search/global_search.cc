@@ -108,7 +108,7 @@ SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& opti
   const GlobalBound bound = BoundGlobally(request.scene, report.final_loss, global);
   if (report.searched) {
     report.searched->lower_bound = std::max(report.searched->lower_bound, bound.lower);
-    report.searched->proof = {.gap = bound.gap(), .boxes = bound.boxes};
+    report.searched->proof = {.gap = report.final_loss - report.searched->lower_bound, .boxes = bound.boxes};
   }
   if (!report.certificate) {
     report.certificate = Certify(request.scene, report.initial_state, report.control, report.durations, options.stop);
