@@ -27,7 +27,8 @@ constexpr double kNoWeight = 1e-300;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
-constexpr double kSameCost = 1e-10;  // relative change of the cost from solve to solve
+constexpr double kNearlySameCost = 1e-5;  // so near to an optimum steps need no damping
+constexpr double kSameCost = 1e-10;       // relative change of the cost from solve to solve
 constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares that become zero change by all they are
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
@@ -314,14 +315,15 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.update_state_every_iteration = options.callback != nullptr;
   ceres_options.callbacks = {&watch};
   const double least_change = kNoCost * std::abs(Cost());
-  bool estimated = false, near = false;
+  bool estimated = false, near = false, nearly_settled = false;
   int estimates = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
-    // The last solves begin near an optimum, where damping in proportion to the weights would leave unchanged what
-    // changes the cost by no more than rounding.
-    const bool last = round >= kLast && options.weight_of_costs > 0;
-    ceres_options.initial_trust_region_radius = last ? kLastRadius : round == 0 ? kFirstRadius : options.radius;
+    // Damping is in proportion to the weights, and would leave unchanged what changes the cost by no more than
+    // rounding.
+    ceres_options.initial_trust_region_radius = nearly_settled ? kLastRadius
+                                                : round == 0   ? kFirstRadius
+                                                               : options.radius;
     ceres_options.max_num_iterations = options.iterations - result.iterations;
     for (const auto& [function, blocks] : functions_) function->SetReferences(blocks);
     ceres::Solver::Summary summary;
@@ -347,8 +349,9 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     const double same = std::max(kSameCost * std::abs(result.cost), least_change);
     // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
     const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;
-    const bool settled = round >= earliest && std::abs(result.cost - before) <= same;
-    result.converged = result.violation <= options.tolerance && settled;
+    const double change = std::abs(result.cost - before);
+    nearly_settled = options.weight_of_costs > 0 && change <= kNearlySameCost * std::abs(result.cost);
+    result.converged = result.violation <= options.tolerance && round >= earliest && change <= same;
     if (result.converged) break;
     const double most = LargestWeight();
     // Two inequalities that are nearly the same, as at a touch on the node between two steps, end with the multiplier
