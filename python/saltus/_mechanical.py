@@ -1,4 +1,4 @@
-"""Mechanical systems of a user's own: masses, forces and contacts as ordinary functions."""
+"""Mechanical systems that users define: masses, forces and contacts as ordinary functions."""
 
 from __future__ import annotations
 

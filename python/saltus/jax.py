@@ -43,7 +43,7 @@ def _like(array: jax.Array) -> jax.ShapeDtypeStruct:
 
 
 def losses(batch: _simulate.Batch | HybridBatch) -> Callable[[jax.Array], jax.Array]:
-    """Returns a function of jax: points of shape (P, ...), as those of batch.loss, to their P losses.
+    """Returns a function of jax: points of shape (P, ...), as batch.loss takes them, to their P losses.
 
     Args:
         batch: a saltus.Batch or a saltus.HybridBatch.

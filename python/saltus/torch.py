@@ -107,7 +107,7 @@ class _Losses(torch.autograd.Function):
 
 
 def losses(batch: _simulate.Batch | HybridBatch) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Returns a function of torch: points of shape (P, ...), as those of batch.loss, to their P losses.
+    """Returns a function of torch: points of shape (P, ...), as batch.loss takes them, to their P losses.
 
     Args:
         batch: a saltus.Batch or a saltus.HybridBatch.

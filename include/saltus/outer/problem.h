@@ -9,7 +9,8 @@
 //   std::cout << run << run.certificate();
 //
 // This is a layer over hybrid_problem.h, which remains for all that it does not have. What is wrong with a problem
-// throws std::invalid_argument with what was found and what was expected.
+// throws a std::logic_error with what was found and what was expected: std::invalid_argument; std::out_of_range where a
+// function reads what is not there; std::length_error where it returns no numbers, or not as many as for the guess.
 #pragma once
 
 #include <ceres/dynamic_autodiff_cost_function.h>

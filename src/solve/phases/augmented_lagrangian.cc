@@ -32,7 +32,7 @@ constexpr double kSameCost = 1e-10;       // relative change of the cost from so
 constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares that become zero change by all they are
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
-constexpr double kLastRadius = 1e16;
+constexpr double kLastRadius = 1e16;  // near an optimum: steps are those of Gauss-Newton
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
