@@ -513,6 +513,14 @@ def _components(values: Any) -> Any:
     return np.array([np.nan if value is None else value for value in listed], dtype=float)
 
 
+def _spread(name: str, given: ArrayLike, shape: tuple[int, ...], allowed: Mapping[tuple[int, ...], str]) -> Any:
+    """Returns a number, or an array of one of the allowed shapes, as an array of `shape`. Raises ValueError."""
+    array = np.asarray(given, dtype=float)
+    if array.ndim and array.shape not in allowed:
+        raise ValueError(f"{name}: found shape {array.shape}, expected one number, or {' or '.join(allowed.values())}")
+    return np.broadcast_to(array.reshape(shape) if array.size == np.prod(shape) else array, shape)
+
+
 def terminal(
     target: Any = None,
     *,
@@ -536,7 +544,7 @@ def terminal(
     targets = _components(target)
     if hard and np.any(np.asarray(weight) != 1):
         raise ValueError("weight: found one of a hard target, expected none")
-    weights = np.broadcast_to(np.asarray(weight, dtype=float), targets.shape)
+    weights = _spread("weight", weight, targets.shape, {targets.shape: f"{len(targets)}, one for each component of the target"})
     if not np.all((weights >= 0) & np.isfinite(weights)):
         raise ValueError("weight: expected finite numbers >= 0")
     if np.any(np.isinf(targets)):
@@ -627,7 +635,7 @@ def measurements(
 
     times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
     values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
-    returns S numbers. sigma: the standard deviation of a value, one number, or one for each value.
+    returns S numbers. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value.
     """
     at = _read_times("times", times)
     array = np.array(values, dtype=float)
@@ -641,12 +649,15 @@ def measurements(
             raise ValueError(f"states: found {len(states)}, expected {array.shape[1]}, as many as a row of values has")
     if np.any(np.isinf(array)) or np.all(np.isnan(array)):
         raise ValueError("values: expected finite numbers, and NaN where one is missing")
-    deviations = np.asarray(sigma, dtype=float)
-    if deviations.ndim == 1 and np.ndim(values) == 1:
-        deviations = deviations[:, None]
+    rows, columns = array.shape
+    if np.ndim(values) == 1:
+        allowed = {(rows,): f"({rows},), one for each value"}
+    else:
+        allowed = {array.shape: f"({rows}, {columns}), one for each value", (columns,): f"({columns},), one for each state"}
+    deviations = _spread("sigma", sigma, array.shape, allowed)
     if not np.all((deviations > 0) & np.isfinite(deviations)):
         raise ValueError("sigma: expected finite numbers > 0")
-    return _Measurements(at, array, states, np.broadcast_to(deviations, array.shape))
+    return _Measurements(at, array, states, deviations)
 
 
 def effort(weight: float = 1.0) -> Cost:

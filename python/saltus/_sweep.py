@@ -14,6 +14,7 @@ import numpy as np
 
 from . import _saltus
 from ._scene import Scene, SceneLike, as_scene
+from ._types import expect
 
 _LAST = ("reason", "status")  # columns that every table has
 Grid = Union[str, Mapping[Any, Sequence[Any]]]
@@ -35,6 +36,11 @@ def _spec(grid: Grid) -> str:
         else:
             blocks.append(f"{name}={','.join(map(_text, values))}")
     return "; ".join(blocks)
+
+
+def _names(grid: Mapping[Any, Sequence[Any]]) -> list[Any]:
+    """Returns the options of a grid."""
+    return [name for key in grid for name in (key if isinstance(key, tuple) else (key,))]
 
 
 def _points(grid: Mapping[Any, Sequence[Any]]) -> list[dict[str, Any]]:
@@ -78,7 +84,7 @@ def _check_function(problem: Callable[..., Any], grid: Grid, for_scenes: Mapping
     given = [name for name, is_given in for_scenes.items() if is_given]
     if given:
         raise ValueError(f"{given[0]}: expected with a scene only; give it to the function as an option of the grid")
-    names = [name for key in grid for name in (key if isinstance(key, tuple) else (key,))]
+    names = _names(grid)
     for name in _LAST:
         if name in names:
             raise ValueError(f"grid: found {name!r}, which is a column that every table has; give the option another name")
@@ -141,6 +147,9 @@ def sweep(
         ValueError: an argument or an option is wrong.
         TypeError: the function does not take the options of the grid.
     """
+    expect("a whole number", threads=threads)
+    if threads < 0:
+        raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
     study = None
     inputs: Sequence[Any]
     failed: Callable[[Any, str], dict[str, Any]]
@@ -175,13 +184,16 @@ def sweep(
         futures = [executor.submit(task, value) for value in inputs]
         for value, future in zip(inputs, futures):
             error = future.exception()
+            if error is not None and not isinstance(error, Exception):
+                raise error  # such as KeyboardInterrupt
             rows.append(future.result() if error is None else failed(value, f"{type(error).__name__}: {error}"))
     finally:
         if client is None:
             if study is not None:
                 study.stop()
             executor.shutdown(cancel_futures=True)
-    names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in _LAST]
+    options = [] if isinstance(grid, str) else _names(grid)
+    names = [name for name in dict.fromkeys([*options, *(name for row in rows for name in row)]) if name not in _LAST]
     return {name: _column([row.get(name) for row in rows]) for name in (*names, *_LAST)}
 
 

@@ -174,6 +174,27 @@ def test_wrong_measurements_are_refused(arguments, message):
         saltus.measurements([0.1], [1.0], ["y"], sigma=0)
     with pytest.raises(ValueError, match="measurements: found state 'z', expected some of y, v"):
         ball(costs=[saltus.measurements([0.0], [1.0], ["z"])])
+    with pytest.raises(ValueError, match=r"sigma: found shape \(2,\), expected one number, or \(3,\), one for each value"):
+        saltus.measurements([0.1, 0.2, 0.3], np.ones(3), ["y"], sigma=[0.1, 0.2])
+    for wrong in ([0.1, 0.2], np.ones((2, 2)), np.ones((3, 1))):  # the last one could be spread over the values, too
+        with pytest.raises(ValueError, match=r"expected one number, or \(3, 3\), one for each value or \(3,\), one for each state"):
+            saltus.measurements([0.1, 0.2, 0.3], np.ones((3, 3)), lambda x: [x[0]] * 3, sigma=wrong)
+
+
+def test_the_deviations_of_measurements_are_those_of_values_or_states():
+    times, values = [0.1, 0.3], np.array([[0.5, -1.0], [0.2, -2.0]])
+    motion = [[height(t, 0.8), -9.81 * t] for t in times]
+    by_state, by_value = np.array([0.1, 0.2]), np.array([[0.1, 0.2], [0.3, 0.4]])
+    for sigma in (0.1, by_state, by_value):
+        data = saltus.measurements(times, values, ["y", "v"], sigma=sigma)
+        problem = ball(durations=[0.1, 0.2, 1.2], control=np.zeros((3, 0)), costs=[data])
+        assert_allclose(saltus.loss_and_gradient(problem).loss, np.sum(((motion - values) / sigma) ** 2), rtol=1e-11)
+
+
+@pytest.mark.parametrize("weight", [[1, 2], [[1, 2, 3]], np.ones((3, 1)), []])
+def test_weights_of_another_number_than_the_target_are_refused(weight):
+    with pytest.raises(ValueError, match=r"weight: found shape .*, expected one number, or 3, one for each component"):
+        saltus.terminal([0, 1, 2], weight=weight)
 
 
 def test_an_audit_reads_the_start_and_single_intervals():

@@ -120,6 +120,34 @@ def test_functions_take_options_of_the_grid_alone(arguments, error, message):
         saltus.sweep(area, **{"grid": {"width": [1, 2], "height": [1]}, **arguments})
 
 
+def test_the_number_of_threads_is_at_least_zero():
+    with pytest.raises(ValueError, match=r"threads: found -1, expected at least 0 \(0 is one per core\)"):
+        saltus.sweep(area, {"width": [1], "height": [2]}, threads=-1)
+    with pytest.raises(TypeError, match="threads: found float, expected a whole number"):
+        saltus.sweep(TWO_BALLS, {"steps": [60]}, threads=1.5)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_an_interrupt_of_a_point_ends_the_sweep(error):
+    done = []
+
+    def interrupted(x):
+        if x == 1:
+            raise error
+        done.append(x)
+        return {"y": x}
+
+    with pytest.raises(error):
+        saltus.sweep(interrupted, {"x": list(range(100))}, threads=1)
+    assert 0 in done
+
+
+def test_a_grid_without_points_has_its_columns():
+    table = saltus.sweep(area, {"width": [], "height": [1.0]})
+    assert list(table) == ["width", "height", "reason", "status"]
+    assert all(column.shape == (0,) for column in table.values())
+
+
 def slow_square(x, folder):
     """Kills its worker, once."""
     mark = os.path.join(folder, "killed")
