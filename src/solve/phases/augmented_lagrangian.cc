@@ -17,6 +17,9 @@ namespace {
 
 constexpr double kGrowth = 10;        // of the weights, from solve to solve
 constexpr double kStalled = 0.5;      // of the violation that the solve before has left
+constexpr double kHopeless = 0.1;     // of a row after kManyIterations, where a motion is one of many
+constexpr int kManyIterations = 50;   // of all solves together
+constexpr int kMostStalled = 2;       // solves one after the other, where a motion is one of many
 constexpr double kNearlyMet = 1e-3;   // a larger violation stalls where constraints cannot be met, not for multipliers
 constexpr int kMostEstimates = 3;     // of multipliers, where solves stall: each may cost as much as a solve
 constexpr int kShortPhase = 332;      // steps
@@ -316,9 +319,10 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.callbacks = {&watch};
   const double least_change = kNoCost * std::abs(Cost());
   bool estimated = false, near = false, nearly_settled = false;
-  int estimates = 0;  // where solves stall
+  int estimates = 0, stalls = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
-    ceres_options.function_tolerance = round < kLast ? kFirstGains[round] : options.gain;
+    const bool crawls = options.one_of_many && result.violation > kNearlyMet;
+    ceres_options.function_tolerance = crawls ? kFirstGains[0] : round < kLast ? kFirstGains[round] : options.gain;
     // Damping is in proportion to the weights, and would leave unchanged what changes the cost by no more than
     // rounding.
     ceres_options.initial_trust_region_radius = nearly_settled ? kLastRadius
@@ -346,6 +350,10 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     }
     if (options.after_round) options.after_round();
     if (result.interrupted || result.iterations >= options.iterations) break;
+    if (options.one_of_many && result.violation > kNearlyMet) {
+      stalls = round > 0 && result.violation > kStalled * open_before ? stalls + 1 : 0;
+      if (stalls == kMostStalled || (result.iterations > kManyIterations && result.violation > kHopeless)) break;
+    }
     const double same = std::max(kSameCost * std::abs(result.cost), least_change);
     // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
     const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;

@@ -65,6 +65,9 @@ class AugmentedLagrangian {
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
     // start meets the equalities.
     double most_open = INFINITY;
+    // Whether the start is one of many. It is then given up where constraints stay far from met, and solves before they
+    // are nearly met are not accurate.
+    bool one_of_many = false;
     // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve

@@ -162,6 +162,7 @@ class TranscribedPlan {
     bool left = false;
     AugmentedLagrangian::Options options;
     options.algorithm = run_.algorithm();
+    options.one_of_many = run_.is_one_of_many();
     options.iterations = std::min(kMostIterations, run_.iterations_left());
     options.callback = [&](double cost) {
       if (!run_.Record(cost)) return false;

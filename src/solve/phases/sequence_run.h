@@ -34,6 +34,9 @@ class SequenceRun {
   // Returns the algorithm that minimises along a sequence.
   AugmentedLagrangian::Algorithm algorithm() const { return algorithm_; }
   void set_algorithm(AugmentedLagrangian::Algorithm algorithm) { algorithm_ = algorithm; }
+  // Whether the run is one of a search, which has other starts (AugmentedLagrangian::Options::one_of_many).
+  bool is_one_of_many() const { return one_of_many_; }
+  void set_one_of_many(bool one_of_many) { one_of_many_ = one_of_many; }
 
  protected:
   SolveReport Refuse(Termination termination, std::string reason) const;
@@ -46,6 +49,7 @@ class SequenceRun {
 
  private:
   AugmentedLagrangian::Algorithm algorithm_ = AugmentedLagrangian::Algorithm::kLeastSquares;
+  bool one_of_many_ = false;
   std::chrono::steady_clock::time_point start_;
 };
 

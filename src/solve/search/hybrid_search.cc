@@ -98,7 +98,8 @@ class HybridSearch {
     return neighbours;
   }
 
-  Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, const SolverOptions& options) const {
+  Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, bool is_guess,
+                     const SolverOptions& options) const {
     Finding finding;
     HybridProblem problem = problem_;
     problem.guess = run_.InputOf(from);
@@ -110,6 +111,7 @@ class HybridSearch {
         from = MotionOf(start.guess);
       }
       HybridPhaseRun run("mode_search", at, own, from, sequence);
+      run.set_one_of_many(!is_guess);
       if (auto refused = run.WhyNotStart()) return *refused;
       SolveReport report = MendHybrid(&run);
       finding.trial = {report.control, report.durations, report.initial_state, report.parameters, {}};

@@ -81,7 +81,8 @@ class DiscSearch {
     return saltus::NeighboursOf(scene, trial, left_out);
   }
 
-  Finding SolveAlong(Trial from, const std::optional<ContactSequence>& sequence, SolverOptions options) const {
+  Finding SolveAlong(Trial from, const std::optional<ContactSequence>& sequence, bool /*is_guess*/,
+                     SolverOptions options) const {
     options.sequence = sequence;
     Finding finding;
     PhaseRun run("mode_search", request_, options, run_.WithinBounds(std::move(from)));

@@ -21,7 +21,8 @@
 //   BeginAtRandom(seed, number)                a motion, or nothing if there is nothing to be drawn
 //   NeighboursOf(trial, &left_out)             the sequences
 //   Shoot(options, &trial)                     a motion nearer to the targets, by shooting; the gradients computed
-//   SolveAlong(trial, sequence, options)       one solve; this and Shoot are called by several threads at the same time
+//   SolveAlong(trial, sequence, is_guess, options)  one solve; this and Shoot are called by several threads at the same
+//                                              time
 //   WorkByRollout(), WorkBySteps()             of a gradient by shooting and of a Jacobian, as SearchOptions::work
 //   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
 #pragma once
@@ -47,6 +48,7 @@ struct SearchStartOf {
   typename Run::Motion trial;
   bool shoot = false;
   std::optional<std::vector<typename Run::Event>> sequence = std::nullopt;
+  bool is_guess = false;  // the start of the user, which is not given up for others
 };
 
 template <typename Motion>
@@ -165,7 +167,7 @@ class SequenceSearch : LimitedSearch {
 
   SolveReport Search() {
     searched_.starts = 1;
-    SolveAll({{run_.guess(), false, run_.given_sequence()}});
+    SolveAll({{run_.guess(), false, run_.given_sequence(), /*is_guess=*/true}});
     if (!options_.search || IsZero()) return Report();
     std::vector<Start> along;
     SolveAll(FirstStarts(&along));
@@ -291,7 +293,7 @@ class SequenceSearch : LimitedSearch {
         IterationsWithin(most_work,
                          problem_.WorkBySteps(),
                          start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
-    Finding finding = problem_.SolveAlong(std::move(from), start.sequence, own);
+    Finding finding = problem_.SolveAlong(std::move(from), start.sequence, start.is_guess, own);
     finding.shooting = shooting;
     return finding;
   }

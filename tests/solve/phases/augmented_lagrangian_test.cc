@@ -1,0 +1,57 @@
+#include "solve/phases/augmented_lagrangian.h"
+
+#include <ceres/autodiff_cost_function.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+
+namespace saltus {
+namespace {
+
+// The distance of a point to (2, 1), on the circle x^2 + y^2 = 1 or beside the empty set x^2 + y^2 = -1.
+struct DistanceOnCircle {
+  double square_of_radius;
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    rows[0] = x[0] * x[0] + x[1] * x[1] - square_of_radius;
+    rows[1] = x[0] - 2.0;
+    rows[2] = x[1] - 1.0;
+    return true;
+  }
+};
+
+AugmentedLagrangian::Summary Minimize(double square_of_radius, bool one_of_many, double* x) {
+  AugmentedLagrangian lagrangian;
+  lagrangian.Add(
+      std::make_unique<ceres::AutoDiffCostFunction<DistanceOnCircle, 3, 2>>(new DistanceOnCircle{square_of_radius}),
+      {.equalities = 1},
+      {x});
+  AugmentedLagrangian::Options options;
+  options.equality_weight = 1;
+  options.most_open = 0.005;
+  options.one_of_many = one_of_many;
+  return lagrangian.Minimize(options);
+}
+
+TEST(AugmentedLagrangianTest, OneOfManyEndsAtTheOptimum) {
+  double x[] = {0.3, 0.9};
+  const AugmentedLagrangian::Summary summary = Minimize(1, /*one_of_many=*/true, x);
+  EXPECT_TRUE(summary.converged);
+  EXPECT_NEAR(x[0], 2 / std::sqrt(5), 1e-6) << "the root of Options::gain is 2e-7";
+  EXPECT_NEAR(x[1], 1 / std::sqrt(5), 1e-6);
+  EXPECT_NEAR(summary.cost, std::pow(std::sqrt(5) - 1, 2), 1e-8);
+}
+
+TEST(AugmentedLagrangianTest, OneOfManyIsGivenUpWhereAConstraintCannotBeMet) {
+  double x[] = {0.3, 0.9}, y[] = {0.3, 0.9};
+  const AugmentedLagrangian::Summary patient = Minimize(-1, /*one_of_many=*/false, x);
+  const AugmentedLagrangian::Summary given_up = Minimize(-1, /*one_of_many=*/true, y);
+  EXPECT_FALSE(patient.converged);
+  EXPECT_FALSE(given_up.converged);
+  EXPECT_GE(given_up.violation, 1) << "no point violates it by less";
+  EXPECT_LT(given_up.jacobians, patient.jacobians / 3);
+}
+
+}  // namespace
+}  // namespace saltus
