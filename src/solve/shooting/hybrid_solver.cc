@@ -183,20 +183,19 @@ bool HasNoEvents(const HybridSystem& system) {
   return true;
 }
 
-// The parts of a solution that no small change of the variables changes, though the loss depends on them.
+// The parts of a motion that no small change of the variables changes, though the loss depends on them.
 struct OutOfReach {
   bool motion = false;              // all of it, as where contacts stick, or where a switch is never reached
   std::vector<std::string> states;  // at the end, if the control alone is free
 };
-OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& report) {
+OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input) {
   OutOfReach found;
   const HybridFree& free = problem.free;
-  if (report.termination != Termination::kConverged || (free.control && HasNoEvents(problem.system))) return found;
+  if (free.control && HasNoEvents(problem.system)) return found;
   HybridShooting shooting(problem);
   HybridShooting::Outcome outcome;
   std::vector<HybridShooting::TermAt> terms;
-  const HybridInput solution = SolutionOf(problem, report);
-  if (!shooting.Simulate(solution, &outcome) || !shooting.EvaluateTerms(&terms)) return found;
+  if (!shooting.Simulate(input, &outcome) || !shooting.EvaluateTerms(&terms)) return found;
   HybridSimulator& simulator = shooting.simulator();
   std::vector<double> at_end(simulator.final_state().size(), 0.0);  // slopes of the loss
   double steepest = 0;
@@ -228,7 +227,7 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const SolveReport& repor
   };
   HybridCotangent all;
   all.final_state = weights(at_end.size());
-  for (int k = 0; k < solution.num_intervals; ++k) all.nodes.push_back(weights(simulator.StateAt(k).size()));
+  for (int k = 0; k < input.num_intervals; ++k) all.nodes.push_back(weights(simulator.StateAt(k).size()));
   for (const HybridEvent& event : simulator.events()) {
     all.before.push_back(weights(event.before.size()));
     all.event_times.push_back(1);
@@ -264,7 +263,8 @@ void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
 bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
   JudgeSquaresOfZero(problem, report);
   JudgeByCertificate(report);
-  const OutOfReach out = FindOutOfReach(problem, *report);
+  if (report->termination != Termination::kConverged) return false;
+  const OutOfReach out = FindOutOfReach(problem, SolutionOf(problem, *report));
   if (out.states.empty() && !out.motion) return false;
   const std::string larger = ": start from a control that does, or use mode_search, which tries larger ones";
   std::string names;
@@ -322,7 +322,15 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       }
     }
   }
-  if (system.functions().CreatesModes()) order.push_back("mode_search");  // contacts may stick
+  if (system.functions().CreatesModes()) {  // contacts may stick, and all others would end at the guess
+    const HybridShooting guess(problem);
+    const bool is_stuck = FindOutOfReach(problem, guess.InputAt(guess.initial_guess())).motion;
+    if (is_stuck && problem.free.control && WhyNotHybridPhases(problem).empty()) {
+      why = "no small change of the control changes the motion of the guess";
+      order.clear();
+    }
+    order.push_back("mode_search");
+  }
   return SolveInTurn(order, why, options, [&](std::string_view name, const SolverOptions& of_solve) {
     const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
     SolveReport report;
