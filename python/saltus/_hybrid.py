@@ -921,6 +921,7 @@ class _Paged(Result):
 
     _problem: HybridProblem | None = None
     _found: dict[str, Any] | None = None  # of a run: as programs have it
+    _control_bounds: list[tuple[float, float]] | None = None  # of a run: those it kept; empty without any
 
     def save_page(self, folder: str | os.PathLike[str], *, draw: Callable[..., Any] | None = None) -> None:
         """Writes the page that programs write, ``report.html``, and its numbers, ``result.json``, to a folder.
@@ -940,6 +941,11 @@ class _Paged(Result):
         problem = self._problem
         expect("a callable", draw=draw)
         document = {"program": "saltus", **problem._call("page_document"), "runs": [], "audits": []}
+        pairs = self._control_bounds
+        if pairs is None:
+            pairs = problem._bounds(None, (True, [], [], False))[0]
+        if pairs:
+            document["control_bounds"] = {"min": [low for low, _ in pairs], "max": [high for _, high in pairs]}
         drawn = [(problem, document)]
         if self._found is not None:
             run = dict(self._found)
@@ -1218,8 +1224,9 @@ def solve(
     width = len(problem.initial)
     if guess_states is not None and (states.ndim != 2 or states.shape[1] != width or len(states) < 2):
         raise ValueError(f"guess_states: found an array of shape {states.shape}, expected (R, {width}) with R >= 2")
+    pairs = problem._bounds(bounds, free)
     found, stopped_by = problem._call(
-        "solve", solver, *free, problem._bounds(bounds, free), iterations, learning_rate, np.ravel(states).tolist(), callback,
+        "solve", solver, *free, pairs, iterations, learning_rate, np.ravel(states).tolist(), callback,
         along
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
@@ -1246,7 +1253,7 @@ def solve(
         }
     data["certificate"] = found.get("certificate")
     run = HybridRun(data)
-    run._problem, run._found = copy.copy(problem), found
+    run._problem, run._found, run._control_bounds = copy.copy(problem), found, pairs[0]
     if stopped_by is not None:
         stopped_by.run = run
         raise stopped_by

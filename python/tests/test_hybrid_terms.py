@@ -266,6 +266,19 @@ class TestPages:
         with pytest.raises(ValueError, match="found a result without its problem"):
             pickle.loads(pickle.dumps(run)).save_page(tmp_path)
 
+    def test_a_page_has_the_bounds_that_a_run_has_kept(self, tmp_path):
+        def bounds_of(result):
+            result.save_page(tmp_path)
+            return json.loads((tmp_path / "result.json").read_text(encoding="utf-8")).get("control_bounds")
+
+        system = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["push", "pull"], flow={"m": lambda x, u: [x[1], u[0] - u[1]]})
+        problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1.0, control=np.zeros((4, 2)),
+                                       costs=[saltus.terminal([0.1, 0])], bounds={"push": (-2, 3)})
+        assert bounds_of(saltus.rollout(problem)) == {"min": [-2, None], "max": [3, None]}
+        run = saltus.solve(problem, solver="ceres_phases", bounds={"pull": (0, 1)})
+        assert bounds_of(run) == {"min": [None, 0], "max": [None, 1]}
+        assert bounds_of(saltus.solve(problem, solver="ceres_phases", bounds={})) is None
+
     def test_a_page_of_bodies_draws_them(self, tmp_path):
         problem = saltus.load_bodies(SOURCE / "problems" / "tossed_box.yaml")
         saltus.rollout(problem).save_page(tmp_path)

@@ -168,7 +168,10 @@ Json ReplayToJson(const Replay& replay) {
                {"targets", replay.targets},
                {"motions", Json::array()}};
   for (const ReplayDisc& disc : replay.discs) {
-    data["discs"].push_back({{"name", disc.name}, {"radius", disc.radius}, {"fixed", disc.fixed}});
+    data["discs"].push_back({{"name", disc.name},
+                             {"radius", disc.radius},
+                             {"fixed", disc.fixed},
+                             {"bounds", {disc.max_component, disc.max_force, disc.max_torque}}});
   }
   for (const ReplayWall& wall : replay.walls) {
     data["walls"].push_back({{"name", wall.name},

@@ -19,6 +19,9 @@ struct ReplayDisc {
   std::string name;
   double radius = 0;  // m
   bool fixed = false;
+  // Bounds of each component of the force on it, N, of the force's length, N, and of the torque, N m; 0 without a
+  // bound.
+  double max_component = 0, max_force = 0, max_torque = 0;
 };
 
 // A wall of discs: a half-plane, whose `normal` (of length 1) points to the side of the discs; a side of a wall with

@@ -188,6 +188,9 @@ HybridResults Compute(const HybridRequest& request) {
               {"system", HybridSystemToJson(problem.system)},
               {"guess", HybridInputToJson(problem.system, problem.guess)},
               {"motion", std::move(motion)}};
+  if (const HybridFree& free = problem.free; !free.control_min.empty() || !free.control_max.empty()) {
+    document["control_bounds"] = {{"min", free.control_min}, {"max", free.control_max}};
+  }
   document.update(loss);
   document["runs"] = Json::array();
   const std::size_t tasks = request.solvers.size() + request.schemes.size();

@@ -96,6 +96,15 @@ void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMot
 Replay ReplayOf(const Scene& scene) {
   Replay replay;
   for (const Body& body : scene.bodies) replay.discs.push_back({body.name, body.radius, body.fixed});
+  const Control& control = scene.control;
+  for (size_t i = 0; i < control.bodies.size(); ++i) {
+    ReplayDisc& disc = replay.discs[control.bodies[i]];
+    if (!control.max.empty()) disc.max_component = control.max[i];
+    if (!control.max_norm.empty()) disc.max_force = control.max_norm[i];
+  }
+  for (size_t i = 0; i < control.max_torque.size(); ++i) {
+    replay.discs[control.turned[i]].max_torque = control.max_torque[i];
+  }
   AddWalls(scene, &replay);
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (!term.component && term.quantity == TerminalTerm::Quantity::kPosition) {

@@ -583,7 +583,8 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
   if (request.scene.num_controlled() > 0 && !runs.empty()) {
     page->AddHeading("Controls");
     page->AddPlot("controls",
-                  "Forces and torques over time. Dotted: impacts of the first motion with exact impact times.");
+                  "Forces and torques over time. Dotted: impacts of the first motion with exact impact times; dashed: "
+                  "bounds.");
   }
   if (std::ranges::any_of(runs, [](const SolvedRun* run) { return run->report.losses.size() > 1; })) {
     page->AddHeading("Learning curves");

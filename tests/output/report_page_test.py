@@ -159,6 +159,20 @@ class Reports(Pages):
                                 "slider.dispatchEvent(new Event('input')); return document.querySelector('.replay g').innerHTML")
                 self.assertNotEqual(before, after)
 
+    def test_bounds_stand_beside_controls(self):
+        labels = "return [...document.querySelectorAll('.panels svg')].map((svg) => svg.getAttribute('aria-label'))"
+        bounded = BOX.replace("[-0.2, 0.3]]}", "[-0.2, 0.3]], max: [1, 2], max_norm: [1.25, 2.5]}")
+        folder, _ = self.solve(self.write("bounded.yaml", bounded), "--contact=event", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        forces = [label for label in self.js(labels) if "force" in label]
+        expected = [f"bound at {bound}." for bound in ("-1.00", "-1.00", "1.25", "-2.00", "-2.00", "2.50")]
+        self.assertEqual([label[label.index("bound at"):] for label in forces], expected)
+        # turbo_car: -5 <= u <= 5.
+        folder = tempfile.mkdtemp(dir=self.folder)
+        run("turbo_car", f"--output_dir={folder}", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        self.assertEqual([label[label.index("bound at"):] for label in self.js(labels) if "bound" in label], ["bound at -5.00."])
+
     def test_reports_of_audits_and_sweeps(self):
         for program, problem, flags in (
                 ("saltus_audit", "two_balls", ["--contact=direct_toi,event"]),

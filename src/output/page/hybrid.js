@@ -27,7 +27,7 @@ function hybridCurves(motion, key, namesOf) {
 }
 
 // Each control that is not zero throughout over time, on intervals of these lengths, or on equal ones.
-function hybridControls({system}, input, durations, events) {
+function hybridControls({system, control_bounds: bounds}, input, durations, events) {
   const rows = input.control, lengths = durations ?? rows.map(() => input.duration / rows.length);
   let end = 0;
   const ends = lengths.map((length) => (end += length));
@@ -35,7 +35,8 @@ function hybridControls({system}, input, durations, events) {
     if (rows.every((row) => row[i] === 0)) return [];
     const x = ends.flatMap((time, k) => [k > 0 ? ends[k - 1] : 0, time]);
     return [panelOf(name, {label: 'time'}, {label: name},
-      [seriesOf('', {colour: DISC_COLOURS[i % DISC_COLOURS.length], dash: 'solid'}, x, rows.flatMap((row) => [row[i], row[i]]))], events)];
+      [seriesOf('', {colour: DISC_COLOURS[i % DISC_COLOURS.length], dash: 'solid'}, x, rows.flatMap((row) => [row[i], row[i]]))],
+      [...events, ...boundLines([bounds?.min[i], bounds?.max[i]].filter((bound) => typeof bound === 'number'))])];
   });
 }
 
@@ -121,7 +122,7 @@ function hybridParts(data) {
     if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});
     if (one.remark) parts.push({kind: 'text', text: one.remark});
     if (one.frames) parts.push({kind: 'element', element: hybridReplay(one), caption: 'The motion over time.'});
-    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one, input, durations), caption: 'States, controls and guards over time. Dotted: events.'});
+    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one, input, durations), caption: 'States, controls and guards over time. Dotted: events; dashed: bounds.'});
     table('Events.', ['event', 'time', 'mode', 'guard', 'next mode'], one.events.map((event, i) => [i + 1, event.time, event.mode, event.guard, event.next_mode]));
   }
   if (gradient) {

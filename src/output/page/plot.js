@@ -251,6 +251,8 @@ function drawFigure({title, panels}) {
 const seriesOf = (label, {colour, dash}, x, y) => ({label, x, y, colour, dash, marker: 'none', line: true, width: 2});
 const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, lines, rectangles: [], circles: [], outlines: [], planes: []});
 
+const boundLines = (bounds) => bounds.map((value) => ({value, vertical: false, label: 'bound', colour: '#cf222e', dash: 'dashed'}));
+
 const PLOTS = {
   // The loss that each solver has minimized, by iteration. Long lists of numbers are thinned (output/page.h).
   learning_curves({results, styles}) {
@@ -286,17 +288,18 @@ const PLOTS = {
     const timed = all.map(({touches}) => touches.filter(({begin, end}) => begin === end)).find((touches) => touches.length > 0) ?? [];
     const impacts = timed.slice(0, 8).map(({a, b, wall, begin}) => (
       {value: begin, vertical: true, label: `impact of ${discs[a].name} and ${(wall ? walls : discs)[b].name}`, colour: AXIS, dash: 'dotted'}));
-    const add = (title, label, value) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
+    const add = (title, label, value, bounds) => panels.push(panelOf(title, {label: 'time (s)'}, {label}, motions.map((motion) => {
       const x = [], y = [];
       motion.ends.forEach((end, k) => { x.push(k > 0 ? motion.ends[k - 1] : 0, end); y.push(value(motion, k), value(motion, k)); });
       return seriesOf(motion.label, motion, x, y);
-    }), impacts));
+    }), [...impacts, ...boundLines(bounds)]));
+    const bothSigns = (bound) => (bound > 0 ? [-bound, bound] : []);
     pushed.slice(0, 4).forEach((disc, c) => {
-      const {name} = discs[disc], force = ({control}, k, j) => control[2 * (pushed.length * k + c) + j];
-      ['x', 'y'].forEach((axis, j) => add(name, `force ${axis} (N)`, (motion, k) => force(motion, k, j)));
-      add(name, 'size of the force (N)', (motion, k) => Math.hypot(force(motion, k, 0), force(motion, k, 1)));
-      const turned = torques?.some((torque, i) => i % pushed.length === c && torque !== 0);
-      if (turned) add(name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN);
+      const {name, bounds: [component, norm, torque]} = discs[disc], force = ({control}, k, j) => control[2 * (pushed.length * k + c) + j];
+      ['x', 'y'].forEach((axis, j) => add(name, `force ${axis} (N)`, (motion, k) => force(motion, k, j), bothSigns(component)));
+      add(name, 'size of the force (N)', (motion, k) => Math.hypot(force(motion, k, 0), force(motion, k, 1)), norm > 0 ? [norm] : []);
+      const turned = torques?.some((value, i) => i % pushed.length === c && value !== 0);
+      if (turned) add(name, 'torque (N m)', (motion, k) => motion.torques?.[pushed.length * k + c] ?? NaN, bothSigns(torque));
     });
     return {panels};
   },
