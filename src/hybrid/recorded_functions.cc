@@ -874,7 +874,8 @@ int RecordedSystem::PieceAlong(const ModePoint& point, int guard) const {
   const int along = PieceOf(piece.base, sides);
   const RecordedFunction mixed(switches.MixedChanges(sides));
   if (mixed.num_outputs() == 0) return along;
-  const Inputs inputs = InputsAt({along, point.t, point.x, point.u, point.p});
+  const ModePoint sliding{along, point.t, point.x, point.u, point.p};
+  const Inputs inputs = InputsAt(sliding);
   std::vector<double> x(point.x, point.x + size(along)), slope(x.size()), changes(mixed.num_outputs());
   Flow({along, point.t, x.data(), point.u, point.p}, slope.data());
   NormalStream random(1);

@@ -258,7 +258,9 @@ class RecordedSystem final : public HybridFunctions {
   int num_columns(int mode) const { return size(mode) + 1 + num_parameters() + layout().num_controls; }
   const Transition& transition(int mode, int guard) const { return modes_[at(mode).base].transitions[guard]; }
   using Inputs = std::array<RecordedFunction::Part, 5>;  // of a flow, and the integer parts of a piece
+  // The inputs point into the point, which has to outlive them.
   Inputs InputsAt(const ModePoint& at) const;
+  Inputs InputsAt(ModePoint&& at) const = delete;
   // The inputs of a guard or a reset: without control, unless it reads it or is one of a piece.
   std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 
