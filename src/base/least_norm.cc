@@ -20,6 +20,7 @@ void Compute(const auto& matrix, std::optional<double> threshold,
 
 template <typename Matrix>
 Matrix Solutions(const auto& matrix, std::optional<double> threshold, const Matrix& right) {
+  if (matrix.size() == 0) return Matrix::Zero(matrix.cols(), right.cols());  // Eigen does not decompose it
   Eigen::CompleteOrthogonalDecomposition<Matrix> decomposition;
   Compute(matrix, threshold, &decomposition);
   return decomposition.solve(right);
@@ -42,6 +43,7 @@ void InvertInto(const auto& matrix, std::optional<double> threshold, auto* inver
 }  // namespace
 
 LeastNormSolver::LeastNormSolver(const ConstMatrixRef& matrix, std::optional<double> threshold) {
+  if (matrix.size() == 0) return;
   if (matrix.rows() <= kMostSmallRows && matrix.cols() <= kMostSmallRows) {
     Compute(matrix, threshold, &decomposition_.emplace<0>());
   } else {
@@ -51,6 +53,10 @@ LeastNormSolver::LeastNormSolver(const ConstMatrixRef& matrix, std::optional<dou
 
 void LeastNormSolver::Solve(const ConstVectorRef& right, VectorRef solution) const {
   if (const auto* small = std::get_if<0>(&decomposition_)) {
+    if (small->rows() == 0) {  // of an empty matrix
+      solution.setZero();
+      return;
+    }
     const SmallVector copy = right, found = small->solve(copy);
     solution = found;
   } else {

@@ -51,6 +51,14 @@ TEST_P(PseudoInverseOf, MeetsTheConditionsOfMooreAndPenrose) {
   }
 }
 
+TEST(LeastNorm, OfAnEmptyMatrixIsZero) {
+  for (const auto& [rows, columns] : {std::pair(0, 0), std::pair(0, 2), std::pair(3, 0)}) {
+    const Eigen::MatrixXd empty(rows, columns);
+    EXPECT_EQ(LeastNormSolutions(empty, Eigen::MatrixXd::Ones(rows, 2)), Eigen::MatrixXd::Zero(columns, 2));
+    EXPECT_EQ(LeastNormSolution(empty, Eigen::VectorXd::Ones(rows)), Eigen::VectorXd::Zero(columns));
+  }
+}
+
 TEST_P(PseudoInverseOf, GivesTheSolutionOfLeastNorm) {
   const int n = GetParam();
   const Eigen::MatrixXd a = OfRank(n, (n + 1) / 2);
