@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# usage: scripts/test.sh
-# From a bare Debian 12 to tested: installs packages, builds with warnings as errors, runs every test.
+# usage: scripts/test.sh [flags of cmake...]
+# From a bare Debian to tested: installs packages, builds, runs every test.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -13,6 +13,6 @@ if command -v npm >/dev/null && [[ ! -d engines/node_modules/planck ]]; then
     echo "test: going on without planck" >&2
 fi
 # In the folder of scripts/reproduce.sh, which compiles none of the library anew.
-cmake --preset release -DSALTUS_BUILD_ENGINES=ON
+cmake --preset release -DSALTUS_BUILD_ENGINES=ON "$@"
 cmake --build --preset release -j "$jobs"
 ctest --preset release --output-on-failure --no-tests=error -j "$jobs"
