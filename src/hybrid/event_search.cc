@@ -49,10 +49,7 @@ GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h) 
   return g;
 }
 
-EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {
-  const int most = functions.most_states();
-  gradient_.resize(most + 1 + functions.layout().num_parameters + functions.layout().num_controls);
-}
+EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {}
 
 GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard) const {
   GuardValue at;
@@ -106,19 +103,9 @@ GuardValue EventSearch::After(const FlowStep& step, const double* slope, int gua
 
 double EventSearch::Scale(const FlowStep& step, int guard) { return ScaleBy(step, TermsOf(step, guard)); }
 
-void EventSearch::Append(const FlowStep& step, const double* gradient, std::vector<Term>* terms) const {
-  const int n = functions_.state_size(step.mode);
-  const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
-  if (gradient[n] != 0) terms->push_back({n, gradient[n]});
-  for (int i = 0; i < columns; ++i) {
-    if (gradient[i] != 0 && i != n) terms->push_back({i, gradient[i]});
-  }
-}
-
 EventSearch::Terms EventSearch::TermsOf(const FlowStep& step, int guard) {
-  functions_.GuardGradient(step, guard, gradient_.data());
   of_one_.clear();
-  Append(step, gradient_.data(), &of_one_);
+  functions_.AppendGuardTerms(step, guard, &of_one_);
   return of_one_;
 }
 
@@ -151,25 +138,10 @@ EventSearch::Window EventSearch::WindowOf(const FlowStep& step, int guard, doubl
 }
 
 void EventSearch::Enter(const FlowStep& step) {
-  const int guards = functions_.num_guards(step.mode);
   flow_scales_.clear();
   terms_.clear();
-  begins_.clear();
-  // The gradients of closed contacts are one problem for all guards.
-  const bool together = functions_.Projects(step.mode);
-  if (together) {
-    values_.resize(guards);
-    gradients_.resize(guards * gradient_.size());
-    functions_.GuardGradients(step, values_.data(), gradients_.data());
-  }
-  const auto columns = static_cast<std::size_t>(functions_.state_size(step.mode)) + 1 +
-                       functions_.layout().num_parameters + functions_.layout().num_controls;
-  for (int guard = 0; guard < guards; ++guard) {
-    begins_.push_back(terms_.size());
-    if (!together) functions_.GuardGradient(step, guard, gradient_.data());
-    Append(step, together ? &gradients_[guard * columns] : gradient_.data(), &terms_);
-  }
-  begins_.push_back(terms_.size());
+  begins_.assign(1, 0);
+  functions_.AppendAllGuardTerms(step, &terms_, &begins_);
 }
 
 // Whether a guard is zero up to s, as the force of bodies that touch in free flight, whose rate may be rounding. A
@@ -198,7 +170,7 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
     functions_.FlowJacobian(step, flow_scales_.data(), jacobian_.data());
     for (int i = 0; i < n; ++i) {
       of_one_.clear();
-      Append(step, &jacobian_[i * columns], &of_one_);
+      AppendTerms(&jacobian_[i * columns], n, columns, &of_one_);
       flow_scales_[i] = ScaleBy(step, of_one_);
     }
   }

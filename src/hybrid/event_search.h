@@ -72,14 +72,7 @@ class EventSearch {
   void Forget() { kept_.clear(); }
 
  private:
-  // A derivative of a guard by one of [x t p u] that is not zero: most are, in systems of many parts.
-  struct Term {
-    int input;
-    double derivative;
-  };
-  using Terms = std::span<const Term>;
-  // Appends the terms of a gradient in the order t x p u.
-  void Append(const FlowStep& step, const double* gradient, std::vector<Term>* terms) const;
+  using Terms = std::span<const GuardTerm>;
   // Returns the terms of a guard at a point, until the next call.
   Terms TermsOf(const FlowStep& step, int guard);
   double ScaleBy(const FlowStep& step, Terms terms) const;
@@ -105,10 +98,8 @@ class EventSearch {
   FlowStep kept_step_;
   std::vector<Kept> kept_;
   std::vector<double> numbers_;  // state and slope at the beginning of the step, then those that are kept
-  std::vector<double> gradient_;
-  std::vector<Term> of_one_;
-  std::vector<double> values_, gradients_;
-  std::vector<Term> terms_;          // of all guards on entry into a mode,
+  std::vector<GuardTerm> of_one_;
+  std::vector<GuardTerm> terms_;     // of all guards on entry into a mode,
   std::vector<std::size_t> begins_;  // and where those of each begin
   std::vector<double> flow_scales_;  // sizes of the terms of the flow there, once asked for: rounding is a part
   std::vector<double> jacobian_;

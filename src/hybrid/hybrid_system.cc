@@ -32,6 +32,13 @@ std::string HybridFunctions::StateName(int mode, int component) const {
   return NameOr(layout().state_names, Before(layout().state_sizes, mode) + component, Indexed("x", component));
 }
 
+void HybridFunctions::AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const {
+  const int n = state_size(at.mode);
+  std::vector<double> gradient(n + 1 + layout().num_parameters + layout().num_controls);
+  GuardGradient(at, guard, gradient.data());
+  AppendTerms(gradient.data(), n, static_cast<int>(gradient.size()), terms);
+}
+
 std::string HybridSystem::ControlName(int component) const {
   return NameOr(layout().control_names, component, Indexed("u", component));
 }

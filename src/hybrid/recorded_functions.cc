@@ -72,6 +72,7 @@ constexpr KnownOperation kOperations[] = {
 };
 
 constexpr int kMostMultiplications = 4;  // powers up to this are products
+constexpr int kFewReads = 8;             // one input in so many at most: only these are copied
 
 // Room for numbers, from the heap if they are many.
 class Memory {
@@ -515,6 +516,12 @@ class RecordedFunction::Builder {
     tape.entries = std::move(entries);
     for (Tape::Entry& entry : tape.entries) entry.slot = slots[entry.slot];
     tape.size = first + tape.instructions.size();
+    std::vector<int> reads;
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      if (needed[i] && nodes_[i].operation == Operation::kInput) reads.push_back(nodes_[i].a);
+    }
+    std::ranges::sort(reads);
+    if (kFewReads * static_cast<int>(reads.size()) < num_inputs_) tape.few_reads = std::move(reads);
     return tape;
   }
 
@@ -551,7 +558,17 @@ class RecordedFunction::Evaluation {
   Evaluation(const RecordedFunction& function, bool with_derivatives, std::span<const Part> inputs)
       : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Of(tape_.size)) {
     double* next = slots_;
-    for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
+    if (!tape_.few_reads) {
+      for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
+    } else {
+      const Part* part = inputs.data();
+      slots_[0] = 0;  // in the place of operands that an operation does not have
+      for (const int input : *tape_.few_reads) {
+        for (; input >= next - slots_ + part->size; ++part) next += part->size;
+        slots_[input] = part->data[input - (next - slots_)];
+      }
+      next = slots_ + function.num_inputs_;
+    }
     results_ = std::copy(tape_.constants.begin(), tape_.constants.end(), next);
   }
   Evaluation(const Evaluation&) = delete;
@@ -1056,6 +1073,22 @@ double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gra
   function.Linearize(InputsOf(function, InputsAt(at)), columns, &value, gradient);
   std::fill(gradient + columns, gradient + all, 0.0);
   return value;
+}
+
+void RecordedSystem::AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const {
+  const int n = size(at.mode), all = num_columns(at.mode);
+  const RecordedFunction& function = *this->at(at.mode).guards[guard];
+  const Inputs inputs = InputsAt(at);
+  RecordedFunction::Evaluation found(function, true, InputsOf(function, inputs));
+  double value = 0;
+  found.Run(&value);
+  for (const bool by_time : {true, false}) {
+    for (const auto& entry : found.entries()) {
+      const double derivative = found[entry];
+      if ((entry.column == n) == by_time && entry.column < all && derivative != 0)
+        terms->push_back({entry.column, derivative});
+    }
+  }
 }
 
 int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {

@@ -138,7 +138,8 @@ class RecordedFunction {
       Operation operation;
       int a, b, c;  // slots
     };
-    std::size_t size = 0;  // slots
+    std::size_t size = 0;                       // slots
+    std::optional<std::vector<int>> few_reads;  // the inputs that it reads, if these are few of many
     std::vector<double> constants;
     std::vector<Instruction> instructions;
     std::vector<int> outputs;  // slots
@@ -207,6 +208,7 @@ class RecordedSystem final : public HybridFunctions {
   double Guard(const ModePoint& at, int guard) const override;
   double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
+  void AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const override;
   int OnAccumulation(int mode, int guard) const override {
     return IsSwitch(mode, guard) ? -1 : transition(mode, guard).accumulation_mode;
   }

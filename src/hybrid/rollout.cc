@@ -470,6 +470,7 @@ bool RolloutRun::Enter(Entry entry) {
       rounding = error;
     }
     if (due < 0) return true;
+    due = functions_.CauseOf(StepFrom(0), due);
     const std::string name = "guard '" + system_.GuardName(at_.mode, due) + "'";
     if (entry == Entry::kStart) Remark(name + " has an event at the start");
     if (entry == Entry::kControlJump && of_due != Standing::kBehind)
@@ -762,6 +763,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   if (!UpdateSlope()) return false;
   int first = due.guard;
   coincidence.guards = TiedWith(due, &first);
+  first = functions_.CauseOf(StepFrom(0), first);
   tape_.entries.back().guard = first;
   const std::string name = Named(at_.mode, first);
   if (coincidence.guards.size() > 1) {

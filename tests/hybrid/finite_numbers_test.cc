@@ -13,6 +13,7 @@
 #include "control/hybrid_shooting.h"
 #include "saltus/feedback/filter.h"
 #include "saltus/feedback/regulator.h"
+#include "saltus/hybrid/compact_system.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"
@@ -127,6 +128,86 @@ TEST(FiniteNumbers, MotionsAndFiltersSayWhichDerivativeIsNone) {
     SaltedKalmanFilter filter(problem.system, {0.0}, 0, 0, Eigen::Vector2d::Zero(), Eigen::Matrix2d::Identity());
     EXPECT_FALSE(filter.Predict(1));
     EXPECT_THAT(filter.WhyFailed(), HasSubstr(message));
+  }
+}
+
+// Drag c |v| v, whose Jets are not finite at rest and whose derivatives there are zero. x = [x y v_x v_y], p = [g c w],
+// of which w is the speed of a wind along x. At y = 0 the ball loses c |v| v of its velocity.
+struct Dragged {
+  static constexpr Sizes kSizes{.states = 4, .controls = 1, .parameters = 3, .guards = 1};
+
+  template <typename T>
+  static std::array<T, 2> Drag(const At<T>& a) {
+    using std::sqrt;
+    const T v = a.x[2] - a.p[2], size = a.p[1] * sqrt(v * v + a.x[3] * a.x[3]);
+    return {size * v, size * a.x[3]};
+  }
+  template <typename T>
+  auto Flow(const At<T>& a) const {
+    const auto drag = Drag(a);
+    return Row<T>{a.x[2], a.x[3], a.u[0] - drag[0], a.p[0] - drag[1]};
+  }
+  template <typename T>
+  T Guard(const At<T>& a) const {
+    return a.x[1] + 1.0 + Drag(a)[0];
+  }
+  template <typename T>
+  auto Reset(const At<T>& a) const {
+    const auto drag = Drag(a);
+    return Row<T>{a.x[0], a.x[1], a.x[2] - drag[0], a.x[3] - drag[1]};
+  }
+};
+
+// With r = sqrt(g c), v_y = sqrt(g / c) tanh(r t), and v_x' = u - c |v_y| (v_x - w) where v_x is close to w.
+TEST(FiniteNumbers, DragHasTheDerivativesOfItsLimitAtRest) {
+  const double g = 9.81, c = 0.1, r = std::sqrt(g * c), squared = std::pow(std::cosh(r), -2);
+  for (const double wind : {0.0, 3.0}) {
+    HybridSimulator simulator{MakeHybridSystem(Dragged())};
+    ASSERT_TRUE(
+        simulator.Rollout({.initial = {0, 0, wind, 0}, .parameters = {g, c, wind}, .duration = 1, .control = {0}}))
+        << simulator.WhyFailed();
+    const HybridSensitivity found = simulator.Sensitivity();
+    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    Eigen::Matrix4d by_initial;
+    const double swept = std::atan(std::sinh(r)) / r;
+    by_initial << 1, 0, swept, 0, 0, 1, 0, std::tanh(r) / r, 0, 0, 1 / std::cosh(r), 0, 0, 0, 0, squared;
+    const auto by = [&](int state, int input) { return found.final_state[state * found.columns + input]; };
+    constexpr int kForce = 4, kGravity = 5, kDrag = 6, kWind = 7;
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < 4; ++j) EXPECT_NEAR(by(i, j), by_initial(i, j), 1e-9) << i << j;
+    }
+    // The derivatives of v_y by g and c, and those of what the wind carries.
+    EXPECT_NEAR(by(3, kGravity), 0.5 / std::sqrt(g * c) * std::tanh(r) + 0.5 * squared, 1e-9);
+    EXPECT_NEAR(by(3, kDrag), 0.5 * g / c * (squared - std::tanh(r) / r), 1e-8);
+    EXPECT_NEAR(by(2, kWind), 1 - 1 / std::cosh(r), 1e-9);
+    EXPECT_NEAR(by(0, kWind), 1 - swept, 1e-9);
+    // v_x = u sech(r t) times the integral of cosh(r s).
+    EXPECT_NEAR(by(2, kForce), std::tanh(r) / r, 1e-9);
+    const HybridGradient gradient = simulator.Adjoint(std::vector<double>{1, 2, 3, 4});
+    const Eigen::RowVector4d weights(1, 2, 3, 4), by_state = weights * by_initial;
+    for (int i = 0; i < 4; ++i) EXPECT_NEAR(gradient.initial[i], by_state[i], 1e-8);
+    EXPECT_NEAR(gradient.parameters[2], 1 * (1 - swept) + 3 * (1 - 1 / std::cosh(r)), 1e-8);
+  }
+}
+
+TEST(FiniteNumbers, EveryFunctionOfAStructHasTheDerivativesOfItsLimit) {
+  const HybridSystem system = MakeHybridSystem(Dragged());
+  const HybridFunctions& functions = system.functions();
+  const std::array<double, 4> x = {0.5, -1, 2, 0}, along = {0, 1, 1, 1};
+  const std::array<double, 3> p = {9.81, 0.1, 2};
+  const double u = 0;
+  const ModePoint at{.mode = 0, .t = 0, .x = x.data(), .u = &u, .p = p.data()};
+  std::array<double, 9> gradient{};
+  std::array<double, 4> after{};
+  EXPECT_EQ(functions.GuardGradient(at, 0, gradient.data()), 0);
+  for (int i = 0; i < 9; ++i) EXPECT_NEAR(gradient[i], i == 1 ? 1 : 0, 1e-12) << i;
+  double rate = 0;
+  functions.GuardRate(at, 0, along.data(), &rate);
+  EXPECT_NEAR(rate, 1, 1e-12);
+  std::array<double, 32> jacobian{};
+  functions.ResetJacobian(at, 0, after.data(), jacobian.data());
+  for (int i = 0; i < 4; ++i) {
+    for (int j = 0; j < 8; ++j) EXPECT_NEAR(jacobian[8 * i + j], i == j ? 1 : 0, 1e-12) << i << j;
   }
 }
 

@@ -106,5 +106,45 @@ TEST(RecordedSystem, MovesAsTheTemplateDoes) {
   for (int i = 0; i < 2; ++i) EXPECT_NEAR(c.parameters[i], d.parameters[i], 1e-12);
 }
 
+// x' = 1 for 40 states, and a guard x_37 - t p that reads few of them.
+TEST(RecordedSystem, AGuardOfManyStatesHasTheDerivativesOfWhatItReads) {
+  constexpr int kStates = 40, kRead = 37, kTime = kStates, kParameter = kStates + 1;
+  ExpressionGraph flow{.num_inputs = kStates + 2, .nodes = {{.operation = kConstant, .value = 1}}};
+  flow.outputs.assign(kStates, 0);
+  const ExpressionGraph guard{
+      .num_inputs = kStates + 2,
+      .nodes = {{kInput, kRead}, {kInput, kTime}, {kInput, kParameter}, {kMultiply, 1, 2}, {kSubtract, 0, 3}},
+      .outputs = {4}};
+  ExpressionGraph reset{.num_inputs = kStates + 2};
+  for (int i = 0; i < kStates; ++i) {
+    reset.nodes.push_back({kInput, i});
+    reset.outputs.push_back(i);
+  }
+  RecordedSystem::Mode mode{RecordedFunction(flow), {}};
+  mode.transitions.push_back({RecordedFunction(guard), RecordedFunction(reset), 0});
+  const RecordedSystem system(HybridLayout{.num_parameters = 1, .state_sizes = {kStates}, .num_guards = {1}}, {mode});
+  std::vector<double> x(kStates), xdot(kStates, 1.0), gradient(kStates + 2);
+  for (int i = 0; i < kStates; ++i) x[i] = 100 + i;
+  const double t = 3, p = 7;
+  const ModePoint at{.mode = 0, .t = t, .x = x.data(), .p = &p};
+  EXPECT_EQ(system.Guard(at, 0), 137 - 21);
+  double rate = 0;
+  EXPECT_EQ(system.GuardRate(at, 0, xdot.data(), &rate), 137 - 21);
+  EXPECT_EQ(rate, 1 - 7);
+  system.GuardGradient(at, 0, gradient.data());
+  for (int i = 0; i < kStates + 2; ++i) {
+    EXPECT_EQ(gradient[i], i == kRead ? 1 : i == kTime ? -7 : i == kParameter ? -3 : 0) << i;
+  }
+  std::vector<GuardTerm> terms;
+  std::vector<std::size_t> ends;
+  system.AppendAllGuardTerms(at, &terms, &ends);
+  ASSERT_EQ(terms.size(), 3u);
+  EXPECT_EQ(ends, std::vector<std::size_t>{3});
+  EXPECT_EQ(terms[0].input, kTime);
+  EXPECT_EQ(terms[1].input, kRead);
+  EXPECT_EQ(terms[2].input, kParameter);
+  for (const GuardTerm& term : terms) EXPECT_EQ(term.derivative, gradient[term.input]);
+}
+
 }  // namespace
 }  // namespace saltus

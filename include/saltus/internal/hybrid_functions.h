@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "saltus/internal/complete_jets.h"
 #include "saltus/internal/runge_kutta_step.h"
 
 namespace saltus {
@@ -34,6 +35,19 @@ struct HybridLayout {
 struct GuardValue {
   double value = 0, rate = 0;
 };
+
+// A derivative of a guard by one of [x t p u] that is not zero: few are, in systems of many parts.
+struct GuardTerm {
+  int input;
+  double derivative;
+};
+// Appends the derivatives of a row by [x t ...], with n states, that are not zero: first that by t.
+inline void AppendTerms(const double* row, int n, int columns, std::vector<GuardTerm>* terms) {
+  if (row[n] != 0) terms->push_back({n, row[n]});
+  for (int i = 0; i < columns; ++i) {
+    if (row[i] != 0 && i != n) terms->push_back({i, row[i]});
+  }
+}
 
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
 // the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
@@ -153,6 +167,21 @@ class HybridFunctions {
   // Returns the largest number of guards of any mode.
   virtual int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 
+  // Returns the guard that an event of `guard` is one of, if several reach zero at once: of these, the one that tells
+  // what the reset changes.
+  virtual int CauseOf(const ModePoint& /*at*/, int guard) const { return guard; }
+
+  // Appends the derivatives of a guard that are not zero, that by t before those by x, p and u.
+  virtual void AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const;
+  // Appends those of all guards of a mode, one after the other, and to `ends` where those of each guard end.
+  virtual void AppendAllGuardTerms(const ModePoint& at, std::vector<GuardTerm>* terms,
+                                   std::vector<std::size_t>* ends) const {
+    for (int guard = 0; guard < num_guards(at.mode); ++guard) {
+      AppendGuardTerms(at, guard, terms);
+      ends->push_back(terms->size());
+    }
+  }
+
  protected:
   explicit HybridFunctions(HybridLayout layout) : layout_(std::move(layout)) {}
 
@@ -206,9 +235,11 @@ class HybridFunctionsOf final : public HybridFunctions {
   void Flow(const ModePoint& at, double* xdot) const override { system_.Flow(at.mode, at.t, at.x, at.u, at.p, xdot); }
   void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override {
     const int rows = S::kStateSizes[at.mode];
-    InPasses(at, S::kNumControls, [&](const Variables& v, int first, int width, int columns) {
+    InPasses(at, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
-      system_.Flow(at.mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+      const auto flow = [&] { system_.Flow(at.mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data()); };
+      flow();
+      Complete(&v, rows, &out, flow);
       Unpack(out, rows, first, width, columns, xdot, jacobian);
     });
   }
@@ -231,6 +262,7 @@ class HybridFunctionsOf final : public HybridFunctions {
       if constexpr (kColumns <= kStride) {
         std::array<Jet, cooper_verner::kStages * kSize> stages;
         LinearizeInOnePass<mode>(step, slopes, stages.data());
+        if (!HasDerivatives<Jet>(stages)) LinearizeInOnePass<mode, /*kComplete=*/true>(step, slopes, stages.data());
         for (const Jet& row : stages) jacobians = std::copy_n(row.v.data(), kColumns, jacobians);
       } else {
         const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
@@ -253,7 +285,20 @@ class HybridFunctionsOf final : public HybridFunctions {
           Jet jets[kStages * kSize];
         } stages;
         LinearizeInOnePass<mode>(step, slopes.data(), stages.jets);
+        std::array<double, kSize + S::kNumParameters + S::kNumControls> before;
+        double* next = std::copy_n(after, kSize, before.data());
+        next = std::copy_n(out->p, S::kNumParameters, next);
+        std::copy_n(out->u, S::kNumControls, next);
         PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.jets, after, out);
+        double zero = 0 * out->t + 0 * out->h;  // unless a derivative is not finite
+        for (int i = 0; i < kSize; ++i) zero += 0 * out->x[i];
+        for (int i = 0; i < S::kNumParameters; ++i) zero += 0 * out->p[i];
+        for (int i = 0; i < S::kNumControls; ++i) zero += 0 * out->u[i];
+        if (zero == 0) return;
+        std::copy_n(before.data() + kSize, S::kNumParameters, out->p);
+        std::copy_n(before.data() + kSize + S::kNumParameters, S::kNumControls, out->u);
+        LinearizeInOnePass<mode, /*kComplete=*/true>(step, slopes.data(), stages.jets);
+        PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.jets, before.data(), out);
       }
     });
     return in_one_pass;
@@ -262,9 +307,13 @@ class HybridFunctionsOf final : public HybridFunctions {
     bool flies = false;
     if constexpr (kFlies) {
       if (jacobian == nullptr) return system_.Fly(step.mode, step.t, step.h, step.x, step.u, step.p, after);
-      InPasses(step, S::kNumControls, [&](const Variables& v, int first, int width, int columns) {
+      InPasses(step, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
         std::array<Jet, kMostStates> out;
-        flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
+        const auto fly = [&] {
+          flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
+        };
+        fly();
+        if (flies) Complete(&v, S::kStateSizes[step.mode], &out, fly);
         if (flies) Unpack(out, S::kStateSizes[step.mode], first, width, columns, after, jacobian);
       });
     }
@@ -285,15 +334,21 @@ class HybridFunctionsOf final : public HybridFunctions {
     for (int i = 0; i < S::kNumParameters; ++i) parameters[i] = Rate(at.p[i]);
     Rate time(at.t);
     time.v[0] = 1;
-    const Rate value = system_.Guard(at.mode, guard, time, state.data(), parameters.data());
+    Rate value;
+    const auto evaluate = [&] { value = system_.Guard(at.mode, guard, time, state.data(), parameters.data()); };
+    evaluate();
+    CompleteJets<Rate>({state, {&time, 1}, parameters}, {&value, 1}, evaluate);
     *rate = value.v[0];
     return value.a;
   }
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override {
     double value = 0;
     std::fill_n(gradient + S::kStateSizes[at.mode] + 1 + S::kNumParameters, S::kNumControls, 0.0);
-    InPasses(at, 0, [&](const Variables& v, int first, int width, int columns) {
-      const std::array<Jet, 1> out = {system_.Guard(at.mode, guard, v.t, v.x.data(), v.p.data())};
+    InPasses(at, 0, [&](Variables& v, int first, int width, int columns) {
+      std::array<Jet, 1> out;
+      const auto guard_at = [&] { out[0] = system_.Guard(at.mode, guard, v.t, v.x.data(), v.p.data()); };
+      guard_at();
+      Complete(&v, 1, &out, guard_at);
       Unpack(out, 1, first, width, columns, &value, gradient);
     });
     return value;
@@ -312,10 +367,13 @@ class HybridFunctionsOf final : public HybridFunctions {
   }
   int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override {
     int next = 0;
-    InPasses(at, 0, [&](const Variables& v, int first, int width, int columns) {
+    InPasses(at, 0, [&](Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
-      next = system_.Reset(at.mode, guard, v.t, v.x.data(), v.p.data(), out.data());
-      if (next >= 0 && next < kNumModes) Unpack(out, S::kStateSizes[next], first, width, columns, x_plus, jacobian);
+      const auto reset = [&] { return system_.Reset(at.mode, guard, v.t, v.x.data(), v.p.data(), out.data()); };
+      next = reset();
+      if (next < 0 || next >= kNumModes) return;
+      Complete(&v, S::kStateSizes[next], &out, reset);
+      Unpack(out, S::kStateSizes[next], first, width, columns, x_plus, jacobian);
     });
     return next;
   }
@@ -355,6 +413,12 @@ class HybridFunctionsOf final : public HybridFunctions {
     std::array<Jet, S::kNumControls> u;
   };
 
+  // Completes the derivatives of the first `rows` of `out`, which `function()` computes.
+  template <std::size_t kSize, typename Function>
+  static void Complete(Variables* v, int rows, std::array<Jet, kSize>* out, const Function& function) {
+    CompleteJets<Jet>({v->x, {&v->t, 1}, v->p, v->u}, std::span(*out).first(rows), function);
+  }
+
   // Sets Jets with the derivatives by columns first to first + kStride of [x t p u], `controls` columns of them of u.
   static void Seed(const ModePoint& at, int states, int controls, int first, Variables* v) {
     int column = 0;
@@ -381,8 +445,8 @@ class HybridFunctionsOf final : public HybridFunctions {
   }
 
   // Computes the slopes of all stages of a step, and their Jets. All stages have the same variables of differentiation,
-  // with other values.
-  template <int kMode>
+  // with other values. `kComplete`: Complete, which takes time, is called.
+  template <int kMode, bool kComplete = false>
   void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
     constexpr int kSize = S::kStateSizes[kMode];
     Variables v;
@@ -392,7 +456,9 @@ class HybridFunctionsOf final : public HybridFunctions {
       for (int i = 0; i < kSize; ++i) v.x[i].a = x[i];
       v.t.a = t;
       std::array<Jet, kMostStates> out;
-      system_.Flow(kMode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data());
+      const auto evaluate = [&] { system_.Flow(kMode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data()); };
+      evaluate();
+      if constexpr (kComplete) Complete(&v, kSize, &out, evaluate);
       for (int i = 0; i < kSize; ++i) {
         stage[i] = out[i];
         slope[i] = out[i].a;

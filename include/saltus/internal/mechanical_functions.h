@@ -14,6 +14,8 @@
 #include <utility>
 #include <vector>
 
+#include "saltus/internal/complete_jets.h"
+
 namespace saltus {
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -149,6 +151,8 @@ struct MechanicalLayout {
   int num_coordinates = 0, num_controls = 0, num_parameters = 0, num_contacts = 0;
   std::vector<char> has_friction = {};  // of each contact
   std::vector<char> has_reach = {};     // likewise; none: no contact has
+  // Of each contact, the coordinates that its functions read, in rising order; none: all contacts may read all.
+  std::vector<std::vector<int>> contact_coordinates = {};
   std::vector<std::string> contact_names = {}, coordinate_names = {}, control_names = {}, parameter_names = {};
 };
 
@@ -216,6 +220,15 @@ class MechanicalFunctionsOf final : public MechanicalFunctions {
   }
   void Force(const Jet& t, const Jet* q, const Jet* v, const Jet* u, const Jet* p, Jet* h) const override {
     system_.Force(t, q, v, u, p, h);
+    const int n = layout().num_coordinates;
+    const std::span<Jet> out(h, static_cast<std::size_t>(n));
+    if (HasDerivatives<Jet>(out)) return;
+    Jet time = t;
+    std::vector<Jet> x(q, q + n), y(v, v + n), given(p, p + layout().num_parameters);
+    std::vector<Jet> control(u, u + layout().num_controls);
+    CompleteJets<Jet>({{&time, 1}, x, y, given, control}, out, [&] {
+      system_.Force(time, x.data(), y.data(), control.data(), given.data(), h);
+    });
   }
 
   double Gap(int contact, const double* q, const double* p) const override { return system_.Gap(contact, q, p); }

@@ -4,8 +4,8 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numeric>
-#include <optional>
 
 #include "contact/solvers/complementarity.h"
 #include "contact/thresholds.h"
@@ -24,6 +24,8 @@ constexpr double kCoupled = 1e-12;     // |matrix_ij| / sqrt(matrix_ii matrix_jj
 constexpr double kMovesNothing = 0.5;  // eigenvalues of a projection are 0 or 1
 constexpr double kPivot = 1e-9;        // pivots of a basis that are zero, of the largest
 constexpr double kShare = 1e-11;       // shares of the sum of a basis, which is 1, that are zero
+constexpr int kLargeBlock = 32;        // forces: more are solved for without those that move nothing between two bodies
+constexpr double kOfStress = 1e-9;     // of a stress of length 1: a force that has a part in it
 constexpr int kMostExchanges = 32;     // of rows of a basis, until its inverse is computed anew
 constexpr double kDrift = 1e4;         // of rounding errors of a new inverse: those of one that has been changed
 
@@ -101,9 +103,8 @@ std::optional<TriedForces> ForcesOf(const ContactProblem& problem, const std::st
   if (rows.size() > 1) {
     const Eigen::MatrixXd stresses = InternalStresses(matrix);
     if (stresses.cols() > 0 && (responses * stresses).cwiseAbs().maxCoeff() <= 1e-8 * responses.cwiseAbs().maxCoeff()) {
-      const ForceLimits limits = LimitsOf(unknown, r);
-      tried.stressed = SmallestLimit(limits, solution) < -tolerance.maxCoeff();
-      solution = SplitForces(solution, stresses, limits, unknown).force;
+      tried.stressed = SmallestLimit(LimitsOf(unknown, r), solution) < -tolerance.maxCoeff();
+      solution = SplitForces(solution, stresses, unknown).force;
       tolerance = ForceTolerances(matrix, solution, terms);
     }
   }
@@ -218,6 +219,49 @@ Eigen::VectorXd MaximizeSmallest(const Eigen::MatrixXd& slopes, const Eigen::Vec
   return solution.head(d);
 }
 
+// The vectors that a matrix maps to zero, and all others: orthonormal bases.
+struct KernelSplit {
+  Eigen::MatrixXd kernel, others;
+};
+KernelSplit SplitKernel(const Eigen::MatrixXd& matrix) {
+  const Eigen::Index size = matrix.cols();
+  if (matrix.size() == 0) return {Eigen::MatrixXd::Identity(size, size), Eigen::MatrixXd(size, 0)};
+  const LeastNormSolver solver(matrix, kRedundant);
+  Eigen::MatrixXd projection(size, size);
+  Eigen::VectorXd column(size);
+  for (Eigen::Index j = 0; j < size; ++j) {
+    solver.Solve(matrix.col(j), column);
+    projection.col(j) = Eigen::VectorXd::Unit(size, j) - column;
+  }
+  const SymmetricEigen eigen = EigenOf(0.5 * (projection + projection.transpose()));
+  const Eigen::Index count = (eigen.values.array() > kMovesNothing).count();
+  return {eigen.vectors.rightCols(count), eigen.vectors.leftCols(size - count)};
+}
+
+// Splits forces into those that move nothing between two bodies, whose columns have zeros in the same rows, and all
+// others: orthonormal bases.
+KernelSplit SplitLocally(const Eigen::MatrixXd& matrix) {
+  const Eigen::Index size = matrix.cols();
+  std::map<std::vector<Eigen::Index>, std::vector<Eigen::Index>> pairs;
+  for (Eigen::Index j = 0; j < size; ++j) {
+    std::vector<Eigen::Index> rows;
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+      if (matrix(i, j) != 0) rows.push_back(i);
+    }
+    pairs[std::move(rows)].push_back(j);
+  }
+  KernelSplit split{Eigen::MatrixXd::Zero(size, size), Eigen::MatrixXd::Zero(size, size)};
+  Eigen::Index still = 0, moving = 0;
+  for (const auto& [rows, columns] : pairs) {
+    const KernelSplit of_pair = SplitKernel(matrix(rows, columns));
+    for (Eigen::Index j = 0; j < of_pair.kernel.cols(); ++j) split.kernel(columns, still++) = of_pair.kernel.col(j);
+    for (Eigen::Index j = 0; j < of_pair.others.cols(); ++j) split.others(columns, moving++) = of_pair.others.col(j);
+  }
+  split.kernel.conservativeResize(size, still);
+  split.others.conservativeResize(size, moving);
+  return split;
+}
+
 }  // namespace
 
 BlockSolver::BlockSolver(const Eigen::MatrixXd& matrix, double threshold) {
@@ -237,8 +281,11 @@ BlockSolver::BlockSolver(const Eigen::MatrixXd& matrix, double threshold) {
     for (Eigen::Index i = first; i < size; ++i) {
       if (block[i] == first) rows.push_back(i);
     }
-    LeastNormSolver solver(matrix(rows, rows), threshold);
-    blocks_.push_back({std::move(rows), std::move(solver)});
+    const Eigen::MatrixXd of_block = matrix(rows, rows);
+    std::optional<Eigen::MatrixXd> moving;
+    if (of_block.rows() > kLargeBlock) moving = SplitLocally(of_block).others;
+    LeastNormSolver solver(moving ? Multiply(of_block, *moving) : of_block, threshold);
+    blocks_.push_back({std::move(rows), std::move(moving), std::move(solver)});
   }
 }
 
@@ -246,7 +293,13 @@ void BlockSolver::Solve(const Eigen::VectorXd& right, Eigen::VectorXd& solution)
   solution.resize(right.size());
   for (const Block& block : blocks_) {
     Eigen::VectorXd part = right(block.rows);
-    if (!part.isZero(0)) block.solver.Solve(part, part);
+    if (block.moving && !part.isZero(0)) {
+      Eigen::VectorXd amounts(block.moving->cols());
+      block.solver.Solve(part, amounts);
+      part = *block.moving * amounts;
+    } else if (!part.isZero(0)) {
+      block.solver.Solve(part, part);
+    }
     solution(block.rows) = part;
   }
 }
@@ -293,54 +346,108 @@ Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::Vect
 }
 
 Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix) {
-  const Eigen::Index r = matrix.rows();
-  Eigen::MatrixXd inverse(r, r);
-  PseudoInvert(matrix, kRedundant, inverse);
-  // The projection onto the forces that the matrix maps to zero.
-  const Eigen::MatrixXd projection = Eigen::MatrixXd::Identity(r, r) - Multiply(inverse, matrix);
-  const auto count = static_cast<Eigen::Index>(std::lround(projection.trace()));
-  if (count <= 0) return Eigen::MatrixXd(r, 0);
-  const SymmetricEigen eigen = EigenOf(0.5 * (projection + projection.transpose()));
-  return eigen.vectors.rightCols((eigen.values.array() > kMovesNothing).count());
+  // Those of one pair of bodies each come first, so that they share no contacts.
+  const KernelSplit local = SplitLocally(matrix);
+  const Eigen::MatrixXd others = SplitKernel(Multiply(matrix, local.others)).kernel;
+  Eigen::MatrixXd stresses(matrix.rows(), local.kernel.cols() + others.cols());
+  stresses << local.kernel, Multiply(local.others, others);
+  return stresses;
 }
 
-ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses, const ForceLimits& limits,
-                       const std::vector<UnknownForces>& contacts) {
+namespace {
+
+// Splits the forces of a group of contacts, with limits that LimitsOf has for them.
+ForceSplit::Group SplitGroup(const Eigen::MatrixXd& stresses, const std::vector<UnknownForces>& contacts,
+                             Eigen::VectorXd* force) {
+  const ForceLimits limits = LimitsOf(contacts, force->size());
   const Eigen::Index d = stresses.cols(), m = limits.rows.rows();
   double normals = 0, friction = 0;
-  Eigen::RowVectorXd sum = Eigen::RowVectorXd::Zero(force.size());
+  Eigen::RowVectorXd sum = Eigen::RowVectorXd::Zero(force->size());
   for (const UnknownForces& of : contacts) {
     friction = std::max(friction, of.friction);
     normals += std::abs(of.known);
     if (of.normal < 0) continue;
-    normals += std::abs(force[of.normal]);
+    normals += std::abs((*force)[of.normal]);
     sum[of.normal] = -1;
   }
-  ForceSplit split{.force = force, .tight = {}, .by_stress = {}};
+  ForceSplit::Group split;
   // The solution is closer to x than the bounds that enclose it.
-  const double bound = 10 * static_cast<double>(force.size()) * (1 + friction) * (force.cwiseAbs().sum() + normals);
+  const double bound = 10 * static_cast<double>(force->size()) * (1 + friction) * (force->cwiseAbs().sum() + normals);
   if (!(bound > 0) || !std::isfinite(bound)) return split;
   Eigen::MatrixXd slopes(d + 2 + m, d);
   Eigen::VectorXd constants(d + 2 + m);
   slopes.topRows(d + 2) << Eigen::MatrixXd::Identity(d, d), Eigen::RowVectorXd::Constant(d, -1), sum * stresses;
   for (Eigen::Index i = 0; i < m; ++i) {
     slopes.row(d + 2 + i).setZero();
-    for (Eigen::Index j = 0; j < force.size(); ++j) {  // most of the factors are zero
+    for (Eigen::Index j = 0; j < force->size(); ++j) {  // most of the factors are zero
       if (limits.rows(i, j) != 0) slopes.row(d + 2 + i) += limits.rows(i, j) * stresses.row(j);
     }
   }
-  constants << Eigen::VectorXd::Constant(d + 1, bound), 2 * normals + sum * force,
-      limits.rows * force + limits.constants;
+  constants << Eigen::VectorXd::Constant(d + 1, bound), 2 * normals + sum * *force,
+      limits.rows * *force + limits.constants;
   std::vector<Eigen::Index> tight;
   const Eigen::VectorXd stress = MaximizeSmallest(slopes, constants, &tight);
-  const Eigen::VectorXd found = force + stresses * stress;
+  const Eigen::VectorXd found = *force + stresses * stress;
   // Rounding errors of many stresses may lead the search astray.
-  if (!(SmallestLimit(limits, found) >= SmallestLimit(limits, force))) return split;
-  split.force = found;
+  if (!(SmallestLimit(limits, found) >= SmallestLimit(limits, *force))) return split;
+  *force = found;
   split.by_stress.resize(d + 1, d + 1);
   for (Eigen::Index i = 0; i <= d; ++i) {
     split.by_stress.row(i) << slopes.row(tight[i]), -1;
     split.tight.push_back(std::max<Eigen::Index>(tight[i] - (d + 2), -1));
+  }
+  return split;
+}
+
+}  // namespace
+
+ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses,
+                       const std::vector<UnknownForces>& contacts) {
+  const Eigen::Index d = stresses.cols();
+  // Each contact has a part in some stresses, and stresses in which one contact has a part belong to one group.
+  std::vector<Eigen::Index> group(d);
+  std::iota(group.begin(), group.end(), 0);
+  std::vector<Eigen::Index> first_of(contacts.size(), -1), limit_of;
+  Eigen::Index limit = 0;
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    limit_of.push_back(limit);
+    limit += (contacts[i].normal >= 0 ? 1 : 0) + (contacts[i].tangent >= 0 ? 2 : 0);
+    for (Eigen::Index j = 0; j < d; ++j) {
+      const bool has_part = (contacts[i].normal >= 0 && std::abs(stresses(contacts[i].normal, j)) > kOfStress) ||
+                            (contacts[i].tangent >= 0 && std::abs(stresses(contacts[i].tangent, j)) > kOfStress);
+      if (!has_part) continue;
+      if (first_of[i] < 0) first_of[i] = j;
+      const auto [low, high] = std::minmax({group[j], group[first_of[i]]});
+      std::replace(group.begin(), group.end(), high, low);
+    }
+  }
+  ForceSplit split{.force = force};
+  for (Eigen::Index number = 0; number < d; ++number) {
+    if (group[number] != number) continue;
+    std::vector<Eigen::Index> columns, rows, limits;
+    for (Eigen::Index j = number; j < d; ++j) {
+      if (group[j] == number) columns.push_back(j);
+    }
+    std::vector<UnknownForces> members;
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      if (first_of[i] < 0 || group[first_of[i]] != number) continue;
+      UnknownForces member = contacts[i];
+      for (Eigen::Index* row : {&member.normal, &member.tangent}) {
+        if (*row < 0) continue;
+        rows.push_back(*row);
+        *row = std::ssize(rows) - 1;
+      }
+      const Eigen::Index count = (member.normal >= 0 ? 1 : 0) + (member.tangent >= 0 ? 2 : 0);
+      for (Eigen::Index k = 0; k < count; ++k) limits.push_back(limit_of[i] + k);
+      members.push_back(member);
+    }
+    Eigen::VectorXd of_group = force(rows);
+    ForceSplit::Group found = SplitGroup(stresses(rows, columns), members, &of_group);
+    split.force(rows) = of_group;
+    if (found.tight.empty()) continue;
+    for (Eigen::Index& tight : found.tight) tight = tight < 0 ? tight : limits[tight];
+    found.stresses = std::move(columns);
+    split.groups.push_back(std::move(found));
   }
   return split;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,7 +12,8 @@ namespace saltus {
 
 // Least squares solutions of least norm for a square matrix, block by block: rows and columns are in one block where an
 // entry couples them. Forces of a block whose right side is zero are exactly zero, whatever the rounding errors of the
-// others: those along the tangents of a column at rest do not make it fall.
+// others: those along the tangents of a column at rest do not make it fall. Large blocks are solved for the forces that
+// are no internal stresses between two bodies, of which there are fewer.
 class BlockSolver {
  public:
   // `threshold`: as of LeastNormSolver, within each block.
@@ -22,6 +24,7 @@ class BlockSolver {
  private:
   struct Block {
     std::vector<Eigen::Index> rows;
+    std::optional<Eigen::MatrixXd> moving;  // MovingForces of a large block, which are solved for
     LeastNormSolver solver;
   };
   std::vector<Block> blocks_;
@@ -104,16 +107,20 @@ Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::Vect
 // stick. `matrix`: accelerations along the rows of the contacts by their forces.
 Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix);
 
-// The forces x + stresses y that are farthest from their limits: the smallest of the limits is as large as possible.
-// Normal forces add up to no more than twice what they do in x.
+// The forces x + stresses y that are farthest from their limits, as large as the smallest of the limits can be: of each
+// group of contacts that share stresses by itself. Normal forces add up to no more than twice what they do in x.
 struct ForceSplit {
   Eigen::VectorXd force;
-  // The limits that are the smallest, one more than there are stresses, and their derivatives by [y, -smallest]; -1: a
-  // bound that is none of the limits.
-  std::vector<Eigen::Index> tight;
-  Eigen::MatrixXd by_stress;
+  struct Group {
+    std::vector<Eigen::Index> stresses;  // columns
+    // The limits that are the smallest, one more than there are stresses, and their derivatives by [y, -smallest]; -1:
+    // a bound that is none of the limits.
+    std::vector<Eigen::Index> tight;
+    Eigen::MatrixXd by_stress;
+  };
+  std::vector<Group> groups = {};
 };
-ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses, const ForceLimits& limits,
+ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stresses,
                        const std::vector<UnknownForces>& contacts);
 
 }  // namespace saltus

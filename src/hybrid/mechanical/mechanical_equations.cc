@@ -14,11 +14,13 @@ namespace {
 using Jet = MechanicalEquations::Jet;
 using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
 
-constexpr double kDependentRow = 1e-10;  // pivots of rows that depend on others, of the largest
-constexpr int kMostCorrections = 10;     // of a projection
-constexpr double kRounding = 1e-13;      // of the terms of a gap: corrections below it do not change derivatives
-constexpr double kSymmetric = 1e-12;     // of the largest entry of a mass matrix
-constexpr double kCancels = 1e-13;       // of the terms of an acceleration or velocity: what is left is rounding
+constexpr double kDependentRow = 1e-10;    // pivots of rows that depend on others, of the largest
+constexpr int kMostCorrections = 10;       // of a projection
+constexpr double kRounding = 1e-13;        // of the terms of a gap: corrections below it do not change derivatives
+constexpr double kSymmetric = 1e-12;       // of the largest entry of a mass matrix
+constexpr std::size_t kManyContacts = 16;  // whose matrices are kept
+constexpr std::size_t kMostKept = 4;
+constexpr double kCancels = 1e-13;  // of the terms of an acceleration or velocity: what is left is rounding
 
 template <typename S>
 std::vector<TimeJet<S>> Path(int n, const S* q, const S* v, const S* a) {
@@ -120,10 +122,13 @@ bool MechanicalEquations::MassVaries(const Point& at) const {
 std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) const {
   Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), row(n_);
   const auto jet = [&](int i) -> Jet& { return i < n_ ? q[i] : p[i - n_]; };
-  std::vector<int> reads;
-  for (int first = 0; first < n_ + num_p_; first += kWidth) {
-    const int width = std::min(kWidth, n_ + num_p_ - first);
-    for (int j = 0; j < width; ++j) jet(first + j).v[j] = std::numeric_limits<double>::quiet_NaN();
+  const std::span<const int> coordinates = CoordinatesOf(contact);
+  std::vector<int> reads, inputs(coordinates.begin(), coordinates.end());
+  for (int i = 0; i < num_p_; ++i) inputs.push_back(n_ + i);
+  for (std::size_t first = 0; first < inputs.size(); first += kWidth) {
+    const int width = static_cast<int>(std::min<std::size_t>(kWidth, inputs.size() - first));
+    const int* of_pass = &inputs[first];
+    for (int j = 0; j < width; ++j) jet(of_pass[j]).v[j] = std::numeric_limits<double>::quiet_NaN();
     Jet sum = f_.Distance(contact, q.data(), p.data());
     if (f_.layout().has_friction[contact] != 0 && f_.has_rows()) {
       f_.SlideRow(contact, q.data(), p.data(), row.data());
@@ -132,8 +137,8 @@ std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) cons
       sum += f_.Slide(contact, q.data(), p.data());
     }
     for (int j = 0; j < width; ++j) {
-      if (std::isnan(sum.v[j])) reads.push_back(first + j);
-      jet(first + j).v[j] = 0;
+      if (std::isnan(sum.v[j])) reads.push_back(of_pass[j]);
+      jet(of_pass[j]).v[j] = 0;
     }
   }
   return reads;
@@ -157,57 +162,59 @@ void MechanicalEquations::RowOf(const Row& row, const Seeds& seeds, std::span<co
   }
 }
 
+std::span<const int> MechanicalEquations::CoordinatesOf(int contact) const {
+  const std::vector<std::vector<int>>& given = f_.layout().contact_coordinates;
+  return given.empty() ? std::span(all_).first(n_) : std::span(given[contact]);
+}
+
 template <typename Use>
-void MechanicalEquations::ForEachPass(const Point& at, const Use& use) const {
-  Jets q(at.q, at.q + n_);
-  const Jets p(at.p, at.p + num_p_);
-  for (int first = 0; first < n_; first += kWidth) {
-    const int width = std::min(kWidth, n_ - first);
-    for (int j = 0; j < width; ++j) q[first + j].v[j] = 1;
-    use(first, width, q.data(), p.data());
-    for (int j = 0; j < width; ++j) q[first + j].v[j] = 0;
+void MechanicalEquations::ForEachPass(int contact, Jets* q, const Use& use) const {
+  const std::span<const int> all = CoordinatesOf(contact);
+  for (std::size_t first = 0; first < all.size(); first += kWidth) {
+    const std::span<const int> seeded = all.subspan(first, std::min<std::size_t>(kWidth, all.size() - first));
+    for (std::size_t j = 0; j < seeded.size(); ++j) (*q)[seeded[j]].v[static_cast<int>(j)] = 1;
+    use(seeded);
+    for (std::size_t j = 0; j < seeded.size(); ++j) (*q)[seeded[j]].v[static_cast<int>(j)] = 0;
   }
 }
 
 Eigen::MatrixXd MechanicalEquations::RowsAt(const std::vector<Row>& rows, const Point& at) const {
   const auto r = static_cast<Eigen::Index>(rows.size());
-  Eigen::MatrixXd out(r, n_);
-  const auto given = [&](const Row& row) { return row.tangential && f_.has_rows(); };
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(r, n_);
   Eigen::RowVectorXd entries(n_);
-  bool others = false;
+  Jets q(at.q, at.q + n_);
+  const Jets p(at.p, at.p + num_p_);
   for (Eigen::Index i = 0; i < r; ++i) {
-    others = others || !given(rows[i]);
-    if (!given(rows[i])) continue;
-    f_.SlideRow(rows[i].contact, at.q, at.p, entries.data());
-    out.row(i) = entries;
-  }
-  if (!others) return out;
-  ForEachPass(at, [&](int first, int width, const Jet* q, const Jet* p) {
-    for (Eigen::Index i = 0; i < r; ++i) {
-      const Row& row = rows[i];
-      if (given(row)) continue;
-      const Jet value = row.tangential ? f_.Slide(row.contact, q, p) : f_.Distance(row.contact, q, p);
-      out.row(i).segment(first, width) = value.v.head(width).transpose();
+    const Row& row = rows[i];
+    if (row.tangential && f_.has_rows()) {
+      f_.SlideRow(row.contact, at.q, at.p, entries.data());
+      out.row(i) = entries;
+      continue;
     }
-  });
+    ForEachPass(row.contact, &q, [&](std::span<const int> seeded) {
+      const Jet value =
+          row.tangential ? f_.Slide(row.contact, q.data(), p.data()) : f_.Distance(row.contact, q.data(), p.data());
+      for (std::size_t j = 0; j < seeded.size(); ++j) out(i, seeded[j]) = value.v[static_cast<int>(j)];
+    });
+  }
   return out;
 }
 
 double MechanicalEquations::GapGradient(int contact, const Point& at, double* by_q, double* by_p) const {
-  double gap = 0;
-  ForEachPass(at, [&](int first, int width, const Jet* q, const Jet* p) {
-    const Jet value = f_.Gap(contact, q, p);
-    gap = value.a;
-    std::copy_n(value.v.data(), width, by_q + first);
+  Jets q(at.q, at.q + n_);
+  const Jets known(at.p, at.p + num_p_);
+  ForEachPass(contact, &q, [&](std::span<const int> seeded) {
+    const Jet value = f_.Gap(contact, q.data(), known.data());
+    for (std::size_t j = 0; j < seeded.size(); ++j) by_q[seeded[j]] = value.v[static_cast<int>(j)];
   });
-  const Jets q(at.q, at.q + n_);
   for (int first = 0; first < num_p_; first += kWidth) {
-    Jets p(at.p, at.p + num_p_);
+    Jets p = known;
     const int width = std::min(kWidth, num_p_ - first);
     for (int j = 0; j < width; ++j) p[first + j].v[j] = 1;
-    std::copy_n(f_.Gap(contact, q.data(), p.data()).v.data(), width, by_p + first);
+    const Jet value = f_.Gap(contact, q.data(), p.data());
+    std::copy_n(value.v.data(), width, by_p + first);
   }
-  return gap;
+  return f_.Gap(contact, at.q, at.p);
 }
 
 MechanicalEquations::TimePath<double> MechanicalEquations::PathAlong(const double* q, const double* v,
@@ -249,6 +256,24 @@ Jet MechanicalEquations::RateAlong(const Row& row, const Jet* q, const Jet* v, c
 
 MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed, const Point& at,
                                                           bool for_derivatives) const {
+  if (closed.size() < kManyContacts) return NewSystem(closed, at, for_derivatives);
+  std::vector<double> q_p(at.q, at.q + n_);
+  q_p.insert(q_p.end(), at.p, at.p + num_p_);
+  {
+    const std::lock_guard lock(mutex_);
+    for (const Kept& kept : kept_) {
+      if (kept.for_derivatives == for_derivatives && kept.q_p == q_p && kept.closed == closed) return kept.system;
+    }
+  }
+  System system = NewSystem(closed, at, for_derivatives);
+  const std::lock_guard lock(mutex_);
+  kept_.push_front({closed, std::move(q_p), for_derivatives, system});
+  if (kept_.size() > kMostKept) kept_.pop_back();
+  return system;
+}
+
+MechanicalEquations::System MechanicalEquations::NewSystem(const std::vector<ClosedContact>& closed, const Point& at,
+                                                           bool for_derivatives) const {
   System system;
   Eigen::MatrixXd mass(n_, n_);
   f_.Mass(at.q, at.p, mass.data());  // symmetric: the order of rows and columns does not matter

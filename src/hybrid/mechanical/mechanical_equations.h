@@ -9,6 +9,8 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <deque>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
@@ -32,6 +34,7 @@ struct MechanicalPoint {
 struct ClosedContact {
   int contact = 0;
   char status = 'n';
+  bool operator==(const ClosedContact&) const = default;
 };
 
 // The sign of v_t of a sliding contact, else 0.
@@ -102,6 +105,7 @@ class MechanicalEquations {
     bool mass_varies = true;
     std::vector<std::vector<int>> reads;
   };
+  // Bodies at rest ask again and again for the same matrices: the last ones of many contacts are kept.
   System Assemble(const std::vector<ClosedContact>& closed, const Point& at, bool for_derivatives = false) const;
 
   Eigen::RowVectorXd RowAt(const Row& row, const Point& at) const { return RowsAt({row}, at); }
@@ -111,8 +115,11 @@ class MechanicalEquations {
   double RateAlong(const Row& row, const double* q, const double* v, const double* p) const;
   double SecondAlong(const Row& row, const double* q, const double* v, const double* a, const double* p) const;
   double Gap(int contact, const Point& at) const { return f_.Gap(contact, at.q, at.p); }
-  // The gap and its derivatives by q and p.
+  // Returns a gap, and sets its derivatives by p and by the coordinates of the contact, which are all that are not
+  // zero.
   double GapGradient(int contact, const Point& at, double* by_q, double* by_p) const;
+  // The coordinates that the functions of a contact read.
+  std::span<const int> CoordinatesOf(int contact) const;
   // All coordinates and parameters on a path through q with this velocity, and the rate of a gap on it.
   template <typename S>
   struct TimePath {
@@ -171,6 +178,7 @@ class MechanicalEquations {
   Jet RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const;
 
  private:
+  System NewSystem(const std::vector<ClosedContact>& closed, const Point& at, bool for_derivatives) const;
   // Whether M depends on q or p.
   bool MassVaries(const Point& at) const;
   // Returns the coordinates and parameters that the rows of a contact depend on, as indices in [q p].
@@ -184,9 +192,9 @@ class MechanicalEquations {
   // v and a are those of the path.
   template <typename S>
   TimeJet<S> Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const;
-  // Calls use(first, width, q, p) for each pass over the coordinates, of which those from `first` on have the seeds.
+  // Calls use(coordinates) for each pass over the coordinates of a contact, of which these have the seeds in `q`.
   template <typename Use>
-  void ForEachPass(const Point& at, const Use& use) const;
+  void ForEachPass(int contact, Jets* q, const Use& use) const;
   // The functions below return or change Jets of which only the derivatives are used.
   // Adds M a.
   template <typename S>
@@ -205,6 +213,14 @@ class MechanicalEquations {
   const MechanicalFunctions& f_;
   const int n_, num_u_, num_p_;
   std::vector<int> all_;  // indices in [q p]
+  struct Kept {
+    std::vector<ClosedContact> closed;
+    std::vector<double> q_p;
+    bool for_derivatives;
+    System system;
+  };
+  mutable std::mutex mutex_;
+  mutable std::deque<Kept> kept_;  // under mutex_
 };
 
 }  // namespace saltus

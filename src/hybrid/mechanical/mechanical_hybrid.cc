@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <mutex>
 #include <numeric>
 #include <utility>
@@ -529,6 +530,19 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::MotionOf(const Mode& mode, cons
   return motion;
 }
 
+Eigen::MatrixXd MechanicalHybrid::StressesOf(const Eigen::MatrixXd& matrix) const {
+  if (matrix.rows() <= kMostSmallRows) return InternalStresses(matrix);
+  {
+    const std::shared_lock lock(mutex_);
+    const Eigen::MatrixXd& last = last_stresses_.first;
+    if (last.rows() == matrix.rows() && last == matrix) return last_stresses_.second;
+  }
+  Eigen::MatrixXd stresses = InternalStresses(matrix);
+  const std::unique_lock lock(mutex_);
+  last_stresses_ = {matrix, stresses};
+  return stresses;
+}
+
 MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
     const Mode& mode, const Point& at, std::span<const MechanicalEquations::Seeds> passes) const {
   const MechanicalEquations::System system = equations_.Assemble(mode.closed, at, !passes.empty());
@@ -549,16 +563,16 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
                        .tangent = sticks ? sticking++ : -1,
                        .friction = sticks ? functions_->Friction(contact.contact, at.p) : 0.0});
   }
-  if (mode.closed.size() > 1) motion.stresses = InternalStresses(matrix);
+  if (mode.closed.size() > 1) motion.stresses = StressesOf(matrix);
   if (motion.stresses.cols() > 0) {
     limits = LimitsOf(unknown, size);
-    split = SplitForces(motion.force, motion.stresses, limits, unknown);
+    split = SplitForces(motion.force, motion.stresses, unknown);
     motion.force = split.force;
   }
   motion.tolerance = ForceTolerances(matrix, motion.force, terms);
   for (const MechanicalEquations::Seeds& seeds : passes) {
     motion.derivatives.push_back(equations_.AccelerationDerivative(system, mode.closed, seeds, motion.a, motion.force));
-    if (split.tight.empty()) continue;
+    if (split.groups.empty()) continue;
     Block by_limits = limits.rows * motion.derivatives.back().force;
     Eigen::Index row = 0;
     for (std::size_t i = 0; i < unknown.size(); ++i) {
@@ -569,12 +583,15 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
         by_limits.row(row++) += motion.force[unknown[i].normal] * friction.v.transpose();
       }
     }
-    Eigen::MatrixXd right = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(split.tight.size()), by_limits.cols());
-    for (std::size_t i = 0; i < split.tight.size(); ++i) {
-      if (split.tight[i] >= 0) right.row(static_cast<Eigen::Index>(i)) = -by_limits.row(split.tight[i]);
+    for (const ForceSplit::Group& group : split.groups) {
+      const auto count = static_cast<Eigen::Index>(group.tight.size());
+      Eigen::MatrixXd right = Eigen::MatrixXd::Zero(count, by_limits.cols());
+      for (Eigen::Index i = 0; i < count; ++i) {
+        if (group.tight[i] >= 0) right.row(i) = -by_limits.row(group.tight[i]);
+      }
+      motion.derivatives.back().force +=
+          motion.stresses(Eigen::all, group.stresses) * SolveLuColumns(group.by_stress, right).topRows(count - 1);
     }
-    motion.derivatives.back().force +=
-        motion.stresses * SolveLuColumns(split.by_stress, right).topRows(motion.stresses.cols());
   }
   return motion;
 }
@@ -725,6 +742,34 @@ void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded>
   }
 }
 
+void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+                                     std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const {
+  const int n = equations_.n(), columns = equations_.num_columns(true),
+            parameters = functions_->layout().num_parameters;
+  const auto is_gap = [](const Guarded& guarded) { return guarded.what == What::kHit; };
+  std::vector<Guarded> others;
+  std::ranges::remove_copy_if(guards, std::back_inserter(others), is_gap);
+  std::vector<double> values(others.size()), gradients(others.size() * columns), by_q(n), by_p(parameters);
+  if (!others.empty()) GuardGradients(mode, others, from, values.data(), gradients.data());
+  const double* row = gradients.data();
+  const OnMode on = Projected(mode, from);
+  for (const Guarded& guarded : guards) {
+    if (is_gap(guarded)) {
+      equations_.GapGradient(guarded.contact, on.at, by_q.data(), by_p.data());
+      for (const int i : equations_.CoordinatesOf(guarded.contact)) {
+        if (by_q[i] != 0) terms->push_back({i, by_q[i]});
+      }
+      for (int i = 0; i < parameters; ++i) {
+        if (by_p[i] != 0) terms->push_back({2 * n + 1 + i, by_p[i]});
+      }
+    } else {
+      AppendTerms(row, 2 * n, columns, terms);
+      row += columns;
+    }
+    ends->push_back(terms->size());
+  }
+}
+
 // The closed contacts when one of them stops. Others may stop with it: by chance, or as the corners of one body must,
 // of which no speed is left to compare.
 MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const Guarded& guarded, const Point& at) const {
@@ -811,6 +856,31 @@ std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const Guarded& g
   std::string next = mode.status;
   next[guarded.contact] = guarded.what == What::kOff ? 'o' : guarded.what == What::kBreakBack ? '-' : '+';
   return next;
+}
+
+// Forces that are not unique may reach limits of several contacts at once, of which the status of some stays.
+int MechanicalHybrid::CauseOf(const ModePoint& from, int guard) const {
+  const Mode& of = ModeAt(from.mode);
+  const Guarded& guarded = of.guards[guard];
+  if (!NeedsForces(guarded)) return guard;
+  const OnMode on = Projected(of, PointAt(from));
+  std::string why;
+  const std::string next = StatusPastLimit(of, guarded, on.at, &why);
+  if (next.empty() || next[guarded.contact] != of.status[guarded.contact]) return guard;
+  const ClosedMotion motion = ForcedMotion(of, on.at);
+  const double zero = kNearly * motion.force.cwiseAbs().maxCoeff();
+  const MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, 1)[0];
+  for (std::size_t i = 0; i < of.guards.size(); ++i) {
+    const Guarded& other = of.guards[i];
+    const char after = next[other.contact];
+    const bool leads_there = (other.what == What::kOff && after == 'o') ||
+                             (other.what == What::kBreakBack && after == '-') ||
+                             (other.what == What::kBreakOn && after == '+');
+    if (leads_there && after != of.status[other.contact] && GuardJet(of, other, on.at, seeds, motion, 0).a <= zero) {
+      return static_cast<int>(i);
+    }
+  }
+  return guard;
 }
 
 int MechanicalHybrid::Reset(const ModePoint& from, int guard, double* x_plus) const {

@@ -137,6 +137,17 @@ class MechanicalHybrid final : public HybridFunctions {
   void GuardRates(const ModePoint& from, const double* xdot, GuardValue* all) const override;
   double GuardGradient(const ModePoint& from, int guard, double* gradient) const override;
   void GuardGradients(const ModePoint& from, double* values, double* gradients) const override;
+  void AppendGuardTerms(const ModePoint& from, int guard, std::vector<GuardTerm>* terms) const override {
+    const Mode& of = ModeAt(from.mode);
+    std::vector<std::size_t> ends;
+    AppendTermsOf(of, {&of.guards[guard], 1}, PointAt(from), terms, &ends);
+  }
+  void AppendAllGuardTerms(const ModePoint& from, std::vector<GuardTerm>* terms,
+                           std::vector<std::size_t>* ends) const override {
+    const Mode& of = ModeAt(from.mode);
+    AppendTermsOf(of, of.guards, PointAt(from), terms, ends);
+  }
+  int CauseOf(const ModePoint& from, int guard) const override;
   int Reset(const ModePoint& from, int guard, double* x_plus) const override;
   int ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const override;
   std::string WhyNoMode(const ModePoint& from, int guard) const override;
@@ -179,6 +190,9 @@ class MechanicalHybrid final : public HybridFunctions {
                const ClosedMotion& motion, std::size_t pass) const;
   void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from, double* values,
                       double* gradients) const;
+  // Derivatives of gaps are those at the point on the equations of the mode, of which each has few.
+  void AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+                     std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const;
   // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,
   // the path where none is.
   GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
@@ -200,9 +214,12 @@ class MechanicalHybrid final : public HybridFunctions {
   const MechanicalOptions options_;
   const MechanicalEquations equations_;
   const std::vector<double> no_control_;
+  // Returns InternalStresses, which are kept: those of bodies at rest stay the same.
+  Eigen::MatrixXd StressesOf(const Eigen::MatrixXd& matrix) const;
   mutable std::shared_mutex mutex_;
-  mutable std::deque<Mode> modes_;            // under mutex_; the elements do not move
-  mutable std::map<std::string, int> known_;  // under mutex_
+  mutable std::deque<Mode> modes_;                                     // under mutex_; the elements do not move
+  mutable std::map<std::string, int> known_;                           // under mutex_
+  mutable std::pair<Eigen::MatrixXd, Eigen::MatrixXd> last_stresses_;  // under mutex_: a matrix, and its stresses
 };
 
 }  // namespace saltus

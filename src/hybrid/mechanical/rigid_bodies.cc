@@ -134,6 +134,12 @@ MechanicalLayout RigidBodies2D::Layout() const {
     layout.contact_names.push_back(NameOf(contact));
     layout.has_friction.push_back(scene_.friction > 0);
     layout.has_reach.push_back(contact.kind == Contact::kVertexEdge);
+    std::vector<int>& coordinates = layout.contact_coordinates.emplace_back();
+    const bool meets_plane = contact.kind == Contact::kVertexPlane || contact.kind == Contact::kDiscPlane;
+    for (int body = 0; body < static_cast<int>(scene_.bodies.size()); ++body) {
+      if (body != contact.a && (meets_plane || body != contact.b)) continue;
+      for (int i = 0; i < Count(body); ++i) coordinates.push_back(first_[body] + i);
+    }
   }
   return layout;
 }
