@@ -183,6 +183,54 @@ class TestHybridSystems:
             assert motion["remarks"] == document["motion"]["remarks"]
 
 
+    def test_an_event_at_the_start_names_what_it_depends_on(self):
+        problem = self.problem(initial=[0, -1], duration=0.1)
+        text = "guard 'ground' has an event at the start: derivatives by height are one-sided"
+        for result in (saltus.rollout(problem), saltus.loss_and_gradient(problem)):
+            assert result.remark == text and [remark["text"] for remark in result.remarks] == [text]
+
+    def test_a_clock_that_ticks_at_the_start_has_no_remark(self):
+        clock = saltus.HybridSystem(
+            states={"m": ["x", "next"]}, parameters=["period"], flow={"m": lambda x: [-x[0], 0]},
+            guards={"m": {"tick": lambda t, x: x[1] - t}}, resets={"m": {"tick": lambda x, p: ("m", [x[0] + 1, x[1] + p[0]])}})
+        begins = saltus.HybridSystem(
+            states={"off": ["x"], "on": ["x"]}, flow={"off": lambda x: -x, "on": lambda x: 1 - x},
+            guards={"off": {"start": lambda t: 0.0 - t}}, resets={"off": {"start": lambda x: ("on", x)}})
+        motion = saltus.rollout(saltus.HybridProblem(begins, mode="off", initial=[2.0], duration=1.0))
+        assert [event[2] for event in motion.events] == ["start"]
+        assert motion.remark == "" and motion.remarks == []
+        # Here it is a state when the clock ticks, and another one begins behind the tick.
+        motion = saltus.rollout(saltus.HybridProblem(clock, mode="m", initial=[1.0, 0.0], parameters=[0.3], duration=1.0))
+        assert motion.remark == "guard 'tick' has an event at the start: derivatives by next are one-sided"
+
+    def test_events_at_the_start_have_one_remark(self):
+        corner = saltus.HybridSystem(
+            states={"m": ["x", "y", "vx", "vy"]}, flow={"m": lambda x: [x[2], x[3], 0, 0]},
+            guards={"m": {"wall": lambda x: x[0], "floor": lambda x: x[1]}},
+            resets={"m": {"wall": lambda x: ("m", [x[0], x[1], -x[2], x[3]]), "floor": lambda x: ("m", [x[0], x[1], x[2], -x[3]])}})
+        motion = saltus.rollout(saltus.HybridProblem(corner, mode="m", initial=[0, 0, -1, -2], duration=1.0))
+        np.testing.assert_allclose(motion.final, [1, 2, 1, 2])
+        assert motion.remark == "guards 'wall', 'floor' have events at the start: derivatives by x, y are one-sided"
+
+    def test_what_repeats_is_told_once(self):
+        """A clock whose ticks turn the sign of y come where the control jumps."""
+        clock = saltus.HybridSystem(
+            states={"m": ["phase", "y"]}, controls=["u"], flow={"m": lambda x, u: [1, u[0]]},
+            guards={"m": {"tick": lambda x: 1 - x[0]}}, resets={"m": {"tick": lambda x: ("m", [x[0] - 1, -x[1]])}})
+        motion = saltus.rollout(saltus.HybridProblem(
+            clock, mode="m", initial=[0, 0], duration=39.5, durations=[1.0] * 39 + [0.5], control=np.arange(40.0)[:, None]))
+        assert len(motion.events) == 39
+        assert motion.remark == "guard 'tick' has an event at t = 1 and 38 more times, where the control jumps"
+
+    def test_failures_of_batches_are_those_of_one_problem(self):
+        problem = self.problem(most_events=1, duration=3.0)
+        batch = saltus.HybridBatch(problem, optimize=["height"], threads=2)
+        batch.loss([[4.0], [400.0]])
+        with pytest.raises(RuntimeError) as error:
+            saltus.loss_and_gradient(problem)
+        assert batch.failures == {0: str(error.value)}
+
+
 def test_remarks_are_shown():
     with pytest.warns(RuntimeWarning, match="steps use the time-stepping fallback"):
         motion = saltus.rollout(saltus.Scene(settling_bag(0)))

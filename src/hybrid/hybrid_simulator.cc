@@ -565,40 +565,54 @@ bool HybridSimulator::IsReset(int step) const {
 
 std::string HybridSimulator::WhyNotDifferentiable() const {
   const RolloutRun& run = *impl_->run;
-  std::string why = run.remark();
-  const auto add = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + what; };
-  if (!impl_->why_not_finite.empty()) add(impl_->why_not_finite);
-  // The first time of each guard.
-  const HybridFunctions& functions = impl_->system.functions();
-  for (auto first = run.grazings().begin(); first != run.grazings().end(); ++first) {
-    const std::string name = functions.GuardName(first->mode, first->guard);
-    const auto same = [&](const HybridGrazing& other) {
-      return functions.BaseMode(other.mode) == functions.BaseMode(first->mode) &&
-             functions.GuardName(other.mode, other.guard) == name;
+  const HybridSystem& system = impl_->system;
+  std::vector<TimedRemark> remarks;
+  for (const RolloutRun::AtStart& start : run.at_start()) {
+    std::vector<std::string> names;
+    const auto add = [&](const std::vector<char>& depends, const auto& name_of) {
+      for (std::size_t i = 0; i < depends.size(); ++i) {
+        if (depends[i] != 0) names.push_back(name_of(static_cast<int>(i)));
+      }
     };
-    if (std::any_of(run.grazings().begin(), first, same)) continue;
-    const auto more = std::count_if(first + 1, run.grazings().end(), same);
-    const bool is_switch = functions.IsSwitch(first->mode, first->guard);
-    add((is_switch ? "switch '" : "guard '") + name + "' grazes zero at t = " + std::to_string(first->time) +
-        (more > 0 ? " and " + std::to_string(more) + " more times" : "") +
-        (is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"));
+    add(start.initial, [&](int i) { return system.StateName(impl_->input.mode, i); });
+    add(start.parameters, [&](int i) { return system.ParameterName(i); });
+    add(start.control, [&](int i) { return system.ControlName(i); });
+    if (names.empty()) continue;
+    constexpr std::size_t kMostNames = 6;
+    std::string listed = names[0];
+    for (std::size_t i = 1; i < std::min(names.size(), kMostNames); ++i) listed += ", " + names[i];
+    if (names.size() > kMostNames) listed += " and " + std::to_string(names.size() - kMostNames) + " more";
+    remarks.push_back({start.what + ": derivatives by " + listed + " are one-sided"});
+  }
+  remarks.insert(remarks.end(), run.remarks().begin(), run.remarks().end());
+  if (!impl_->why_not_finite.empty()) remarks.push_back({impl_->why_not_finite});
+  const HybridFunctions& functions = system.functions();
+  for (const HybridGrazing& grazing : run.grazings()) {
+    const bool is_switch = functions.IsSwitch(grazing.mode, grazing.guard);
+    remarks.push_back(
+        {(is_switch ? "switch '" : "guard '") + functions.GuardName(grazing.mode, grazing.guard) + "' grazes zero",
+         std::to_string(grazing.time),
+         is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"});
   }
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {
     if (!tie.ambiguous) continue;
     std::string names;
     for (const int guard : tie.guards) {
-      names += (names.empty() ? "'" : ", '") + impl_->system.GuardName(tie.mode, guard) + "'";
+      names += (names.empty() ? "'" : ", '") + system.GuardName(tie.mode, guard) + "'";
     }
-    add(std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(tie.time) +
-        ", and the order of their events matters: " + names);
+    remarks.push_back({std::to_string(tie.guards.size()) + " guards reach zero",
+                       std::to_string(tie.time),
+                       ", and the order of their events matters: " + names});
   }
   const std::vector<char>& one_sided = impl_->OneSided();
   for (std::size_t i = 0; i < one_sided.size(); ++i) {
     const Coincidence& coincidence = run.tape().coincidences[i];
-    if (one_sided[i] != 0 && (coincidence.tie < 0 || !ties[coincidence.tie].ambiguous)) add(coincidence.remark);
+    if (one_sided[i] != 0 && (coincidence.tie < 0 || !ties[coincidence.tie].ambiguous)) {
+      remarks.push_back(coincidence.remark);
+    }
   }
-  return why;
+  return JoinRemarks(remarks);
 }
 
 const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not_finite; }

@@ -25,13 +25,24 @@ struct TapeEntry {
   std::size_t x = 0;    // where its state begins in MotionTape::numbers
 };
 
+// A remark on a place of a motion.
+struct TimedRemark {
+  std::string what;        // empty: there is none
+  std::string time = {};   // empty: it is of no time
+  std::string where = {};  // goes on behind the time
+
+  bool empty() const { return what.empty(); }
+};
+// Returns all remarks in one text. Those that differ in time only are told once, with the first time and their number.
+std::string JoinRemarks(const std::vector<TimedRemark>& remarks);
+
 // Events that happen at one time, or where the control jumps: the derivative may differ from side to side.
 struct Coincidence {
   std::size_t begin = 0, end = 0;  // entries, from the step to the first event to the last reset
   std::vector<int> guards;         // that are at zero before the first event
   int tie = -1;                    // number of the tie, if there are several
   int jump = -1;                   // control interval that begins there
-  std::string remark;              // where the derivative does differ
+  TimedRemark remark;              // where the derivative does differ
 };
 
 struct MotionTape {

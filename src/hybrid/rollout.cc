@@ -28,13 +28,29 @@ constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve t
 constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose accuracy asks for no short steps
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
-constexpr const char* kSinks = " falls from zero with a rate of zero at t = ";
+constexpr const char *kSinks = " falls from zero", *kAtRateZero = ", with a rate of zero";
 constexpr const char* kNameAMode =
     "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ OnAccumulation)";
 
 std::string Text(double value) { return ToText(value, 10); }
 
 }  // namespace
+
+std::string JoinRemarks(const std::vector<TimedRemark>& remarks) {
+  std::string text;
+  for (auto first = remarks.begin(); first != remarks.end(); ++first) {
+    const auto same = [&](const TimedRemark& other) {
+      return other.what == first->what && other.where == first->where;
+    };
+    if (std::any_of(remarks.begin(), first, same)) continue;
+    const auto more = std::count_if(first + 1, remarks.end(), same);
+    text += (text.empty() ? "" : "; ") + first->what;
+    if (!first->time.empty()) text += " at t = " + first->time;
+    if (!first->time.empty() && more > 0) text += " and " + std::to_string(more) + " more times";
+    text += first->where;
+  }
+  return text;
+}
 
 int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin) {
   if (input.control.empty() || input.num_intervals == 1) return -1;
@@ -81,8 +97,9 @@ bool RolloutRun::Refuse(const std::string& what) {
   return false;
 }
 
-void RolloutRun::Remark(const std::string& what) {
-  if (!what.empty()) remark_ += (remark_.empty() ? "" : "; ") + what;
+// Adds a remark on the present time, which stands between `what` and `where`; or on no time, if that is empty.
+void RolloutRun::Remark(const std::string& what, const std::string& where) {
+  if (!what.empty()) remarks_.push_back({what, where.empty() ? "" : Text(at_.t), where});
 }
 
 FlowStep RolloutRun::StepFrom(double h) const {
@@ -225,7 +242,8 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, boo
   grazings_.clear();
   ties_.clear();
   why_.clear();
-  remark_.clear();
+  remarks_.clear();
+  at_start_.clear();
   accumulation_.reset();
   accumulations_at_once_ = 0;
   largest_ = 0;
@@ -317,8 +335,8 @@ bool RolloutRun::SettleSides() {
       if (along >= 0 && !known(along)) {
         if (!events_.empty() && events_.back().is_switch && tape_.entries.back().kind == TapeEntry::Kind::kReset &&
             (&tape_.entries.back())[-1].h > 0) {
-          Remark("the motion meets switch '" + system_.GuardName(at_.mode, turns) + "' and another one at t = " +
-                 Text(at_.t) + ", where Filippov's convention need not determine how it goes on");
+          Remark("the motion meets switch '" + system_.GuardName(at_.mode, turns) + "' and another one",
+                 ", where Filippov's convention need not determine how it goes on");
         }
         if (!Fire(turns, /*with_step=*/true, /*at_once=*/true)) return false;
         continue;
@@ -348,13 +366,45 @@ bool RolloutRun::SettleSides() {
   return true;
 }
 
-// Whether motions from other initial states and parameters begin on a switch, too.
-bool RolloutRun::AllBeginOn(int guard) const {
+// The numbers of the input on which a guard at the start depends.
+RolloutRun::AtStart RolloutRun::DependenceOf(int guard) const {
   const int n = system_.state_size(at_.mode), num_parameters = system_.num_parameters();
-  Eigen::RowVectorXd gradient(n + 1 + num_parameters + system_.num_controls());
+  std::vector<double> gradient(n + 1 + num_parameters + system_.num_controls());
   functions_.GuardGradient(StepFrom(0), guard, gradient.data());
-  gradient[n] = 0;
-  return gradient.isZero(0);
+  std::vector<char> depends;
+  for (const double number : gradient) depends.push_back(number != 0);
+  const auto parameters = depends.begin() + n + 1, control = parameters + num_parameters;
+  return {{}, {depends.begin(), depends.begin() + n}, {parameters, control}, {control, depends.end()}};
+}
+
+// Notes events at the start. Guards that are not the first ones see what resets have made of the input.
+void RolloutRun::RemarkOnStart(const std::vector<int>& guards, bool first) {
+  const auto any = [](const std::vector<char>& depends) {
+    return std::ranges::count(depends, 0) < std::ssize(depends);
+  };
+  const auto depends = [&](const AtStart& of) { return any(of.initial) || any(of.parameters) || any(of.control); };
+  if (!first && std::ranges::any_of(at_start_, depends)) return;
+  AtStart all;
+  std::string names;
+  for (const int guard : guards) {
+    AtStart of_guard = DependenceOf(guard);
+    if (!first) {
+      const char reads_state = any(of_guard.initial) ? 1 : 0;
+      of_guard.initial.assign(input_->initial.size(), reads_state);
+      for (char& parameter : of_guard.parameters) parameter |= reads_state;
+    }
+    names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
+    const auto add = [](const std::vector<char>& from, std::vector<char>* to) {
+      to->resize(from.size());
+      for (std::size_t i = 0; i < from.size(); ++i) (*to)[i] |= from[i];
+    };
+    add(of_guard.initial, &all.initial);
+    add(of_guard.parameters, &all.parameters);
+    add(of_guard.control, &all.control);
+  }
+  all.what = guards.size() == 1 ? "guard " + names + " has an event at the start"
+                                : "guards " + names + " have events at the start";
+  at_start_.push_back(std::move(all));
 }
 
 // Whether the last reset leads onto a switch from all motions nearby, too: behind it the switch's number changes only
@@ -398,10 +448,14 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
     }
     at_.mode = mode;
     at_.slope = slope;
-    if (!jumps || (entry == Entry::kStart ? AllBeginOn(guard) : AllLandOn(guard))) continue;
-    Remark((entry == Entry::kStart ? "the motion begins on switch '"
-                                   : "the reset at t = " + Text(at_.t) + " leads onto switch '") +
-           system_.GuardName(mode, guard) + "', where the flow jumps");
+    if (!jumps) continue;
+    const std::string name = "switch '" + system_.GuardName(mode, guard) + "', where the flow jumps";
+    if (entry == Entry::kStart) {
+      at_start_.push_back(DependenceOf(guard));
+      at_start_.back().what = "the motion begins on " + name;
+    } else if (!AllLandOn(guard)) {
+      Remark("the reset", " leads onto " + name);
+    }
   }
 }
 
@@ -411,6 +465,7 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
 // are looked at, and those that read the control, whose event is there if it takes them below zero.
 bool RolloutRun::Enter(Entry entry) {
   using Standing = EventSearch::Standing;
+  const bool starts = entry == Entry::kStart;
   for (;;) {
     const int mode = at_.mode;
     const bool switches = functions_.num_switches(mode) > 0;
@@ -420,6 +475,7 @@ bool RolloutRun::Enter(Entry entry) {
     const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
     const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
     int due = -1;
+    std::vector<int> at_once;
     Standing of_due = Standing::kFalling;
     double time = 0, rounding = 0;  // of the event that is due
     UpdateGuards();
@@ -457,6 +513,7 @@ bool RolloutRun::Enter(Entry entry) {
         if (jumps && !was_armed) continue;
         if (value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) continue;
       }
+      if (starts) at_once.push_back(guard);
       if (due >= 0 && (of_due == Standing::kBehind || standing == Standing::kSinking)) continue;
       double then = 0, error = 0;
       if (standing == Standing::kFalling) {
@@ -472,13 +529,13 @@ bool RolloutRun::Enter(Entry entry) {
     if (due < 0) return true;
     due = functions_.CauseOf(StepFrom(0), due);
     const std::string name = "guard '" + system_.GuardName(at_.mode, due) + "'";
-    if (entry == Entry::kStart) Remark(name + " has an event at the start");
+    if (starts) RemarkOnStart(at_once, entry == Entry::kStart);
     if (entry == Entry::kControlJump && of_due != Standing::kBehind)
-      Remark(name + " has an event at t = " + Text(at_.t) + ", where the control jumps");
+      Remark(name + " has an event", ", where the control jumps");
     if (const std::string why = WhyRepeats(due, of_due); !why.empty()) {
       return GoOnAfterAccumulation(at_.t, at_.mode, due, why);
     }
-    if (of_due == Standing::kSinking) Remark(name + kSinks + Text(at_.t));
+    if (of_due == Standing::kSinking) Remark(name + kSinks, kAtRateZero);
     if (!Fire(due, of_due == Standing::kFalling, entry != Entry::kStart)) return false;
     entry = Entry::kAfterReset;
   }
@@ -772,10 +829,11 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     std::string names;
     for (const int guard : tie.guards)
       names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
-    coincidence.remark = std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(at_.t) +
-                         ", and the derivatives depend on the order of their events: " + names;
+    coincidence.remark = {std::to_string(tie.guards.size()) + " guards reach zero",
+                          std::to_string(at_.t),
+                          ", and the derivatives depend on the order of their events: " + names};
   }
-  if (due.sinks) Remark(name + kSinks + Text(at_.t));
+  if (due.sinks) Remark(name + kSinks, kAtRateZero);
   const double remaining = input_->begin + input_->duration - at_.t;
   coincidence.jump = ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump);
   const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
@@ -787,7 +845,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     if (!turns) Remark(name + " has an event at the final time");
     coincidence.jump = -1;
   } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
-    coincidence.remark = name + " has an event at t = " + Text(at_.t) + ", where the control jumps";
+    coincidence.remark = {name + " has an event", Text(at_.t), ", where the control jumps"};
   }
   const std::size_t begin = coincidence.begin, events = events_.size(), number = tape_.coincidences.size();
   const std::optional<double> accumulation = accumulation_;
@@ -804,13 +862,13 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     }
   }
   const bool accumulates = accumulation_ != accumulation;
-  std::string& remark = tape_.coincidences[number].remark;
+  TimedRemark& remark = tape_.coincidences[number].remark;
   if (remark.empty() && accumulates) {
-    remark = name + " has events without time passing at t = " + Text(at_.t) + ", of which the derivative is one-sided";
+    remark = {name + " has events without time passing", Text(at_.t), ", of which the derivative is one-sided"};
   } else if (remark.empty() && events_.size() > events + 1 && !events_[events + 1].is_switch &&
              tape_.entries[begin + 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
-    remark = "the reset at t = " + Text(at_.t) + " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'";
+    remark = {"the reset", Text(at_.t), " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'"};
   }
   if (remark.empty()) {
     tape_.coincidences.pop_back();

@@ -44,7 +44,14 @@ class RolloutRun {
   const std::vector<HybridTie>& ties() const { return ties_; }
   const std::string& why() const { return why_; }
   std::optional<double> accumulation() const { return accumulation_; }
-  const std::string& remark() const { return remark_; }
+  const std::vector<TimedRemark>& remarks() const { return remarks_; }
+  // Events at the start, and switches on which it is, if the flow jumps there: whether other inputs begin so too
+  // depends on these numbers of the input.
+  struct AtStart {
+    std::string what;
+    std::vector<char> initial, parameters, control;  // of the first interval
+  };
+  const std::vector<AtStart>& at_start() const { return at_start_; }
   // The time at which a run failed, and whether the flow failed there, at a state near the motion.
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
@@ -83,7 +90,6 @@ class RolloutRun {
   bool StaysOn(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
   void RemarkOnSwitches(Entry entry);
-  bool AllBeginOn(int guard) const;
   bool AllLandOn(int guard) const;
   bool StepTo(int node);
   bool StaysOnEquations();
@@ -105,7 +111,9 @@ class RolloutRun {
   bool FailAt(const FlowStep& step);
   std::string Where() const;
   std::string Named(int mode, int guard) const;
-  void Remark(const std::string& what);
+  void Remark(const std::string& what, const std::string& where = "");
+  AtStart DependenceOf(int guard) const;
+  void RemarkOnStart(const std::vector<int>& guards, bool first);
   void Finish();
 
   const HybridSystem& system_;
@@ -125,7 +133,9 @@ class RolloutRun {
   std::vector<HybridTie> ties_;
   bool compare_guards_ = false;
   Unresolved unresolved_;
-  std::string why_, remark_;
+  std::string why_;
+  std::vector<TimedRemark> remarks_;
+  std::vector<AtStart> at_start_;
   std::optional<double> accumulation_;
   int accumulations_at_once_ = 0;  // at the time of the last one, before it
   RolloutEnd end_ = RolloutEnd::kDone;
