@@ -97,7 +97,7 @@ Problem& Problem::Free(const FreeVariables& free) {
       &made.parameters_max);
   if (free.duration) {
     made.duration = true;
-    made.duration_min = std::max(free.duration->min, 0.0);
+    if (free.duration->min != -std::numeric_limits<double>::infinity()) made.duration_min = free.duration->min;
     made.duration_max = free.duration->max;
   }
   std::swap(parts_.free, made);
@@ -124,7 +124,8 @@ Problem::Shape Problem::ShapeOf(const Place& place, HybridTerm::Role role) const
           .controls = each ? system.num_controls() : 0,
           .parameters = system.num_parameters(),
           .integrated = each && cost,
-          .squared = role == HybridTerm::Role::kCost};
+          .squared = role == HybridTerm::Role::kCost,
+          .name = "term " + std::to_string(parts_.terms.size())};
 }
 
 std::vector<int> Problem::BlocksOf(const Shape& shape) {
@@ -152,7 +153,7 @@ void Problem::TryOut(const Shape& shape, const std::function<void(const double* 
 void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& shape,
                       std::shared_ptr<const ceres::CostFunction> function) {
   const HybridSystem& system = parts_.system;
-  HybridTerm term{.name = "term " + std::to_string(parts_.terms.size()),
+  HybridTerm term{.name = shape.name,
                   .at = place.at,
                   .role = role,
                   .before = place.before,

@@ -13,6 +13,7 @@ namespace saltus {
 namespace {
 
 constexpr int kDigits = 10;
+constexpr const char* kNothingToCertify = "there is no solution to certify";
 
 std::string Number(double value, int digits = kDigits) { return Cell(value).Display(digits); }
 
@@ -81,7 +82,7 @@ Run Solve(const Problem& problem, const RunOptions& options) {
     if (parts.free.duration) found.push_back({"duration", solution.duration});
     certificate = report.certificate ? *report.certificate : Certify(parts, solution);
   } else {
-    certificate.reason = report.reason;
+    certificate.reason = kNothingToCertify;
   }
   return Run(std::move(report), std::move(certificate), std::move(found));
 }
@@ -92,7 +93,7 @@ Run Solve(const Scene& scene, const RunOptions& options) {
   std::vector<NamedValue> found;
   Certificate certificate;
   if (report.losses.empty()) {
-    certificate.reason = report.reason;
+    certificate.reason = kNothingToCertify;
   } else {
     for (std::size_t i = 0; i < report.parameters.size(); ++i) {
       found.push_back({NameOf(scene.design[i].parameter, scene), report.parameters[i]});
@@ -123,9 +124,10 @@ std::ostream& operator<<(std::ostream& out, const Run& run) {
 }
 
 std::ostream& operator<<(std::ostream& out, const Certificate& certificate) {
-  out << "certificate: " << VerdictInWords(certificate) << '\n';
+  const bool applies = certificate.verdict != Certificate::Verdict::kNotApplicable;
+  out << "certificate: " << (applies ? VerdictInWords(certificate) : "none") << '\n';
   if (!certificate.reason.empty()) out << Paragraph(certificate.reason, LayoutOfStandardOutput().width, 2);
-  if (certificate.verdict == Certificate::Verdict::kNotApplicable) return out;
+  if (!applies) return out;
   const auto print = [&](const char* name, std::optional<double> residual) {
     if (residual) out << "  " << name << ' ' << Number(*residual, 2) << '\n';
   };

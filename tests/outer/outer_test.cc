@@ -66,6 +66,13 @@ struct Thermostat {
   }
 };
 
+struct GuardOfTheControl : Ball {
+  template <typename T>
+  T Guard(const At<T>& a) const {
+    return a.u[0];
+  }
+};
+
 struct DoubleIntegrator {
   static constexpr Sizes kSizes{.states = 2, .controls = 1};
   template <typename T>
@@ -196,7 +203,13 @@ TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {
       ThrowsMessage<std::invalid_argument>(HasSubstr("expected")));
   Problem problem(Ball(), guess);
   EXPECT_THAT([&] { problem.AddCost(kEnd, [](const auto& a) { return a.u[0]; }); },
-              ThrowsMessage<std::out_of_range>(HasSubstr("u[0]: found 0 numbers here")));
+              ThrowsMessage<std::out_of_range>("term 0: found u[0], expected none, as it has no u"));
+  EXPECT_THAT([&] { problem.AddCost(kAlways, [](const auto& a) { return a.x[2]; }); },
+              ThrowsMessage<std::out_of_range>("term 0: found x[2], expected x[0] to x[1]"));
+  EXPECT_THAT(([&] {
+                Problem(GuardOfTheControl(), {.initial = {1, 0}, .parameters = {10, 0.5}, .duration = 1});
+              }),
+              ThrowsMessage<std::out_of_range>("Guard: found u[0], expected none, as it has no u"));
   EXPECT_THAT([&] { problem.AddCost(kEnd, [](const auto&) { return std::vector<double>(); }); },
               ThrowsMessage<std::length_error>(HasSubstr("returns no numbers")));
   EXPECT_THAT([&] { Solve(problem); }, ThrowsMessage<std::invalid_argument>(HasSubstr("without terms")));
@@ -207,6 +220,23 @@ TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {
         problem.Free({.parameters = {{"p[1]", 1, 0}}});
       },
       ThrowsMessage<std::invalid_argument>(HasSubstr("above the upper one")));
+  EXPECT_THAT(([&] {
+                problem.Free({.parameters = {{"p[1]", std::nan(""), 1}}});
+              }),
+              ThrowsMessage<std::invalid_argument>(HasSubstr("found NaN as a bound of the parameters")));
+  EXPECT_THAT(([&] {
+                problem.Free({.controls = {{"u[0]", 0, std::nan("")}}});
+              }),
+              ThrowsMessage<std::invalid_argument>(HasSubstr("found NaN as a bound of the control")));
+  for (const Bounded& wrong : {Bounded{"", -1, 1}, Bounded{"", -2, -1}, Bounded{.name = "", .max = 0}}) {
+    EXPECT_THAT([&] { problem.Free({.duration = wrong}); },
+                ThrowsMessage<std::invalid_argument>(HasSubstr("as the duration is positive")));
+  }
+  EXPECT_THAT(([&] {
+                problem.Free({.duration = Bounded{"", std::nan(""), 1}});
+              }),
+              ThrowsMessage<std::invalid_argument>(HasSubstr("found NaN as a bound of the duration")));
+  EXPECT_NO_THROW(problem.Free({.duration = Bounded{.name = "", .max = 1}}));
   problem.AddCost(kEnd, [](const auto& a) { return a.x[0]; }).Free({.parameters = {{"p[1]"}}});
   EXPECT_THAT([&] { Solve(problem, {.solver = "simplex"}); },
               ThrowsMessage<std::invalid_argument>(HasSubstr("simplex")));
@@ -221,7 +251,18 @@ TEST(OuterTest, ATermOfAnotherSizeThanForTheGuessIsRefused) {
   });
   problem.Free({.initial = {{"x[0]"}}});
   EXPECT_THAT([&] { Solve("gd", problem.parts(), {.iterations = 1}); },
-              ThrowsMessage<std::length_error>("term: found 100 numbers, expected 1 as for the guess"));
+              ThrowsMessage<std::length_error>("term 0: found 100 numbers, expected 1 as for the guess"));
+}
+
+TEST(OuterTest, ARunThatFailsPrintsItsReasonOnce) {
+  // The ball falls without end, and may have two events.
+  Problem problem(Ball(), {.initial = {1.25, 0}, .parameters = {10, 0.5}, .duration = 3});
+  problem.parts().integration.most_events = 2;
+  problem.AddCost(kEnd, [](const auto& a) { return a.x[0]; }).Free({.initial = {{"x[0]"}}});
+  const auto run = Solve(problem);
+  ASSERT_FALSE(run.converged());
+  EXPECT_THAT(Printed(run), HasSubstr("more than 2 events"));
+  EXPECT_EQ(Printed(run.certificate()), "certificate: none\n  there is no solution to certify\n");
 }
 
 TEST(OuterTest, AForceIsTheSpringOfTheLibrary) {

@@ -22,7 +22,8 @@
 // too; a Switch is a function of a point, and a Flow reads the sides of switches as `a.above`. Systems whose modes have
 // states of different sizes need the interface of hybrid_system.h.
 //
-// A number that does not exist, such as a.u in a guard, throws std::out_of_range with its name.
+// A number that does not exist, such as a.u in a guard, throws std::out_of_range with its name and that of the
+// function.
 #pragma once
 
 #include <algorithm>
@@ -49,13 +50,18 @@ struct Sizes {
 template <typename T>
 class Numbers {
  public:
-  Numbers(char name, const T* numbers, int size) : numbers_(numbers), size_(size), name_(name) {}
+  // `reader` is the name of the function that gets the numbers.
+  Numbers(char name, const T* numbers, int size, const char* reader = "function")
+      : numbers_(numbers), reader_(reader), size_(size), name_(name) {}
 
   int size() const { return size_; }
   const T& operator[](int i) const {
     if (i < 0 || i >= size_) {
-      throw std::out_of_range(std::string(1, name_) + "[" + std::to_string(i) + "]: found " + std::to_string(size_) +
-                              " numbers here, expected an index below that");
+      const std::string range = size_ > 0
+                                    ? std::string(1, name_) + "[0] to " + name_ + "[" + std::to_string(size_ - 1) + "]"
+                                    : std::string("none, as it has no ") + name_;
+      throw std::out_of_range(std::string(reader_) + ": found " + name_ + "[" + std::to_string(i) + "], expected " +
+                              range);
     }
     return numbers_[i];
   }
@@ -64,6 +70,7 @@ class Numbers {
 
  private:
   const T* numbers_;
+  const char* reader_;
   int size_;
   char name_;
 };
@@ -134,15 +141,15 @@ struct CompactSystem : S {
   }
   template <typename T>
   void Flow(int mode, const T& t, const T* x, const T* u, const T* p, const bool* above, T* xdot) const {
-    At<T> at = Point(mode, 0, t, x, p);
-    at.u = {'u', u, kNumControls};
+    At<T> at = Point("Flow", mode, 0, t, x, p);
+    at.u = {'u', u, kNumControls, "Flow"};
     at.above = above;
     Write("Flow", S::Flow(at), xdot);
   }
   template <typename T>
   T Guard(int mode, int guard, const T& t, const T* x, const T* p) const {
     if constexpr (S::kSizes.guards > 0) {
-      return S::Guard(Point(mode, guard, t, x, p));
+      return S::Guard(Point("Guard", mode, guard, t, x, p));
     } else {
       return T(1.0);
     }
@@ -150,7 +157,7 @@ struct CompactSystem : S {
   template <typename T>
   int Reset(int mode, int guard, const T& t, const T* x, const T* p, T* x_plus) const {
     if constexpr (S::kSizes.guards > 0) {
-      const auto after = S::Reset(Point(mode, guard, t, x, p));
+      const auto after = S::Reset(Point("Reset", mode, guard, t, x, p));
       if constexpr (requires { after.mode; }) {
         Write("Reset", after.x, x_plus);
         return after.mode;
@@ -162,16 +169,17 @@ struct CompactSystem : S {
   }
   template <typename T>
   T Switch(int mode, int number, const T& t, const T* x, const T* p) const {
-    return S::Switch(Point(mode, number, t, x, p));
+    return S::Switch(Point("Switch", mode, number, t, x, p));
   }
 
  private:
   template <typename T>
-  static At<T> Point(int mode, int number, const T& t, const T* x, const T* p) {
+  static At<T> Point(const char* function, int mode, int number, const T& t, const T* x, const T* p) {
     At<T> at;
     at.t = t;
-    at.x = {'x', x, S::kSizes.states};
-    at.p = {'p', p, kNumParameters};
+    at.x = {'x', x, S::kSizes.states, function};
+    at.u = {'u', nullptr, 0, function};
+    at.p = {'p', p, kNumParameters, function};
     at.mode = mode;
     at.number = number;
     return at;

@@ -59,7 +59,7 @@ struct FreeVariables {
   std::vector<Bounded> controls = {};  // bounds of components; frees the control
   std::vector<Bounded> initial = {};   // components of the initial state
   std::vector<Bounded> parameters = {};
-  std::optional<Bounded> duration = {};  // its name is not read
+  std::optional<Bounded> duration = {};  // positive; its name is not read
 };
 
 // A motion of a hybrid system, and what is asked of it.
@@ -115,6 +115,7 @@ class Problem {
     HybridTerm::At at = HybridTerm::At::kEnd;
     int states = 0, controls = 0, parameters = 0;
     bool integrated = false, squared = false;  // the loss gains the integral over time; of the squares
+    std::string name = {};                     // of the term
   };
 
   // The function of a user between parameter blocks and residuals.
@@ -128,15 +129,16 @@ class Problem {
         ++written;
       });
       if (written == count) return true;
-      throw std::length_error("term: found " + std::to_string(written) + " numbers, expected " + std::to_string(count) +
-                              " as for the guess");
+      throw std::length_error(shape.name + ": found " + std::to_string(written) + " numbers, expected " +
+                              std::to_string(count) + " as for the guess");
     }
     template <typename T, typename Visitor>
     void Visit(T const* const* blocks, const Visitor& visit) const {
       At<T> at;
-      at.x = {'x', *blocks++, shape.states};
-      if (shape.controls > 0) at.u = {'u', *blocks++, shape.controls};
-      if (shape.parameters > 0) at.p = {'p', *blocks++, shape.parameters};
+      const char* const name = shape.name.c_str();
+      at.x = {'x', *blocks++, shape.states, name};
+      at.u = {'u', shape.controls > 0 ? *blocks++ : nullptr, shape.controls, name};
+      at.p = {'p', shape.parameters > 0 ? *blocks++ : nullptr, shape.parameters, name};
       at.t = **blocks++;
       if (shape.at == HybridTerm::At::kEachInterval) at.h = **blocks++;
       using std::sqrt;
@@ -159,7 +161,10 @@ class Problem {
     Residuals<F> residuals{std::move(function), ShapeOf(place, role)};
     int count = 0;
     TryOut(residuals.shape, [&](const double* const* blocks) { residuals.Visit(blocks, [&](double) { ++count; }); });
-    if (count == 0) throw std::length_error("term: found a function that returns no numbers, expected one or more");
+    if (count == 0) {
+      throw std::length_error(residuals.shape.name +
+                              ": found a function that returns no numbers, expected one or more");
+    }
     residuals.count = count;
     auto cost = std::make_shared<ceres::DynamicAutoDiffCostFunction<Residuals<F>, 4>>(new Residuals<F>(residuals));
     for (const int size : BlocksOf(residuals.shape)) cost->AddParameterBlock(size);
