@@ -229,8 +229,12 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   item["steps"] = audit.steps;
   item["loss"] = audit.loss;
   item["exact_loss"] = audit.exact_loss;
+  HybridInput audited = problem.guess;
+  if (const int width = problem.system.num_controls(); width > 0) {
+    audited.num_intervals = static_cast<int>(audit.exact.control.size()) / width;
+  }
   const auto gradient_to_json = [&](const HybridGradient& gradient) {
-    Json json = HybridGradientToJson(problem.guess, problem.system, gradient);
+    Json json = HybridGradientToJson(audited, problem.system, gradient);
     json.erase("duration");
     return json;
   };

@@ -192,16 +192,45 @@ class SchemeRun {
   std::vector<std::vector<double>> states_, jacobians_;
 };
 
+bool HasEqualIntervals(const HybridInput& input) {
+  constexpr double kEqual = 1e-9;
+  if (input.lengths.empty()) return true;
+  const auto [least, most] = std::ranges::minmax(input.lengths);
+  return most - least <= kEqual * most;
+}
+
 std::string WhyNotAudited(const HybridProblem& problem) {
   if (std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) return wrong;
-  if (!problem.guess.lengths.empty()) return "the control intervals have lengths of their own, expected equal ones";
   bool any = false;
   for (const HybridTerm& term : problem.terms) {
     if (!term.IsCost()) return term.name + " is a constraint: the loss of an audit has only costs";
     if (term.at == HybridTerm::At::kEvent) return term.name + " is a cost at events, of which a scheme has none";
+    if (term.interval >= 0 && !HasEqualIntervals(problem.guess)) {
+      return term.name + " is a cost at a given time on control intervals of unequal lengths, expected equal ones";
+    }
     any = true;
   }
   return any ? "" : "the problem has no cost, whose gradient could be audited";
+}
+
+// Replaces control intervals of unequal lengths by `count` equal ones, each with the control at its middle.
+HybridInput OnEqualIntervals(HybridInput input, int count) {
+  if (HasEqualIntervals(input)) {
+    input.lengths.clear();
+    return input;
+  }
+  const std::vector<double> times = input.Times(), control = std::move(input.control);
+  const std::size_t m = control.size() / input.num_intervals;
+  input.control.clear();
+  for (int k = 0, from = 0; k < count; ++k) {
+    const double middle = input.begin + input.duration * (k + 0.5) / count;
+    while (from + 1 < input.num_intervals && times[from + 1] < middle) ++from;
+    const auto row = control.begin() + static_cast<std::ptrdiff_t>(from * m);
+    input.control.insert(input.control.end(), row, row + static_cast<std::ptrdiff_t>(m));
+  }
+  input.lengths.clear();
+  input.num_intervals = count;
+  return input;
 }
 
 // An event of the exact motion, or several that are closer than two steps, with the steps around it.
@@ -491,7 +520,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   audit.scheme = scheme->name();
   audit.reason = WhyNotAudited(given);
   if (!audit.ok()) return audit;
-  const HybridProblem problem = WithAllFree(given);
+  HybridProblem problem = WithAllFree(given);
+  problem.guess = OnEqualIntervals(problem.guess, std::max(options.steps, 1));
   const int K = problem.guess.num_intervals, base = std::max(1, (options.steps + K - 1) / K);
   audit.steps = base * K;
   SchemeRun run(problem, scheme, options.stop);
