@@ -26,6 +26,7 @@
 #include "programs/bodies_file.h"
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
+#include "saltus/optimality/hybrid_certificate.h"
 #include "scene/yaml_value.h"
 
 namespace saltus::python {
@@ -528,7 +529,7 @@ class Problem {
     split(bounds.at(1), &problem.free.initial_min, &problem.free.initial_max);
     split(bounds.at(2), &problem.free.parameters_min, &problem.free.parameters_max);
     if (!bounds.at(3).empty()) {
-      problem.free.duration_min = bounds[3][0].first;
+      if (bounds[3][0].first != -INFINITY) problem.free.duration_min = bounds[3][0].first;
       problem.free.duration_max = bounds[3][0].second;
     }
     if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
@@ -557,6 +558,9 @@ class Problem {
     }
     computation.Run([&] {
       report = saltus::Solve(solver, problem, options);
+      if (report.termination == Termination::kConverged && !report.certificate) {
+        report.certificate = Certify(problem, SolutionOf(problem, report));
+      }
       if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
     });
     if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);

@@ -992,7 +992,8 @@ class HybridGradient(Result):
 class HybridRun(_Paged):
     """What a solver found: ``loss``, ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
     ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
-    ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of solvers that certify, otherwise None."""
+    ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of a run that converged, and of solvers that certify
+    all they find, otherwise None."""
 
     _kind = "hybrid run"
 
@@ -1218,6 +1219,12 @@ def solve(
     callback: Any,
     sequence: Any,
 ) -> HybridRun:
+    for cost in problem._costs():
+        if cost._times and cost.role in ("equality", "inequality"):
+            raise ValueError(
+                f"{cost.name}: found a constraint at given times, which no solver takes. Make the time t1 an event: a guard t1 - t, "
+                "whose reset leads to a mode with the same flow and without that guard, and the constraint at this event; or make it a cost"
+            )
     free = problem._free(optimize)
     along = None if sequence is None else _sequence(problem, sequence)
     states = [] if guess_states is None else np.asarray(guess_states, dtype=float)

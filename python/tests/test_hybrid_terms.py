@@ -135,12 +135,29 @@ def test_values_at_given_times():
         ball(durations=durations, control=np.zeros((3, 0)), costs=[saltus.residuals(lambda x: x, at=[0.3])])
     with pytest.raises(ValueError, match="optimize: found the duration, with which the times of 'cost at given times'"):
         saltus.solve(problem, optimize=["e", "duration"])
-    with pytest.raises(ValueError, match="is of one interval; intervals of phases move with the events"):
+    with pytest.raises(ValueError, match="holds at a given time, and the intervals of phases move.* Take a solver by shooting"):
         saltus.solve(problem, solver="ceres_phases", optimize=["e"])
     with pytest.raises(ValueError, match="at: found .*, expected a list of finite times"):
         saltus.residuals(lambda x: x, at=[-1.0])
     with pytest.raises(ValueError, match="only a term at the end reads the states x0"):
         ball(costs=[saltus.residuals(lambda x0: x0, at="steps")])
+
+
+def test_a_constraint_at_a_given_time_is_one_at_an_event():
+    """The remedy that the refusal names. To be at 1 half-way, at least effort, takes a speed of 2 until then."""
+    effort, misses = saltus.effort(), saltus.residuals(lambda x: [1 - x[0]], at=[0.5], role="inequality")
+    for solver in ("ceres_phases", "ceres_lm", "auto"):
+        with pytest.raises(ValueError, match="found a constraint at given times.* Make the time t1 an event: a guard t1 - t"):
+            saltus.solve(integrator(costs=[misses]), solver=solver)
+    system = saltus.HybridSystem(
+        states={"before": ["x"], "after": ["x"]}, controls=["u"], flow=dict.fromkeys(("before", "after"), lambda u: u),
+        guards={"before": {"half-way": lambda t: 0.5 - t}}, resets={"before": {"half-way": lambda x: ("after", x)}})
+    at_event = saltus.residuals(lambda x: [1 - x[0]], at="event", mode="before", guard="half-way", role="inequality")
+    problem = saltus.HybridProblem(system, mode="before", initial=[0], duration=1.0, control=np.full((8, 1), 0.5),
+                                   costs=[effort, at_event])
+    run = saltus.solve(problem, solver="ceres_phases")
+    assert run.termination == "converged" and abs(run.loss - 2) < 1e-6
+    assert_allclose(run.events[0][0], 0.5, rtol=1e-9)
 
 
 def test_restitution_from_measurements_some_of_which_are_missing():
@@ -197,11 +214,53 @@ def test_weights_of_another_number_than_the_target_are_refused(weight):
         saltus.terminal([0, 1, 2], weight=weight)
 
 
+@pytest.mark.parametrize("bounds, message", [
+    ({"e": (np.nan, 1)}, "found NaN as a bound of the parameters, expected a number; infinity is none"),
+    ({"y": (0, np.nan)}, "found NaN as a bound of the initial state"),
+    ({"e": (0.9, 0.8)}, "found the lower bound 0.9 of the parameters above the upper one, 0.8"),
+    ({"duration": (-1, 1)}, "found the bounds -1 and 1 of the duration, expected a lower one of at least 0"),
+    ({"duration": (-2, -1)}, "as the duration is positive"),
+    ({"duration": (0, 0)}, "as the duration is positive"),
+    ({"duration": (np.nan, 1)}, "found NaN as a bound of the duration"),
+])
+def test_wrong_bounds_are_refused(bounds, message):
+    problem = ball(costs=[saltus.terminal([0.3, None])])
+    with pytest.raises(ValueError, match=message):
+        saltus.solve(problem, solver="ceres_lm", optimize=["y", "e", "duration"], bounds=bounds, iterations=1)
+    saltus.solve(problem, solver="ceres_lm", optimize=["duration"], bounds={"duration": (-np.inf, 2)}, iterations=1)
+
+
+@pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs"])
+def test_a_run_that_converged_has_a_certificate(solver):
+    """To be at 2 after 1 s, with the effort of a constant force of 4 / 3."""
+    run = saltus.solve(integrator(costs=[saltus.terminal([2.0], weight=2)]), solver=solver)
+    assert run.termination == "converged"
+    assert_allclose(run.control, np.full((8, 1), 4 / 3), rtol=1e-6)
+    assert run.certificate["verdict"] == "stationary"
+
+
 def test_an_audit_reads_the_start_and_single_intervals():
     """dx/dt = u is integrated exactly by Euler's scheme, whose gradient is then right."""
     terms = [saltus.residuals(lambda x0, xT: [xT[0] * x0[0] - 3]), saltus.residuals(lambda x: [x[0] - 1], at=[0.25])]
     audit = saltus.audit(integrator(initial=[2.0], costs=terms), step=lambda x, u, p, h: ("m", x + h * u), steps=16)
     assert audit.verdict == "right"
+
+
+def test_a_control_on_unequal_intervals_is_audited_on_equal_ones():
+    """dx/dt = u with a control on intervals of lengths 0.1, 0.4 and 0.5, as a run of phases may have: as of 10 intervals."""
+    rows, durations = np.array([[1.0], [2.0], [-1.0]]), [0.1, 0.4, 0.5]
+    costs = [saltus.residuals(lambda x: [x[0] ** 2 - 3])]
+    problem = integrator(initial=[2.0], costs=costs, control=rows, durations=durations)
+    audit = saltus.audit(problem, step=lambda x, u, p, h: ("m", x + h * u), steps=10)
+    assert audit.verdict == "right" and audit.steps == 10
+    end = 2 + 0.1 + 0.8 - 0.5
+    held = np.repeat(rows, [1, 4, 5], axis=0)
+    expected = 2 * 0.1 * held + 2 * (end**2 - 3) * 2 * end * 0.1
+    assert_allclose(audit.gradient["control"], expected, rtol=1e-9)
+    wrong = saltus.audit(problem, step=lambda x, u, p, h: ("m", x + h * u), jacobian=lambda x, u, p, h: [[1.0, 2 * h]], steps=10)
+    assert wrong.verdict == "wrong"
+    equal = integrator(initial=[2.0], costs=costs, control=rows, durations=[1 / 3] * 3)
+    assert np.shape(saltus.audit(equal, step=lambda x, u, p, h: ("m", x + h * u), steps=9).gradient["control"]) == (3, 1)
 
 
 class TestSequence:

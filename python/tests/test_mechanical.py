@@ -406,6 +406,23 @@ def test_wrong_problems_are_refused_with_the_reason(changes, message):
         point_problem(**changes)
 
 
+@pytest.mark.parametrize("gap", [lambda: 1.0, lambda p: p[0], lambda q: 0 * q[0] + 1])
+def test_a_gap_that_depends_on_no_coordinate_is_refused(gap):
+    fixed = saltus.MechanicalSystem(coordinates=["x"], parameters=["m"], mass=lambda p: [[p[0]]], force=lambda: [0],
+                                    contacts={"wall": saltus.Contact(gap=gap, restitution=0.5)})
+    with pytest.raises(ValueError, match="contact 'wall': found a gap that depends on no coordinate"):
+        saltus.HybridProblem(fixed, initial=[0, 1], parameters=[1], duration=1.0)
+
+
+def test_a_gap_that_is_constant_here_and_depends_on_coordinates_elsewhere_is_taken():
+    """A step behind x = 3, and no ground before it."""
+    step = saltus.MechanicalSystem(
+        coordinates=["x", "y"], mass=lambda: np.eye(2), force=lambda: [0, -10],
+        contacts={"step": saltus.Contact(gap=lambda q: saltus.where(q[0] > 3, q[1], 1.0), restitution=0.5)})
+    problem = saltus.HybridProblem(step, initial=[0, 1, 1, 0], duration=1.0)
+    np.testing.assert_allclose(saltus.rollout(problem).final, [1, -4, 1, -10], rtol=1e-10)
+
+
 def test_a_term_at_an_event_names_mode_and_guard():
     term = saltus.residuals(lambda x: [x[0] - 2], at="event", mode="o", guard="ground hit")
     motion = saltus.rollout(point_problem())

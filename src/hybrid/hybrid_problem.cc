@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/number_text.h"
 #include "hybrid/free_variables.h"
 
 namespace saltus {
@@ -102,8 +103,14 @@ std::string WhatIsWrongWithBounds(const std::vector<double>& min, const std::vec
     if (bounds->empty() || bounds->size() == count) continue;
     return "found " + std::to_string(bounds->size()) + " bounds of the " + of + ", expected " + std::to_string(count);
   }
-  for (std::size_t i = 0; i < std::min(min.size(), max.size()); ++i) {
-    if (!(min[i] <= max[i])) return std::string("found a lower bound of the ") + of + " above the upper one";
+  for (std::size_t i = 0; i < std::max(min.size(), max.size()); ++i) {
+    const double low = i < min.size() ? min[i] : -INFINITY, high = i < max.size() ? max[i] : INFINITY;
+    if (std::isnan(low) || std::isnan(high)) {
+      return std::string("found NaN as a bound of the ") + of + ", expected a number; infinity is none";
+    }
+    if (low > high) {
+      return "found the lower bound " + ToText(low, 6) + " of the " + of + " above the upper one, " + ToText(high, 6);
+    }
   }
   return "";
 }
@@ -209,8 +216,15 @@ std::string WhatIsWrongWith(const HybridProblem& problem) {
         WhatIsWrongWithBounds(free.parameters_min, free.parameters_max, free.parameters.size(), "parameters")}) {
     if (!wrong.empty()) return wrong;
   }
-  if (free.duration && !(free.duration_min <= free.duration_max)) {
-    return "found a lower bound of the duration above the upper one";
+  if (free.duration) {
+    if (std::string wrong = WhatIsWrongWithBounds({free.duration_min}, {free.duration_max}, 1, "duration");
+        !wrong.empty())
+      return wrong;
+    if (free.duration_min < 0 || free.duration_max <= 0) {
+      return "found the bounds " + ToText(free.duration_min, 6) + " and " + ToText(free.duration_max, 6) +
+             " of the duration, expected a lower one of at least 0 and an upper one above 0, as the duration is "
+             "positive";
+    }
   }
   return WhatIsWrongWithStates(problem);
 }

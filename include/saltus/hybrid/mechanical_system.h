@@ -153,8 +153,8 @@ class MechanicalSystem {
   // Whether it is a letter for each contact, each a status that the contact can have.
   bool IsStatus(const std::string& status) const;
 
-  // Checks the mass matrix at x = [q v], which is symmetric and positive definite, each restitution, from 0 to 1, and
-  // friction, of 0 or more: "found x, expected y"; empty if there is nothing wrong.
+  // Checks the mass matrix at x = [q v], which is symmetric and positive definite, each gap, which is not constant,
+  // each restitution, from 0 to 1, and friction, of 0 or more: "found x, expected y"; empty if there is nothing wrong.
   std::string WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const;
 
   // The mode in which a motion starts from x = [q v] under control u. Contacts with a gap of zero that do not approach

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/normal_stream.h"
 #include "base/number_text.h"
 #include "hybrid/mechanical/mechanical_hybrid.h"
 
@@ -12,6 +13,18 @@ namespace {
 
 constexpr double kGain = 1e-10;  // of the kinetic energy before an impact: what is less is rounding
 constexpr int kMostSequential = 100;
+
+// Whether a gap has one value at the coordinates q and at others that are near, apart and far.
+bool IsConstant(const MechanicalFunctions& functions, int contact, const double* q, const double* p) {
+  const double gap = functions.Gap(contact, q, p);
+  std::vector<double> moved(functions.layout().num_coordinates);
+  NormalStream random(1);
+  for (const double distance : {0.01, 1.0, -1.0, 100.0}) {
+    for (std::size_t i = 0; i < moved.size(); ++i) moved[i] = q[i] + distance * (1 + std::abs(q[i])) * random.Next();
+    if (functions.Gap(contact, moved.data(), p) != gap) return false;
+  }
+  return true;
+}
 
 // The impulses of impacts of the contacts one after the other, beginning with `first`, until none approaches. Newton's
 // law of each contact by itself.
@@ -64,6 +77,10 @@ std::string MechanicalSystem::WhatIsWrongAt(std::span<const double> x, std::span
   for (int i = 0; i < functions().layout().num_contacts; ++i) {
     const std::string contact = "contact '" + modes_->ContactName(i) + "': ";
     const double e = functions().Restitution(i, p.data()), mu = functions().Friction(i, p.data());
+    if (IsConstant(functions(), i, x.data(), p.data())) {
+      return contact +
+             "found a gap that depends on no coordinate, expected one that does; a contact acts along its gradient";
+    }
     if (!(e >= 0 && e <= 1)) return contact + "found a restitution of " + ToText(e, 6) + ", expected 0 to 1";
     if (!(mu >= 0) || std::isinf(mu)) {
       return contact + "found a friction coefficient of " + ToText(mu, 6) + ", expected a finite number >= 0";

@@ -442,7 +442,13 @@ std::string WhyNotHybridPhases(const HybridProblem& problem) {
     return "the problem leaves nothing to optimize";
   }
   for (const HybridTerm& term : problem.terms) {
-    if (term.interval >= 0) return term.name + " is of one interval; intervals of phases move with the events";
+    if (term.interval >= 0) {
+      return term.name + " holds at a given time, and the intervals of phases move with the events. " +
+             (term.IsCost()
+                  ? "Take a solver by shooting, such as ceres_lm or ceres_lbfgs"
+                  : "Make the time t1 an event: a guard t1 - t, whose reset leads to a mode with the same flow "
+                    "and without that guard, and the constraint at this event; or make it a cost");
+    }
   }
   if (free.control || problem.guess.control.empty()) return "";
   const int width = problem.system.num_controls();
