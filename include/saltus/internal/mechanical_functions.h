@@ -151,7 +151,7 @@ struct MechanicalLayout {
   int num_coordinates = 0, num_controls = 0, num_parameters = 0, num_contacts = 0;
   std::vector<char> has_friction = {};  // of each contact
   std::vector<char> has_reach = {};     // likewise; none: no contact has
-  // Of each contact, the coordinates that its functions read, in rising order; none: all contacts may read all.
+  // The coordinates that the functions of each contact read, in rising order; none: all contacts may read all.
   std::vector<std::vector<int>> contact_coordinates = {};
   std::vector<std::string> contact_names = {}, coordinate_names = {}, control_names = {}, parameter_names = {};
 };

@@ -346,7 +346,7 @@ Eigen::VectorXd ForceTolerances(const Eigen::MatrixXd& matrix, const Eigen::Vect
 }
 
 Eigen::MatrixXd InternalStresses(const Eigen::MatrixXd& matrix) {
-  // Those of one pair of bodies each come first, so that they share no contacts.
+  // Stresses of one pair of bodies each come first, so that they share no contacts.
   const KernelSplit local = SplitLocally(matrix);
   const Eigen::MatrixXd others = SplitKernel(Multiply(matrix, local.others)).kernel;
   Eigen::MatrixXd stresses(matrix.rows(), local.kernel.cols() + others.cols());
