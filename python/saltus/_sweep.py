@@ -192,8 +192,10 @@ def sweep(
             if study is not None:
                 study.stop()
             executor.shutdown(cancel_futures=True)
-    options = [] if isinstance(grid, str) else _names(grid)
-    names = [name for name in dict.fromkeys([*options, *(name for row in rows for name in row)]) if name not in _LAST]
+    found = [name for row in rows for name in row]
+    if not rows and not isinstance(grid, str):
+        found = _names(grid)
+    names = [name for name in dict.fromkeys(found) if name not in _LAST]
     return {name: _column([row.get(name) for row in rows]) for name in (*names, *_LAST)}
 
 
