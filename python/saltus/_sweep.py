@@ -49,6 +49,9 @@ def _points(grid: Mapping[Any, Sequence[Any]]) -> list[dict[str, Any]]:
     for name, values in grid.items():
         names = name if isinstance(name, tuple) else (name,)
         rows = values if isinstance(name, tuple) else [(value,) for value in values]
+        for row in rows:
+            if len(row) != len(names):
+                raise ValueError(f"grid: found {row!r} for the options {', '.join(names)}, expected {len(names)} values")
         blocks.append([dict(zip(names, row)) for row in rows])
     return [{key: value for block in blocks_of_point for key, value in block.items()} for blocks_of_point in itertools.product(*blocks)]
 
@@ -85,6 +88,9 @@ def _check_function(problem: Callable[..., Any], grid: Grid, for_scenes: Mapping
     if given:
         raise ValueError(f"{given[0]}: expected with a scene only; give it to the function as an option of the grid")
     names = _names(grid)
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"grid: found {name!r} twice, expected each option once")
     for name in _LAST:
         if name in names:
             raise ValueError(f"grid: found {name!r}, which is a column that every table has; give the option another name")

@@ -288,3 +288,20 @@ def test_switches_that_accumulate_are_named(sliding):
     system = one_mode(lambda t, x, u, p: [-np.sign(x[0]) + 2 * np.sign(x[1]), -2 * np.sign(x[0]) - np.sign(x[1])], ["a", "b"], sliding=sliding)
     with pytest.raises(RuntimeError, match=r"events accumulate \(Zeno behaviour\) at about t = 0.* of switch '[ab]' in mode 'm'"):
         saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.4, 0.1], duration=4.0))
+
+
+@pytest.mark.parametrize("sliding", [None, "filippov"])
+@pytest.mark.parametrize("other, is_alike", [
+    (lambda x: np.sign(x), True), (lambda x: abs(x) * x, True), (lambda x: np.sign(x**3), False),
+    (lambda x: np.sign(2 * x), False), (lambda x: np.sign(np.sin(x)), False), (lambda x: saltus.where(2 * x > 0, 1, -1), False)])
+def test_two_conditions_for_one_surface(sliding, other, is_alike):
+    """A motion that stays where a condition is zero, at which another one is zero as well: x = 0 from t = 0.3 on."""
+    system = one_mode(lambda t, x, u, p: [-np.sign(x[0]), -other(x[0])], ["x", "y"], sliding=sliding)
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.3, 1.0], duration=2.0))
+    if is_alike:
+        y = 1 - (0.3 if other(2.0) == 1 else 0.3**3 / 3)
+        assert_allclose(motion.final, [0, y], atol=1e-12)
+        assert motion.remark == ""
+    else:
+        assert "the motion stays on switch 'x' at t = 0.3, where switch" in motion.remark
+        assert "is zero as well but keeps its side: the motion may be wrong; write both conditions alike" in motion.remark

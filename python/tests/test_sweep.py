@@ -107,6 +107,9 @@ def test_what_a_function_may_not_return(result, error):
     "arguments, error, message",
     [
         ({"grid": "width=1,2"}, ValueError, "grid: found text"),
+        ({"grid": {("width", "height"): [(1, 2, 3)]}}, ValueError,
+         r"grid: found \(1, 2, 3\) for the options width, height, expected 2 values"),
+        ({"grid": {("width", "height"): [(1, 2)], "width": [3]}}, ValueError, "grid: found 'width' twice, expected each option once"),
         ({"grid": {"width": [1], "status": [2]}}, ValueError, "grid: found 'status', which is a column that every table has"),
         ({"grid": {"width": [1]}}, TypeError, r"missing a required argument: 'height'; the function takes \(width, height\)"),
         ({"grid": {("width", "depth"): [(1, 2)]}}, TypeError, "the grid has width, depth"),

@@ -459,6 +459,34 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
   }
 }
 
+// A motion that stays on a switch from an event on leaves other switches on which it stays as well, zero at the rate
+// zero, at the side that they had before: if the flow jumps there, the conditions are two for one surface, and the
+// motion may be another one.
+void RolloutRun::RemarkOnSharedSurfaces(const FlowStep& here) {
+  if (events_.empty() || !events_.back().is_switch || events_.back().time != at_.t) return;
+  const std::string name = system_.GuardName(events_.back().mode, events_.back().guard);
+  const int count = system_.num_guards(at_.mode), mode = at_.mode;
+  const std::vector<double> slope = at_.slope;
+  for (int guard = count - functions_.num_switches(mode); guard < count; ++guard) {
+    const GuardValue& value = at_.guards[guard];
+    if (functions_.IsOn(mode, guard) || value.rate != 0 || system_.GuardName(mode, guard) == name ||
+        search_.Classify(here, slope.data(), guard, value, Elapsed(at_.t)) == EventSearch::Standing::kArmed) {
+      continue;
+    }
+    const int beside = functions_.PieceBeside(here, guard, HybridFunctions::Side::kOther);
+    if (beside < 0) continue;
+    at_.mode = beside;
+    functions_.Flow(StepFrom(0), at_.slope.data());
+    const bool jumps = JumpsFrom(slope);
+    at_.mode = mode;
+    at_.slope = slope;
+    if (!jumps) continue;
+    Remark("the motion stays on switch '" + name + "'",
+           ", where switch '" + system_.GuardName(mode, guard) +
+               "' is zero as well but keeps its side: the motion may be wrong; write both conditions alike");
+  }
+}
+
 // On entry into a mode, at the start or after a reset: arms guards and takes events that are due at once. Transitions
 // of guards that are behind belong to the event before and come first; then the earliest event of guards at zero, and
 // of those that rounding does not separate that of the smallest number. Where only the control jumps, guards at zero
@@ -482,6 +510,7 @@ bool RolloutRun::Enter(Entry entry) {
     search_.Enter(ahead);
     const bool is_reset = !events_.empty() && tape_.entries.back().kind == TapeEntry::Kind::kReset;
     if (switches && (entry == Entry::kStart || (is_reset && !events_.back().is_switch))) RemarkOnSwitches(entry);
+    if (switches) RemarkOnSharedSurfaces(ahead);
     if (entry != Entry::kControlJump) std::fill(at_.at_zero.begin(), at_.at_zero.end(), 0);
     for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
       const bool jumps = entry == Entry::kControlJump && JumpsWithControl(guard);

@@ -90,6 +90,7 @@ class RolloutRun {
   bool StaysOn(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
   void RemarkOnSwitches(Entry entry);
+  void RemarkOnSharedSurfaces(const FlowStep& here);
   bool AllLandOn(int guard) const;
   bool StepTo(int node);
   bool StaysOnEquations();
