@@ -58,7 +58,7 @@ cp -r "$source"/{CMakeLists.txt,README.md,LICENSE,pyproject.toml,setup.py,python
 wheel=("$work"/made/saltus-*.whl)
 "$python" -m zipfile -e "${wheel[0]}" "$work/site"
 echo "${wheel[0]##*/}, $(stat -c %s "${wheel[0]}") bytes, with $(find "$work/site/saltus/libs" -name '*.so*' | wc -l) libraries"
-# What it loads it carries, but for the libraries of glibc and of GCC.
+# The wheel carries all libraries that it loads, except those of glibc and of GCC.
 others=$(ldd "$work"/site/saltus/_saltus.*.so | sed -nE 's/^\s+(\S+) => (\S+).*/\1 \2/p' |
   grep -vE "^(lib(c|m|dl|rt|pthread|gcc_s|stdc\+\+)\.so|ld-linux)| $work/site/saltus/" || true)
 if [[ -n $others ]]; then

@@ -21,7 +21,8 @@ trap 'for at in "${mounted[@]}"; do umount -l "$at"; done' EXIT
 
 # bare <folder> <suite>: a chroot of the smallest Debian, which programs can run in.
 bare() {
-  [[ -f $1/etc/debian_version ]] || debootstrap --variant=minbase "$2" "$1" >"$place/log" || { cat "$place/log"; exit 1; }
+  # A folder debootstrap is left where it was interrupted.
+  [[ -f $1/etc/debian_version && ! -d $1/debootstrap ]] || debootstrap --variant=minbase "$2" "$1" >"$place/log" || { cat "$place/log"; exit 1; }
   for at in proc sys dev; do
     if mountpoint -q "$1/$at"; then continue; fi
     mount --bind "/$at" "$1/$at"
