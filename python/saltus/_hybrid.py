@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from . import _saltus
 from ._expression import Condition, Tape, _as_array, call, outputs
 from ._results import KINDS, Result, WrongGradient, on_intervals
-from ._types import Closed, asked_for, expect, parameters_of
+from ._types import Closed, _is_number, asked_for, expect, parameters_of
 
 # The arguments of terms, in the order of the blocks of C++; there x0 is "i", and xT is "x".
 _READS = "xiupth"
@@ -244,7 +244,7 @@ class HybridSystem(System):
         return _saltus.HybridSystem(self._record, self.controls, self.parameters, self.sliding is not None)
 
     def _mode_number(self, mode: str | None) -> int:
-        if mode not in self.states:
+        if not isinstance(mode, str) or mode not in self.states:
             raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self.modes)}")
         return self.modes.index(mode)
 
@@ -538,7 +538,7 @@ def terminal(
     """
     expect("True or False", hard=hard)
     if min is not None or max is not None:
-        if target is not None or hard or np.any(np.asarray(weight) != 1):
+        if target is not None or hard or np.ndim(weight) > 0 or weight != 1:
             raise ValueError("min and max: found them beside a target, hard or a weight, expected a region alone")
         return _region(min, max, mode)
     targets = _components(target)
@@ -565,6 +565,9 @@ def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
     size = len(_components(greatest if least is None else least))
     low = np.full(size, np.nan) if least is None else _components(least)
     high = np.full(size, np.nan) if greatest is None else _components(greatest)
+    for name, given, bounds in (("min", least, low), ("max", greatest, high)):
+        if given is not None and any(value is not None and np.isnan(value) for value in np.ravel(np.asarray(given, dtype=object))):
+            raise ValueError(f"{name}: found NaN, expected numbers, and None where there is no bound")
     if len(low) != len(high):
         raise ValueError(f"min and max: found {len(low)} and {len(high)} numbers, expected as many")
     if np.any(low > high):
@@ -698,7 +701,8 @@ class HybridProblem(Closed):
     ``control=run.control, durations=run.durations`` or ``start_from(run)`` the problem has the intervals of a run.
     costs: a list of saltus.terminal, saltus.effort, saltus.final_time and saltus.residuals, or of functions, which are
     residuals at the end.
-    optimize, bounds: what ``solve`` changes and within which bounds, unless it is given others.
+    optimize, bounds: what ``solve`` changes and within which bounds, unless it is given others: pairs (least, greatest) by
+    the names of controls, states and parameters, or by "control" and "duration"; None is no bound.
     tolerance: relative error of final state and event times, for which the number of integration steps is chosen;
     steps_per_interval: that number, if it is not to be chosen.
     wait_behind_guards: a guard below zero at the start counts once it is above zero, and is no error.
@@ -752,12 +756,14 @@ class HybridProblem(Closed):
         self.parameters: Any = parameters
         self.control: Any = control
         self.costs: list[Any] = list(costs)
-        self.optimize, self.bounds = optimize, dict(bounds or {})
+        self.optimize, self.bounds = optimize, {} if bounds is None else bounds
         self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
         self.wait_behind_guards = wait_behind_guards
         self.most_events, self.most_repeats = most_events, most_repeats
         self._made: tuple[Any, Any] | None = None
         self._call("check")
+        _check_bounds(self.bounds, {*system.controls, *system._states_of(mode), *system.parameters, "control", "duration"})
+        self.bounds = dict(self.bounds)
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Calls a method of what evaluates it, which is kept as long as only the guess changes."""
@@ -892,19 +898,33 @@ class HybridProblem(Closed):
         known = {name for group in groups for name in group} | ({"control"} if free[0] else set())
         if bounds is None:
             bounds = {name: pair for name, pair in self.bounds.items() if name in known}
-        for name, pair in bounds.items():
-            if name not in known:
-                raise ValueError(f"bounds: found {name!r}, expected some of what is optimized: {', '.join(sorted(known))}")
-            if len(tuple(pair)) != 2:
-                raise ValueError(f"bounds of {name!r}: found {pair!r}, expected a pair")
+        checked = _check_bounds(bounds, known)
         result = []
         for number, group in enumerate(groups):
-            every = bounds.get("control") if number == 0 else None
-            found = [bounds.get(name, every) for name in group]
+            every = checked.get("control") if number == 0 else None
+            found = [checked.get(name, every) for name in group]
             none = (-np.inf, np.inf) if group != ["duration"] else (0.0, np.inf)
-            pairs = [none if pair is None else (float(pair[0]), float(pair[1])) for pair in found]
-            result.append(pairs if any(pair is not None for pair in found) else [])
+            result.append([pair or none for pair in found] if any(pair is not None for pair in found) else [])
         return result
+
+
+def _check_bounds(bounds: Any, known: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Returns bounds as pairs of numbers, infinite where there is none. Raises TypeError and ValueError."""
+    if not isinstance(bounds, Mapping):
+        raise TypeError(f"bounds: found {type(bounds).__name__}, expected a dict of pairs (least, greatest) by names")
+    pairs = {}
+    for name, pair in bounds.items():
+        if name not in known:
+            raise ValueError(f"bounds: found {name!r}, expected some of what is optimized: {', '.join(sorted(known))}")
+        listed = list(pair) if isinstance(pair, (Sequence, np.ndarray)) and np.ndim(pair) else []
+        if len(listed) != 2 or not all(end is None or _is_number(end) for end in listed):
+            raise ValueError(f"bounds of {name!r}: found {pair!r}, expected a pair of numbers (least, greatest); None is no bound")
+        low, high = (infinite if end is None else float(end) for end, infinite in zip(listed, (-np.inf, np.inf)))
+        if not (low <= high and low < np.inf and high > -np.inf):
+            rule = "no NaN" if np.isnan(low) or np.isnan(high) else "the least one first, and a finite number between them"
+            raise ValueError(f"bounds of {name!r}: found {low:g} and {high:g}, expected {rule}")
+        pairs[name] = (low, high)
+    return pairs
 
 
 def _finite(value: Any) -> Any:

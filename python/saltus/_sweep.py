@@ -43,6 +43,25 @@ def _names(grid: Mapping[Any, Sequence[Any]]) -> list[Any]:
     return [name for key in grid for name in (key if isinstance(key, tuple) else (key,))]
 
 
+def _checked_grid(grid: Any) -> Mapping[Any, Sequence[Any]]:
+    """Returns a grid with lists of its values; raises if it is no dict of the values of each option."""
+    if not isinstance(grid, Mapping):
+        raise TypeError(f"grid: found {type(grid).__name__}, expected a dict of the values of each option, such as {{'a': [1, 2]}}")
+    if not grid:
+        raise ValueError("grid: found no option, expected a dict of the values of each option, such as {'a': [1, 2]}")
+    lists = {}
+    for name, values in grid.items():
+        names = name if isinstance(name, tuple) else (name,)
+        if not names or not all(isinstance(one, str) for one in names):
+            raise TypeError(f"grid: found the option {name!r}, expected a name or a tuple of names")
+        if isinstance(values, str) or not np.iterable(values):
+            raise TypeError(f"grid: found {values!r} for the option {name!r}, expected a list of its values")
+        lists[name] = list(values)
+        if isinstance(name, tuple) and any(isinstance(row, str) or not np.iterable(row) for row in lists[name]):
+            raise TypeError(f"grid: found {values!r} for the options {', '.join(name)}, expected a list of tuples of their values")
+    return lists
+
+
 def _points(grid: Mapping[Any, Sequence[Any]]) -> list[dict[str, Any]]:
     """Returns every combination of the values of a grid, the last option fastest."""
     blocks = []
@@ -77,13 +96,27 @@ def _called_row(problem: Callable[..., Mapping[str, Any]], values: dict[str, Any
             raise ValueError(f"the function returned {name!r}, which is {what}; return it by another name")
         if np.ndim(value) or not isinstance(value, (str, numbers.Real, np.bool_, np.ndarray, type(None))):
             raise TypeError(f"the function returned {type(value).__name__} as {name!r}, expected a number, text or None")
+        _check_number(f"the number {name!r} that the function returned", value)
     return {**values, **result, "reason": "", "status": "done"}
+
+
+def _check_number(what: str, value: Any) -> None:
+    """Raises if a value is a number beyond those of the table's columns."""
+    try:
+        if value is not None and not isinstance(value, str):
+            float(value)
+    except OverflowError:
+        raise ValueError(f"{what} is beyond the largest float, {np.finfo(float).max:.3g}") from None
 
 
 def _check_function(problem: Callable[..., Any], grid: Grid, for_scenes: Mapping[str, bool]) -> None:
     """Raises if a function cannot be called with the options of the grid, or if what only scenes take is given."""
     if isinstance(grid, str):
         raise ValueError("grid: found text, expected a dict of the values of each argument of the function")
+    for point in _points(grid):
+        for name, value in point.items():
+            if isinstance(value, numbers.Real):
+                _check_number(f"grid: a value of {name!r}", value)
     given = [name for name, is_given in for_scenes.items() if is_given]
     if given:
         raise ValueError(f"{given[0]}: expected with a scene only; give it to the function as an option of the grid")
@@ -158,6 +191,8 @@ def sweep(
         raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
     study = None
     inputs: Sequence[Any]
+    if not isinstance(grid, str):
+        grid = _checked_grid(grid)
     failed: Callable[[Any, str], dict[str, Any]]
     if callable(problem):
         _check_function(

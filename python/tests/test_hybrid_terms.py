@@ -214,17 +214,45 @@ def test_weights_of_another_number_than_the_target_are_refused(weight):
         saltus.terminal([0, 1, 2], weight=weight)
 
 
+def test_bounds_are_a_dict_in_which_none_is_no_bound():
+    with pytest.raises(TypeError, match=r"bounds: found list, expected a dict of pairs \(least, greatest\) by names"):
+        ball(bounds=[("e", (0, 1))])
+    ends = []
+    for pair in [(None, 0.85), (-np.inf, 0.85)]:  # the cost asks for a larger one
+        problem = ball(costs=[saltus.residuals(lambda p: p[1] - 2)], optimize=["e"], bounds={"e": pair})
+        ends.append(saltus.solve(problem, solver="ceres_lm", iterations=30).parameters)
+    assert_allclose(ends, [[9.81, 0.85], [9.81, 0.85]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("region, message", [
+    ({"min": [np.nan, 0]}, "min: found NaN, expected numbers, and None where there is no bound"),
+    ({"min": [0, 0], "max": [1, np.nan]}, "max: found NaN"),
+    ({"min": [0, 0], "weight": [1, 1, 1]}, "min and max: found them beside a target, hard or a weight"),
+])
+def test_wrong_goal_regions_are_refused(region, message):
+    with pytest.raises(ValueError, match=message):
+        saltus.terminal(**region)
+
+
 @pytest.mark.parametrize("bounds, message", [
-    ({"e": (np.nan, 1)}, "found NaN as a bound of the parameters, expected a number; infinity is none"),
-    ({"y": (0, np.nan)}, "found NaN as a bound of the initial state"),
-    ({"e": (0.9, 0.8)}, "found the lower bound 0.9 of the parameters above the upper one, 0.8"),
+    ({"e": (np.nan, 1)}, "bounds of 'e': found nan and 1, expected no NaN"),
+    ({"y": (0, np.nan)}, "bounds of 'y': found 0 and nan, expected no NaN"),
+    ({"e": (0.9, 0.8)}, "bounds of 'e': found 0.9 and 0.8, expected the least one first"),
+    ({"e": (np.inf, np.inf)}, "found inf and inf, expected the least one first, and a finite number between them"),
+    ({"e": 1}, r"bounds of 'e': found 1, expected a pair of numbers \(least, greatest\); None is no bound"),
+    ({"e": ("a", 1)}, "bounds of 'e': found .* expected a pair of numbers"),
+    ({"e": None}, "bounds of 'e': found None, expected a pair of numbers"),
+    ({"q": (0, 1)}, "bounds: found 'q', expected some of what is optimized: "),
     ({"duration": (-1, 1)}, "found the bounds -1 and 1 of the duration, expected a lower one of at least 0"),
     ({"duration": (-2, -1)}, "as the duration is positive"),
     ({"duration": (0, 0)}, "as the duration is positive"),
-    ({"duration": (np.nan, 1)}, "found NaN as a bound of the duration"),
+    ({"duration": (np.nan, 1)}, "bounds of 'duration': found nan and 1, expected no NaN"),
 ])
 def test_wrong_bounds_are_refused(bounds, message):
     problem = ball(costs=[saltus.terminal([0.3, None])])
+    if "duration" not in bounds or np.isnan(bounds["duration"][0]):
+        with pytest.raises(ValueError, match=message):
+            ball(bounds=bounds)
     with pytest.raises(ValueError, match=message):
         saltus.solve(problem, solver="ceres_lm", optimize=["y", "e", "duration"], bounds=bounds, iterations=1)
     saltus.solve(problem, solver="ceres_lm", optimize=["duration"], bounds={"duration": (-np.inf, 2)}, iterations=1)

@@ -93,6 +93,7 @@ def test_functions_are_called_with_the_options():
         (None, "TypeError: the function returned NoneType, expected a dict of numbers and text by their names"),
         ({"path": [1.0, 2.0]}, "TypeError: the function returned list as 'path', expected a number, text or None"),
         ({"point": 1j}, "TypeError: the function returned complex as 'point', expected a number, text or None"),
+        ({"area": 10**400}, "ValueError: the number 'area' that the function returned is beyond the largest float, 1.8e+308"),
     ],
 )
 def test_what_a_function_may_not_return(result, error):
@@ -107,6 +108,13 @@ def test_what_a_function_may_not_return(result, error):
     "arguments, error, message",
     [
         ({"grid": "width=1,2"}, ValueError, "grid: found text"),
+        ({"grid": [1, 2]}, TypeError, "grid: found list, expected a dict of the values of each option"),
+        ({"grid": {}}, ValueError, "grid: found no option, expected a dict of the values of each option"),
+        ({"grid": {"width": 1.0}}, TypeError, "grid: found 1.0 for the option 'width', expected a list of its values"),
+        ({"grid": {"width": "12"}}, TypeError, "grid: found '12' for the option 'width', expected a list of its values"),
+        ({"grid": {1: [2]}}, TypeError, "grid: found the option 1, expected a name or a tuple of names"),
+        ({"grid": {("width", "height"): [1, 2]}}, TypeError, "for the options width, height, expected a list of tuples"),
+        ({"grid": {"width": [1], "height": [1, 10**400]}}, ValueError, "grid: a value of 'height' is beyond the largest float"),
         ({"grid": {("width", "height"): [(1, 2, 3)]}}, ValueError,
          r"grid: found \(1, 2, 3\) for the options width, height, expected 2 values"),
         ({"grid": {("width", "height"): [(1, 2)], "width": [3]}}, ValueError, "grid: found 'width' twice, expected each option once"),
