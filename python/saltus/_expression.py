@@ -384,6 +384,32 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0)
     return default
 
 
+def _interp(x: Any, xp: Any, fp: Any, *arguments: Any, **keywords: Any) -> Any:
+    """numpy.interp of a table, whose points are switches of the symbol x."""
+    symbols, points, values = _as_array(x), np.asarray(xp), _as_array(fp)
+    if not any(isinstance(entry, Expression) for entry in (*symbols.flat, *points.flat, *values.flat)):
+        return np.interp(x, xp, fp, *arguments, **keywords)
+    if arguments or keywords:
+        raise TypeError("numpy.interp is recorded with x, xp and fp alone")
+    if points.dtype == object or points.ndim != 1 or points.shape != values.shape or len(points) == 0 or not np.all(np.diff(points) > 0):
+        raise ValueError("numpy.interp: expected xp with increasing numbers, and as many values fp")
+    last = len(points) - 1
+
+    def at(v: Any) -> Any:
+        def between(low: int, high: int) -> Any:
+            if high - low > 1:
+                middle = (low + high) // 2
+                return where(v < points[middle], between(low, middle), between(middle, high))
+            return values[low] + (values[high] - values[low]) / (points[high] - points[low]) * (v - points[low])
+
+        return where(v < points[0], values[0], where(v < points[last], between(0, last), values[last])) if last else values[0]
+
+    result = np.empty(symbols.shape, dtype=object)
+    for i in np.ndindex(symbols.shape):
+        result[i] = at(symbols[i])
+    return result if result.ndim else result[()]
+
+
 def _inverse(a: Any) -> Any:
     return _solve(a, np.eye(len(a)))
 
@@ -411,6 +437,7 @@ _RECORDED: dict[str, Callable[..., Any]] = {
     "degrees": lambda a: a * (180 / math.pi),
     "radians": lambda a: a * (math.pi / 180),
     "cbrt": _cbrt,
+    "heaviside": lambda a, at_zero: where(a > 0, 1.0, where(a < 0, 0.0, at_zero)),
     "exp2": lambda a: 2.0**a,
 }
 # What stands in the place of the functions of math in functions that are recorded.
@@ -472,6 +499,7 @@ _OF_MATH = {
     id(np.linalg.inv): _inverse,
     id(np.linalg.norm): _norm,
     id(np.select): _select,
+    id(np.interp): _interp,
     id(np.where): lambda condition, *values: where(condition, *values) if values else np.where(condition),
 }
 _WITH_SUCH = (math, np, np.linalg)  # modules

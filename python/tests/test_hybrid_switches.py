@@ -305,3 +305,24 @@ def test_two_conditions_for_one_surface(sliding, other, is_alike):
     else:
         assert "the motion stays on switch 'x' at t = 0.3, where switch" in motion.remark
         assert "is zero as well but keeps its side: the motion may be wrong; write both conditions alike" in motion.remark
+
+
+def test_tables_and_steps_are_recorded():
+    """x' is k times a table of x, 1 + x to x = 1, 2 x to x = 2, and c beyond: closed forms. y' steps at t = s."""
+    points = np.array([0.0, 1.0, 2.0])
+    system = one_mode(lambda t, x, u, p: [p[0] * np.interp(x[0], points, [1.0, 2.0, p[1]]), np.heaviside(t - p[2], 0.5)],
+                      ["x", "y"], ["k", "c", "s"])
+    k, c, at = 0.8, 4.0, 0.7
+    motion, d = derivatives(system, [0.2, 0.0], [k, c, at], 3.0)
+    first = math.log(2 / 1.2) / k
+    second = first + math.log(c / 2) / ((c - 2) * k)
+    assert_allclose(motion.final, [2 + c * k * (3 - second), 3 - at], rtol=1e-12)
+    by_c = k * (3 - second) - c * ((c - 2) / c - math.log(c / 2)) / (c - 2) ** 2
+    assert_allclose(d.by_parameters, [[c * 3, by_c, 0], [0, 0, -1]], rtol=1e-9, atol=1e-12)
+    assert_allclose(d.by_initial[0], [c / 1.2, 0], rtol=1e-10)
+
+
+@pytest.mark.parametrize("table", [([0, 0], [1, 2]), ([0, 1], [1]), ([[0, 1]], [[1, 2]])])
+def test_tables_that_are_none_are_refused(table):
+    with pytest.raises(ValueError, match="numpy.interp: expected xp with increasing numbers, and as many values fp"):
+        one_mode(lambda t, x, u, p: [np.interp(x[0], *table)])
