@@ -138,6 +138,58 @@ class TestFits:
         assert saltus.identify(scene, by_index)["parameters"] == saltus.identify(scene, recording)["parameters"]
 
 
+def bounces(times, restitution, friction, gravity, along):
+    """The positions of a ball that falls from 1 m. Each impact takes friction * (1 + restitution) times its speed across the
+    floor off that along it."""
+    positions = []
+    for rest in times:
+        x, height, up, speed = 0.0, 1 - RADIUS, 0.0, along
+        while True:
+            fall = (up + np.sqrt(up**2 + 2 * gravity * height)) / gravity
+            if fall > rest:
+                break
+            hit = gravity * fall - up
+            x, height, up, rest = x + speed * fall, 0.0, restitution * hit, rest - fall
+            speed -= friction * (1 + restitution) * hit
+        positions.append([x + speed * rest, RADIUS + height + up * rest - gravity * rest**2 / 2])
+    return np.array(positions)
+
+
+class TestFewOrWrong:
+    """Recordings without sigma, with errors of 2 mm."""
+
+    @staticmethod
+    def recording(seed, samples, outliers=0.0, duration=1.0, along=0.5, friction=0.0):
+        rng = np.random.default_rng(seed)
+        times = np.sort(rng.uniform(0, duration, samples))
+        errors = 2e-3 * rng.normal(size=(samples, 2)) * np.where(rng.random(samples) < outliers, 30, 1)[:, None]
+        return {"time": times, "body": ["ball"] * samples, "position": bounces(times, 0.7, friction, 10, along) + errors}
+
+    @pytest.mark.parametrize("outliers", [0, 0.1, 0.25])
+    def test_six_samples_are_not_judged(self, scene, outliers):
+        """A wrong sample among them may pass for noise of a larger sigma, unless the loss states that there are none."""
+        for seed in range(3):
+            recording = self.recording(seed, 6, outliers)
+            fit = saltus.identify(scene, recording, "restitution,gravity.y")
+            assert fit["verdict"] == "not judged" and fit.reason.startswith("too few samples to judge")
+            assert "state sigma, take more samples" in fit.reason
+            assert all(item["standard_error"] is None for item in fit["parameters"])
+        recording = self.recording(1, 6)
+        assert saltus.identify(scene, recording, "restitution,gravity.y", loss="none")["verdict"] == "fits"
+
+    def test_a_wrong_parameter_that_is_held_contradicts(self, scene):
+        """The scene has another friction than the recording; freed, it is found."""
+        scene = scene.replace(gravity=[0, -10], contact={"restitution": 0.6, "friction": 0.3})
+        recording = self.recording(1, 60, along=3.0, friction=0.1)
+        held = saltus.identify(scene, recording, "restitution")
+        assert held["verdict"] == "contradicted"
+        assert held.reason.endswith(", or let these be unknown too: friction (0.3)")
+        free = saltus.identify(scene, recording, "restitution,friction")
+        assert free["verdict"] == "fits"
+        for item, truth in zip(free["parameters"], (0.7, 0.1)):
+            assert abs(item["value"] - truth) < 4 * item["standard_error"]
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         "change, error, words",

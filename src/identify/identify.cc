@@ -31,6 +31,7 @@ constexpr double kContradicts = 2.5;         // misfit that noise does not make
 constexpr double kFarBelow = 0.2;            // misfit that noise of the stated sigma does not leave
 constexpr double kFewestDegrees = 4;         // of freedom, of which an interval is computed
 constexpr double kFewestBesideOutliers = 6;  // the same, where it is open too which samples are outliers
+constexpr double kFewestWithoutSigma = 8;    // the same, where an outlier may pass for noise of an estimated sigma
 constexpr double kFewOutliers = 0.12;        // share of samples, of a motion that is found
 constexpr double kMostOutliers = 1.0 / 3;    // that noise and slips of the pen do not make
 constexpr double kMostScatter = 0.1;         // estimated sigma, of the extent of the motion, of a fit that is judged
@@ -662,8 +663,9 @@ class Identification {
     const int left = NumbersLeft();
     if (!HasResiduals() || left >= kManyLeft) return "";
     const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
-    const std::string remedy = "; take more samples, or let fewer parameters be unknown";
-    const double share = OutlierShareOf(problem_, fit), fewest = share > 0 ? kFewestBesideOutliers : kFewestDegrees;
+    const std::string state = states_sigma_ ? "" : "state sigma, ";
+    const std::string remedy = "; " + state + "take more samples, or let fewer parameters be unknown";
+    const double share = OutlierShareOf(problem_, fit), fewest = FewestDegrees(share > 0);
     if (left < kFewLeft && confidence.degrees < fewest) {
       return "too few samples to judge: with " + std::to_string(fit.num_fitted) +
              FormatNumbers(" unknowns, %.2g degrees of freedom remain without the outliers, expected at least %.2g",
@@ -680,6 +682,11 @@ class Identification {
       return outlier + FormatNumbers("by %.2g times their sigma", std::sqrt(confidence.scatter)) + remedy;
     }
     return "";
+  }
+
+  double FewestDegrees(bool has_outliers) const {
+    if (has_outliers) return kFewestBesideOutliers;
+    return states_sigma_ || options_.loss == RobustLoss::kNone ? kFewestDegrees : kFewestWithoutSigma;
   }
 
   void Report(const FitResult& fit) {
@@ -780,11 +787,24 @@ class Identification {
                                 "; the scene lacks an effect of the size of sigma, and the standard errors are "
                                 "too small");
     }
-    const std::string remedy = "; check the units, and the sizes, walls and forces of the scene";
+    const std::string remedy = "; check the units, and the sizes, walls and forces of the scene" + HeldParameters();
     if (!(share < kMostScatter)) {
       return scatter + FormatNumbers(", where less than %.0f %% is expected", 100 * kMostScatter) + remedy;
     }
     return systematic && share > kMostWaves ? waves + "; " + scatter + remedy : "";
+  }
+
+  // Returns the parameters of contacts that are not fitted, with their values, to be read after what may be wrong.
+  std::string HeldParameters() const {
+    std::string held;
+    if (options_.law || options_.events) return held;
+    for (const Kind kind : {Kind::kRestitution, Kind::kFriction}) {
+      const Unknown parameter{.kind = kind};
+      if (std::ranges::count(problem_.unknowns, parameter) > 0) continue;
+      held += (held.empty() ? ", or let these be unknown too: " : ", ") + NameOf(parameter, problem_.scene) + " (" +
+              ToText(ValueOf(parameter, problem_.scene), 4) + ")";
+    }
+    return held;
   }
 
   // Whether anything was found that was asked for. Without unknowns that is the motion.

@@ -381,7 +381,7 @@ class FewSamplesTest : public testing::TestWithParam<bool> {};
 TEST_P(FewSamplesTest, IntervalsHold) {
   int intervals = 0, covered = 0;
   for (const int samples : {6, 8, 12}) {
-    for (int seed = 1; seed <= 12; ++seed) {
+    for (int seed = 1; seed <= 20; ++seed) {
       const GeneratedProblem problem = FewSamples(seed, samples, 0, GetParam());
       const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, problem.unknowns);
       EXPECT_NE(report.verdict, FitVerdict::kContradicted) << samples << " samples, seed " << seed;
