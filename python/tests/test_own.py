@@ -87,6 +87,23 @@ class TestSimulators:
             assert report.of("simulate")["precision_found"] == 53
         assert report.of("simulate")["own_gradient"]
 
+    @pytest.mark.parametrize("contact", ["event", "compliant_warp"])
+    def test_a_vjp_that_contradicts_its_simulator_is_told_first(self, coarse, contact):
+        """Whatever the class of its contact."""
+        own = Lent(contact)
+
+        def vjp(scene, initial, control, dt, cotangent):
+            by_initial, by_control = own.vjp(scene, initial, control, dt, cotangent)
+            return by_initial, 1.5 * by_control
+
+        report = saltus.audit(coarse, simulate=own.simulate, vjp=vjp)
+        found = report.of("simulate")
+        assert found["agrees_with_differences"] is False
+        with pytest.raises(saltus.WrongGradient, match="its gradient contradicts its own simulator") as error:
+            report.raise_if_wrong()
+        text = str(error.value)
+        assert found["class"] not in text.split("its gradient contradicts")[0]
+
     def test_a_gradient_of_the_loss(self, coarse):
         """As audited from a vjp: effort is taken off, and nothing else."""
         exact = Lent()

@@ -11,6 +11,7 @@ import threading
 
 import numpy as np
 import pytest
+from conftest import run_program, scene_of
 
 import saltus
 
@@ -197,3 +198,17 @@ def test_nothing_is_printed(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "" and done.stderr == ""
+
+
+def test_pages_show_the_duration_that_was_found(tmp_path):
+    scene = scene_of("two_balls").to_dict()
+    scene["objective"]["duration"] = {"free": True, "min": 0.3, "max": 1.5, "weight": 0.5}
+    scene["steps"] = 20
+    path = tmp_path / "scene.yaml"
+    path.write_text(saltus.Scene(scene).to_yaml(), encoding="utf-8")
+    document = run_program("saltus_solve", f"--scene={path}", "--contact=event", "--solver=ceres_phases", f"--output_dir={tmp_path}")
+    duration = document["runs"][0]["duration"]
+    assert duration != 1.0 and duration == pytest.approx(sum(document["runs"][0]["durations"]))
+    (page,) = [file.read_text(encoding="utf-8") for file in tmp_path.glob("*.html")]
+    assert '"subtitle":"20 steps over a free duration, given as 1 s"' in page
+    assert f'"value":"{duration:.6g} s","label":"duration, by event ceres_phases"' in page
