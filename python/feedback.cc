@@ -124,7 +124,8 @@ py::tuple Propagate(const PlannedMotion& planned, const std::array<Eigen::Matrix
   return py::make_tuple(found.nodes, found.event_times, risks, found.change_probability, warning, planned.remark);
 }
 
-// Mean and covariance of the final state, the planned final state, and how many runs count, fail and go otherwise.
+// Mean and covariance of the final state, the planned final state, and how many runs count, fail and go otherwise, the
+// remark.
 py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::MatrixXd, 4>& covariances,
                     const Matrices& gains, int samples, std::uint64_t seed, int threads) {
   const Noise noise = CheckedNoise(planned, covariances, gains);
@@ -135,8 +136,13 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
     runs = RunMonteCarlo(
         planned.plan, gains, noise, planned.make_plant, {.samples = samples, .seed = seed, .threads = used});
   });
-  return py::make_tuple(
-      runs.mean, runs.covariance, planned.plan.states.back(), runs.counted, runs.failed, runs.otherwise);
+  return py::make_tuple(runs.mean,
+                        runs.covariance,
+                        planned.plan.states.back(),
+                        runs.counted,
+                        runs.failed,
+                        runs.otherwise,
+                        planned.remark);
 }
 
 Eigen::VectorXd ReadVector(const py::handle& value, const std::string& name, Eigen::Index size) {

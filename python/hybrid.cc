@@ -195,8 +195,6 @@ py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
   const auto& [system, guess, terms, free, integration, states] = task->problem;
   const MechanicalLayout& layout = task->system.functions().layout();
   using py::literals::operator""_a;
-  py::object control = py::none();
-  if (layout.num_controls > 0) control = ToArray(guess.control, {guess.num_intervals, layout.num_controls});
   return py::dict("system"_a = task->system,
                   "coordinates"_a = layout.coordinate_names,
                   "controls"_a = layout.control_names,
@@ -205,7 +203,7 @@ py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
                   "initial"_a = guess.initial,
                   "values"_a = guess.parameters,
                   "duration"_a = guess.duration,
-                  "control"_a = control,
+                  "control"_a = ToArray(guess.control, {guess.num_intervals, layout.num_controls}),
                   "draw"_a = py::cpp_function([draw = task->extras.draw](double t, const std::vector<double>& x) {
                     HybridDrawing drawing;
                     draw(0, t, x.data(), nullptr, &drawing);

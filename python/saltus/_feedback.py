@@ -34,7 +34,7 @@ class Covariance(Result):
 class NoisyRuns(Result):
     """Of simulated runs with noise: ``mean`` and ``covariance`` of the final state, ``final_error``, the root mean square of
     its difference from the plan, and the numbers of runs that are ``counted`` in these, have ``failed``, or went
-    ``otherwise`` than planned: with other events."""
+    ``otherwise`` than planned: with other events. ``remark`` as of a rollout of the plan."""
 
     _kind = "noisy runs"
 
@@ -178,13 +178,13 @@ def noisy_runs(
     """
     expect("a whole number", samples=samples, seed=seed, threads=threads)
     matrices = [_matrix(value) for value in (initial, control, process, measurement)]
-    mean, covariance, planned, counted, failed, otherwise = _planned(problem, plan, durations, contact).noisy_runs(
+    mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
         matrices, _gains(regulator), samples, seed, threads
     )
     error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")
     return NoisyRuns({
         "mean": mean, "covariance": covariance, "final_error": error, "counted": counted, "failed": failed,
-        "otherwise": otherwise,
+        "otherwise": otherwise, "remark": remark,
     })
 
 

@@ -1,8 +1,10 @@
 """The remarks on a result are the same in programs and in Python."""
 
+import json
+
 import numpy as np
 import pytest
-from conftest import SOURCE, make_generated_scenes, run_program
+from conftest import SOURCE, make_generated_scenes, run_program, scene_of
 
 import saltus
 
@@ -229,6 +231,122 @@ class TestHybridSystems:
         with pytest.raises(RuntimeError) as error:
             saltus.loss_and_gradient(problem)
         assert batch.failures == {0: str(error.value)}
+
+
+def boxes(seed):
+    """Boxes that fall, rest and slide, and a tall one that tips over."""
+    height, speed = (0.1, 0.3 * seed) if seed % 2 else (0.3, 0.1 * seed)
+    return {"name": "boxes", "duration": 0.4, "steps": 16, "gravity": [0, -9.81],
+            "bodies": [{"name": "a", "box": [0.2, 0.1], "mass": 1, "position": [0, height], "velocity": [speed, 0]},
+                       {"name": "b", "box": [0.1, 0.3], "mass": 1, "position": [0.6, 0.33], "angle": 0.05 * seed}],
+            "planes": [{"point": [0, 0], "normal": [0, 1]}], "contact": {"restitution": 0.1 * seed, "friction": 0.2},
+            "objective": {"terminal": [{"body": "a", "quantity": "position", "target": [1, 0]}]}, "optimize": "none"}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mechanical_systems(tmp_path, seed):
+    path = tmp_path / "boxes.yaml"
+    path.write_text(json.dumps(boxes(seed)), encoding="utf-8")
+    document = run_program("saltus_bodies", f"--scene={path}", "--solver=none")["motion"]
+    problem = saltus.load_bodies(path)
+    motion = saltus.rollout(problem)
+    assert motion["remarks"] == document["remarks"]
+    assert motion.remark == document.get("remark", "")
+    gradient = saltus.loss_and_gradient(problem)
+    without_error = [remark for remark in motion["remarks"] if remark["kind"] != "integration error"]
+    assert [remark for remark in gradient["remarks"] if remark["kind"] != "integration error"] == without_error
+
+
+def test_global_runs(tmp_path):
+    path = tmp_path / "scene.yaml"
+    scene = scene_of("two_balls")
+    path.write_text(scene.to_yaml(), encoding="utf-8")
+    expected = run_program("saltus_solve", f"--scene={path}", "--contact=event", "--solver=global")["runs"][0]
+    run = saltus.solve(scene, "event", "global")
+    assert run["remarks"] == expected["remarks"]
+    assert run["certificate"] == expected["certificate"]
+    assert (run["termination"], run.get("reason", "")) == (expected["termination"], expected.get("reason", ""))
+
+
+class TestFits:
+    """Recordings of a ball that falls from 1 m: with and without sigma, few, in other units, with outliers, and of a wrong scene."""
+
+    KINDS = {"sigma": "fits", "no_sigma": "fits", "large_sigma": "fits", "millimetres": None, "few": "not judged",
+             "outliers": None, "wrong_radius": None, "no_impact": "not determined"}
+
+    @staticmethod
+    def recording(kind, seed):
+        rng = np.random.default_rng(seed)
+        radius, restitution, gravity, fall = 0.05, 0.8, 9.81, np.sqrt(2 * 0.95 / 9.81)
+        count = {"few": 3, "no_impact": 8}.get(kind, 40)
+        times = np.sort(rng.uniform(0, fall if kind == "no_impact" else 0.9, count))
+        after = times - fall
+        height = np.where(after < 0, 1 - gravity * times**2 / 2, radius + restitution * gravity * fall * after - gravity * after**2 / 2)
+        position = np.stack([0 * times, height], axis=1) + 1e-3 * rng.normal(size=(count, 2))
+        if kind == "outliers":
+            position[rng.random(count) < 0.3] += 0.1
+        if kind == "millimetres":
+            position *= 1000
+        rows = {"time": times, "body": ["ball"] * count, "position": position}
+        if kind in ("sigma", "large_sigma", "outliers", "no_impact"):
+            rows["sigma"] = 0.05 if kind == "large_sigma" else 1e-3
+        return rows
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_fits(self, tmp_path, kind):
+        scene = saltus.Scene({
+            "name": "drop", "duration": 1.0, "steps": 60, "gravity": [0, -9.81], "optimize": "none", "objective": {"terminal": []},
+            "bodies": [disc("ball", (0, 1), radius=0.15 if kind == "wrong_radius" else 0.05)], "contact": {"restitution": 0.5},
+            "planes": [{"name": "floor", "point": [0, 0], "normal": [0, 1]}]})
+        scene_path, path = tmp_path / "scene.yaml", tmp_path / "ball.csv"
+        scene_path.write_text(scene.to_yaml(), encoding="utf-8")
+        for seed in range(2):
+            rows = self.recording(kind, seed)
+            sigma = f",{rows['sigma']!r}" if "sigma" in rows else ""
+            lines = [f"{time!r},ball,{x!r},{y!r}{sigma}" for time, (x, y) in zip(rows["time"].tolist(), rows["position"].tolist())]
+            path.write_text("\n".join(["time,body,x,y" + (",sigma" if sigma else ""), *lines]), encoding="utf-8")
+            (expected,) = run_program("saltus_identify", f"--scene={scene_path}", f"--recording={path}", "--unknown=restitution")["fits"]
+            fit = saltus.identify(scene, rows, "restitution")
+            assert (fit["verdict"], fit.reason) == (expected["verdict"], expected.get("reason", ""))
+            assert fit.remarks == expected.get("remarks", [])
+            assert self.KINDS[kind] in (None, fit["verdict"]), fit.reason
+            for text in [fit.reason, *fit.remarks]:
+                assert text in repr(fit)
+
+
+class TestFeedback:
+    SIGMA = 1e-3
+
+    def compare(self, problem, expected, size, controls):
+        """The remark, the warning and the risks of a plan with errors of the initial state and of the control."""
+        noise = {"initial": self.SIGMA**2 * np.eye(size), "control": self.SIGMA**2 * np.eye(controls) if controls else None}
+        covariance = saltus.propagate(problem, **noise)
+        assert covariance.remark == expected.get("remark", "")
+        assert covariance.warning == expected["open"].get("warning", "")
+        assert [tuple(risk.values()) for risk in expected["open"]["risks"]] == [tuple(risk) for risk in covariance.risks]
+        assert saltus.noisy_runs(problem, **noise, samples=2).remark == covariance.remark
+        if controls:
+            regulator = saltus.track(problem, np.eye(size), np.eye(controls), np.eye(size))
+            assert regulator.remark == covariance.remark
+        return covariance
+
+    def test_scenes(self, tmp_path):
+        path = tmp_path / "scene.yaml"
+        together = box_of([disc("a", (1, 1), (1, 0)), disc("b", (1.4, 1), (1, 0))])
+        for scene in [struck_pair(1), crossed_pairs(2), flat_corner(0), together, box_of([disc("a", (1, 0.2), (1, 0))])]:
+            path.write_text(saltus.Scene(scene).to_yaml(), encoding="utf-8")
+            expected = run_program("saltus_solve", f"--scene={path}", "--contact=event", "--solver=none", "--feedback",
+                                   "--feedback_samples=0", f"--feedback_noise=state={self.SIGMA},force={self.SIGMA}")["runs"][0]["feedback"]
+            self.compare(saltus.Scene(scene), expected, 4 * len(scene["bodies"]), 0)
+
+    def test_hybrid_systems(self):
+        for height in np.linspace(1, 6, 6):
+            document = run_program("bouncing_ball", f"--set=y={height}", "--solver=none", "--feedback", "--feedback_samples=0",
+                                   f"--feedback_noise=y={self.SIGMA},v={self.SIGMA}")
+            guess = document["guess"]
+            problem = TestHybridSystems.problem(
+                initial=guess["initial"], parameters=guess["parameters"], duration=guess["duration"])
+            self.compare(problem, document["feedback"], 2, 0)
 
 
 def test_remarks_are_shown():
