@@ -20,6 +20,7 @@
 #include <sstream>
 
 #include "base/file.h"
+#include "base/freed_memory.h"
 #include "base/interrupt.h"
 #include "base/number_text.h"
 #include "base/parallel_for.h"
@@ -404,6 +405,7 @@ std::string PathOfReport(const Request& request) { return request.output_dir + "
 
 int RunMain(int argc, char** argv, const Program& program, const std::function<int()>& body) {
   OccupyStandardStreams();
+  KeepFreedMemory();
   HoldMemoryBack();
   std::signal(SIGXFSZ, SIG_IGN);  // a file that becomes too large is an error like others of writing
   google::InitGoogleLogging(argv[0]);

@@ -1,0 +1,18 @@
+// What a process does with memory that it has freed.
+#pragma once
+
+#include <malloc.h>
+
+namespace saltus {
+
+// Keeps up to 64 MB of what is freed for the next allocation. Solves with sparse matrices allocate the same megabytes
+// for each iteration; given back to the system each time, they return page by page, which may take longer than all
+// arithmetic. Without glibc this does nothing.
+inline void KeepFreedMemory() {
+#ifdef __GLIBC__
+  mallopt(M_MMAP_THRESHOLD, 32 << 20);  // the largest that glibc accepts
+  mallopt(M_TRIM_THRESHOLD, 64 << 20);
+#endif
+}
+
+}  // namespace saltus
