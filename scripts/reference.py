@@ -81,6 +81,9 @@ POLYGON = ("polygons", [{"name": "box", "points": [[2, -1], [3, -1], [3, 1]], "s
 ARC = ("arcs", [{"name": "bend", "center": [2, 0], "radius": 1, "from": -0.5, "to": 0.5}])
 POCKET = ("pockets", [{"name": "hole", "position": [3, 0], "radius": 0.05}])
 TABLE = ("table", {"friction": 0.1, "gravity": 9.81})
+ALLOYS = ("materials", {"NAME": {"restitution": 1}, "steel": {}})
+MATERIALS = (ALLOYS, ("bodies.0.material", "NAME"))
+PAIRS = (*MATERIALS, ("pairs", [{"between": ["NAME", "default"], "restitution": 0.6, "friction": 0}]))
 
 MODEL_FEATURES = {
     "friction": scene(("contact.friction", 0.2)),
@@ -111,6 +114,7 @@ SOLVER_FEATURES = {
 
 REQUIRED = "required"  # a default of this kind: the key must be there if the map that it belongs to is
 NAME, VECTOR, NUMBER = "name", "[x, y]", "number"
+MATERIAL = "one of `materials`, or `default` for none"
 # Keys of scene files: path, type, unit, default (REQUIRED, None without one), meaning, a scene that has the key.
 KEYS = [
     ("name", NAME, "", REQUIRED, "name of the scene: 1 to 100 characters out of a-z, 0-9 and _", scene()),
@@ -131,24 +135,29 @@ KEYS = [
      scene(*SPIN, ("bodies.0.angle", 0.5))),
     ("bodies[].angular_velocity", NUMBER, "rad/s", 0, "angular velocity at the start, counter-clockwise; with `inertia`",
      scene(*SPIN, ("bodies.0.angular_velocity", 0.5))),
+    ("bodies[].material", NAME, "", "default", MATERIAL, scene(*MATERIALS)),
     ("planes", "list", "", None, "half-planes; discs stay on the side to which the normal points", scene(PLANE)),
     ("planes[].name", NAME, "", REQUIRED, "unique name", scene(PLANE)),
     ("planes[].point", VECTOR, "m", REQUIRED, "a point of the boundary", scene(PLANE)),
     ("planes[].normal", VECTOR, "", REQUIRED, "normal of any length", scene(PLANE)),
+    ("planes[].material", NAME, "", "default", MATERIAL, scene(PLANE, *MATERIALS)),
     ("segments", "list", "", None, "walls of finite length; both sides and the ends are solid", scene(SEGMENT)),
     ("segments[].name", NAME, "", REQUIRED, "unique name; `NAME.a` and `NAME.b` are its ends", scene(SEGMENT)),
     ("segments[].from", VECTOR, "m", REQUIRED, "one end", scene(SEGMENT)),
     ("segments[].to", VECTOR, "m", REQUIRED, "the other end", scene(SEGMENT)),
+    ("segments[].material", NAME, "", "default", MATERIAL, scene(SEGMENT, *MATERIALS)),
     ("polygons", "list", "", None, "polygons, solid on one side", scene(POLYGON)),
     ("polygons[].name", NAME, "", REQUIRED, "unique name; `NAME.edge0`, `NAME.corner0` are its parts", scene(POLYGON)),
     ("polygons[].points", "list of [x, y]", "m", REQUIRED, "corners, counter-clockwise", scene(POLYGON)),
     ("polygons[].solid", "`inside` or `outside`", "", REQUIRED, "which side is solid", scene(POLYGON)),
+    ("polygons[].material", NAME, "", "default", MATERIAL, scene(POLYGON, *MATERIALS)),
     ("arcs", "list", "", None, "circular walls; both sides and the ends are solid", scene(ARC)),
     ("arcs[].name", NAME, "", REQUIRED, "unique name", scene(ARC)),
     ("arcs[].center", VECTOR, "m", REQUIRED, "centre of the circle", scene(ARC)),
     ("arcs[].radius", NUMBER, "m", REQUIRED, "radius of the circle, > 0", scene(ARC)),
     ("arcs[].from", NUMBER, "rad", REQUIRED, "angle of one end", scene(ARC)),
     ("arcs[].to", NUMBER, "rad", REQUIRED, "angle of the other end, counter-clockwise from `from`", scene(ARC)),
+    ("arcs[].material", NAME, "", "default", MATERIAL, scene(ARC, *MATERIALS)),
     ("pockets", "list", "", None, "circles in which a disc is out of play once its centre is there", scene(*LAUNCH, POCKET)),
     ("pockets[].name", NAME, "", REQUIRED, "unique name", scene(*LAUNCH, POCKET)),
     ("pockets[].position", VECTOR, "m", REQUIRED, "centre", scene(*LAUNCH, POCKET)),
@@ -157,12 +166,27 @@ KEYS = [
      scene(*LAUNCH, TABLE)),
     ("table.friction", NUMBER, "", REQUIRED, "coefficient of friction between discs and table, >= 0", scene(*LAUNCH, TABLE)),
     ("table.gravity", NUMBER, "m/s^2", 9.81, "gravity, normal to the table, > 0", scene(*LAUNCH, TABLE)),
-    ("contact", "map", "", None, "parameters of all contacts", scene(("contact", {"friction": 0}))),
+    ("contact", "map", "", None, "parameters of all contacts; restitution and friction: of those of what has no material",
+     scene(("contact", {"friction": 0}))),
     ("contact.restitution", NUMBER, "", 1.0, "separation speed over approach speed along the normal, in [0, 1]",
      scene(("contact.restitution", 0.5))),
     ("contact.friction", NUMBER, "", 0.0, "coefficient of friction, >= 0", scene(("contact.friction", 0.2))),
     ("contact.stiffness", NUMBER, "N/m", 1e4, "stiffness of contacts, > 0", scene(("contact.stiffness", 2e4))),
     ("contact.damping", NUMBER, "N s/m", 0.0, "damping of contacts, >= 0", scene(("contact.damping", 5))),
+    ("materials", "map", "", None,
+     "[materials](../how-to/materials.md) by name: characters as in names of discs, but no -, and not `default`, which is what "
+     "has no material",
+     scene(ALLOYS)),
+    ("materials.NAME.restitution", NUMBER, "", 1.0, "in [0, 1]; if missing, that of `contact`", scene(*MATERIALS)),
+    ("materials.NAME.friction", NUMBER, "", 0.0, ">= 0; if missing, that of `contact`", scene(*MATERIALS)),
+    ("pairs", "list", "", None, "pairs of materials whose numbers are given, not combined; each pair once", scene(*PAIRS)),
+    ("pairs[].between", "[name, name]", "", REQUIRED, "the two materials, which may be the same", scene(*PAIRS)),
+    ("pairs[].restitution", NUMBER, "", None, "in [0, 1]; if missing, it is combined", scene(*PAIRS)),
+    ("pairs[].friction", NUMBER, "", None, ">= 0; if missing, it is combined", scene(*PAIRS, ("pairs.0.friction", 0.2))),
+    ("combine", "`mean`, `product`, `min` or `max`", "", "mean",
+     "how the numbers of two materials, or of twice the same, make those of a pair that `pairs` does not give; two things without a "
+     "material have those of `contact`",
+     scene(*MATERIALS, ("combine", "max"))),
     ("control", "map", "", None, "forces and torques, constant over each step", scene()),
     ("control.bodies", "list of names", "", REQUIRED, "discs on which a force acts", scene()),
     ("control.initial", "list of [x, y]", "N", REQUIRED,

@@ -51,7 +51,8 @@ def identify(
             m, and if they are known ``velocity`` (n, 2) in m/s and the standard deviations ``sigma`` and ``sigma_v`` (n,)
             or one number for all.
         unknown: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY, or one component of a vector
-            such as gravity.y, in a list or a text with commas. Default: restitution, or nothing beside a law or events.
+            such as gravity.y, in a list or a text with commas; in a scene with materials restitution and friction of
+            pairs, such as restitution.rubber-steel. Default: restitution, or nothing beside a law or events.
         contact: name of a built-in contact model.
         law: impact law to fit: "network" (restitution as a function of the approach speed) or "impulse" (friction too),
             with ":N" hidden units.

@@ -11,6 +11,7 @@
 #include "base/number_text.h"
 #include "base/statistics.h"
 #include "exact/closed_forms.h"
+#include "saltus/scene/materials.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -247,7 +248,7 @@ std::string ModelAudit::Why() const {
 
 std::string WhyNotComparable(const Contact& contact, const Scene& scene) {
   const ModelTraits* traits = FindContactModel(contact);
-  const bool spins = traits != nullptr && traits->spins && scene.contact.friction > 0 && !scene.Spins();
+  const bool spins = traits != nullptr && traits->spins && HasFriction(scene) && !scene.Spins();
   return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <variant>
 
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
 
@@ -51,13 +52,15 @@ ProtocolJson ByParameters(Simulator* simulator, const std::vector<double>& cotan
   Sensitivity gradient;
   simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);
   const ParameterGradient& by = gradient.parameters;
-  ProtocolJson named = {{"restitution", by.restitution},
-                        {"friction", by.friction},
-                        {"stiffness", by.stiffness},
-                        {"damping", by.damping},
-                        {"gravity.x", by.gravity[0]},
-                        {"gravity.y", by.gravity[1]}};
+  ProtocolJson named = {
+      {"stiffness", by.stiffness}, {"damping", by.damping}, {"gravity.x", by.gravity[0]}, {"gravity.y", by.gravity[1]}};
   const Scene& scene = simulator->scene();
+  for (const int pair : PairsInUse(scene)) {
+    for (const auto kind : {SceneParameter::Kind::kRestitution, SceneParameter::Kind::kFriction}) {
+      const SceneParameter parameter{kind, -1, pair};
+      named[NameOf(parameter, scene)] = ByContact(parameter, by);
+    }
+  }
   for (int i = 0; i < scene.num_bodies(); ++i) {
     if (!scene.bodies[i].fixed) named["mass." + scene.bodies[i].name] = by.mass[i];
   }

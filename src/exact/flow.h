@@ -36,6 +36,7 @@ inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no 
 inline std::string WhatIsWrongWith(const Scene& scene) {
   const std::optional<SceneError> error = ValidateStructure(scene);
   if (error) return "the scene is wrong: " + error->ToString();
+  if (!scene.materials.empty()) return "the scene has materials: its contacts have several restitutions and frictions";
   const std::string beyond = BeyondPlainDiscs(scene);
   return beyond.empty() ? "" : "the scene has " + beyond + "; the closed forms are of discs and planes";
 }

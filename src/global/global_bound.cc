@@ -11,6 +11,7 @@
 
 #include "global/relaxation.h"
 #include "saltus/control/objective.h"
+#include "saltus/scene/materials.h"
 
 namespace saltus {
 namespace {
@@ -348,7 +349,7 @@ std::string WhyNotBounded(const Scene& scene) {
   if (std::string found = BeyondPlainDiscs(scene); !found.empty()) {
     return "the global bound supports discs and planes only; the scene has " + found;
   }
-  if (scene.contact.friction > 0) return "the global bound supports contacts without friction only";
+  if (HasFriction(scene)) return "the global bound supports contacts without friction only";
   if (!(scene.objective.effort > 0)) return "the global bound needs an effort above 0";
   Scene without_bounds = scene;  // the relaxation has bounds on forces
   without_bounds.control.max.clear();

@@ -12,6 +12,7 @@
 
 #include "global/interval.h"
 #include "global/jet.h"
+#include "saltus/scene/materials.h"
 
 namespace saltus::global {
 namespace {
@@ -143,7 +144,8 @@ struct Numbers {
 
   static Touch TouchOf(const Scene& scene, const Candidate& pair) {
     const Body& a = scene.bodies[pair.a];
-    const B bounce = B(1) + B(scene.contact.restitution);
+    const int other = pair.plane ? scene.planes[pair.b].material : scene.bodies[pair.b].material;
+    const B bounce = B(1) + B(ContactBetween(scene, a.material, other).restitution);
     Touch touch{pair, true, B(a.radius), {}, {}, bounce, B(0), B(0)};
     const Pair<B> gravity = Of(scene.gravity);
     if (pair.plane) {

@@ -285,6 +285,9 @@ class Identification {
     if (!options_.law && !options_.events) return "";
     if (options_.law && options_.events) return "found a law of impact and event functions, expected one of them";
     const std::string name = options_.law ? "a law of impact" : "event functions";
+    if (!problem_.scene.materials.empty()) {
+      return "found " + name + " in a scene with materials, expected one without: it is one law for all contacts";
+    }
     std::string wrong =
         options_.law ? WhatIsWrongWith(*options_.law) : WhatIsWrongWith(*options_.events, problem_.scene);
     if (!wrong.empty()) return wrong;

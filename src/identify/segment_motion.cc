@@ -246,9 +246,12 @@ class Sweep {
   static int ParameterColumn(const Unknown& unknown, const StepLinearization::Island& island) {
     switch (unknown.kind) {
       case Kind::kRestitution:
-        return 0;
-      case Kind::kFriction:
-        return 1;
+      case Kind::kFriction: {
+        const int friction = unknown.kind == Kind::kFriction;
+        if (unknown.component == 0) return friction;
+        // Those of pairs of materials follow the masses.
+        return 4 + static_cast<int>(island.bodies.size()) + 2 * (unknown.component - 1) + friction;
+      }
       case Kind::kStiffness:
         return 2;
       case Kind::kDamping:

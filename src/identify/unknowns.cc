@@ -37,9 +37,9 @@ std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view n
     const std::vector<Unknown> found = ParametersNamed(name, scene);
     // Recordings cannot determine the others, which are of the scene's geometry.
     if (found.empty() || found.front().kind > Kind::kForce) {
-      return "found '" + name +
-             "', expected some of restitution, friction, stiffness, damping, gravity, gravity.x, gravity.y, mass.BODY, "
-             "force.BODY, force.BODY.x, force.BODY.y, with a BODY that moves";
+      return "found '" + name + "', expected some of " + ContactParametersOf(scene) +
+             ", gravity, gravity.x, gravity.y, mass.BODY, force.BODY, force.BODY.x, force.BODY.y, with a BODY that "
+             "moves";
     }
     all.insert(all.end(), found.begin(), found.end());
   }

@@ -7,6 +7,7 @@
 #include "control/surrogate_names.h"
 #include "output/json_number.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
@@ -32,6 +33,13 @@ Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
                {"mass", p.mass},
                {"force", p.force}};
   if (!p.inertia.empty()) item["inertia"] = p.inertia;
+  if (!p.pairs.empty()) {
+    Json& pairs = item["pairs"] = Json::object();
+    for (const int pair : PairsInUse(scene)) {
+      pairs[NameOfPair(pair, scene)] = {{"restitution", p.pairs[pair].restitution},
+                                        {"friction", p.pairs[pair].friction}};
+    }
+  }
   if (!p.design.empty()) item["design"] = DesignToJson(scene, p.design);
   return item;
 }

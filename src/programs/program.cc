@@ -505,6 +505,10 @@ void ApplySceneFlags(Scene* scene) {
   if (IsGiven("steps")) scene->steps = FLAGS_steps;
   if (IsGiven("stiffness")) scene->contact.stiffness = Finite("stiffness", FLAGS_stiffness);
   if (IsGiven("damping")) scene->contact.damping = Finite("damping", FLAGS_damping);
+  for (const char* name : {"friction", "restitution"}) {
+    if (!IsGiven(name) || scene->materials.empty()) continue;
+    throw InputError(std::string("--") + name + ": the scene has materials; give its pairs in the scene file");
+  }
   if (IsGiven("friction")) scene->contact.friction = Finite("friction", FLAGS_friction);
   if (IsGiven("restitution")) scene->contact.restitution = Finite("restitution", FLAGS_restitution);
   if (const std::optional<SceneError> error = Validate(*scene)) {

@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numbers>
+#include <set>
 #include <string_view>
 #include <unordered_map>
 
 #include "base/number_text.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/polygon.h"
 #include "scene/scene_rules.h"
@@ -92,6 +95,7 @@ class Rules {
     CheckPockets();
     CheckTable();
     CheckContact();
+    CheckMaterials();
     CheckControl();
     CheckObjective();
     CheckFree();
@@ -277,6 +281,50 @@ class Rules {
     Number({"contact.friction"}, scene_.contact.friction, in_.not_negative);
     Number({"contact.stiffness"}, scene_.contact.stiffness, in_.not_negative);
     Number({"contact.damping"}, scene_.contact.damping, in_.not_negative);
+  }
+
+  void CheckMaterials() {
+    std::set<std::string> names;
+    for (const Material& material : scene_.materials) {
+      if (all_) {
+        Name({"materials"}, material.name, "_.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+        Expect(names.insert(material.name).second, {"materials"}, [&] {
+          return "found " + material.name + " twice, expected each material once";
+        });
+        Expect(material.name != kNoMaterial,
+               {"materials"},
+               "found the name default, expected another: it is that of what has no material");
+      }
+      const std::string key = "materials." + material.name, e = key + ".restitution", mu = key + ".friction";
+      Number({e.c_str()}, material.contact.restitution, kFraction);
+      Number({mu.c_str()}, material.contact.friction, in_.not_negative);
+    }
+    std::map<std::pair<int, int>, std::size_t> known;
+    for (std::size_t i = 0; i < scene_.pairs.size() && !error_; ++i) {
+      const MaterialPair& pair = scene_.pairs[i];
+      for (const int material : {pair.a, pair.b}) MaterialIndex(At("pairs", i, "between"), material);
+      const auto [first, is_new] = known.emplace(std::minmax(pair.a, pair.b), i);
+      Expect(is_new, At("pairs", i, "between"), [&, &first = first] {
+        return "found the pair of pairs[" + std::to_string(first->second) + "] again, expected each pair once";
+      });
+      Expect(pair.restitution || pair.friction, At("pairs", i), "expected restitution, friction or both");
+      Number(At("pairs", i, "restitution"), pair.restitution.value_or(0), kFraction);
+      Number(At("pairs", i, "friction"), pair.friction.value_or(0), in_.not_negative);
+    }
+    MaterialsOf("bodies", scene_.bodies);
+    MaterialsOf("planes", scene_.planes);
+    MaterialsOf("segments", scene_.segments);
+    MaterialsOf("polygons", scene_.polygons);
+    MaterialsOf("arcs", scene_.arcs);
+  }
+  void MaterialIndex(const Key& key, int material) {
+    Expect(material >= -1 && material < static_cast<int>(scene_.materials.size()), key, [&] {
+      return "found material number " + std::to_string(material) + ", expected one of the scene's materials";
+    });
+  }
+  template <typename Thing>
+  void MaterialsOf(const char* list, const std::vector<Thing>& things) {
+    for (std::size_t i = 0; i < things.size(); ++i) MaterialIndex(At(list, i, "material"), things[i].material);
   }
 
   void CheckControl() {
@@ -478,7 +526,12 @@ class Rules {
       Expect(number < 0 || (parameter.body >= 0 && parameter.body < number), key, [&] {
         return "found the index " + std::to_string(parameter.body) + ", expected one below " + std::to_string(number);
       });
-      Expect(parameter.component == 0 || parameter.component == 1, key, "found a component, expected 0 or 1");
+      const bool of_pair = kind == Kind::kRestitution || kind == Kind::kFriction;
+      const int components = of_pair ? std::max<int>(1, std::ssize(PairContactsOf(scene_))) : 2;
+      Expect(parameter.component >= 0 && parameter.component < components, key, [&] {
+        return "found the component " + std::to_string(parameter.component) + ", expected one below " +
+               std::to_string(components);
+      });
       if (error_) return;
       const auto found = [&] { return "found " + NameOf(parameter, scene_); };
       const bool fixed = (kind == Kind::kMass || kind == Kind::kPosition) && scene_.bodies[parameter.body].fixed;

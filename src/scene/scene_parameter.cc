@@ -7,6 +7,8 @@
 #include <limits>
 #include <optional>
 
+#include "saltus/scene/materials.h"
+
 namespace saltus {
 namespace {
 
@@ -140,11 +142,39 @@ void MoveWall(const SceneParameter& parameter, double by, Scene* scene) {
 
 bool IsOfWall(Kind kind) { return kind >= Kind::kPlaneOffset; }
 
+// Whether it belongs to a pair of materials, whose MaterialPairIndex() is its component.
+bool IsOfPair(Kind kind, const Scene& scene) {
+  return !scene.materials.empty() && (kind == Kind::kRestitution || kind == Kind::kFriction);
+}
+
+// Returns the index of a material, -1 for the name of what has none.
+std::optional<int> MaterialNamed(std::string_view name, const Scene& scene) {
+  const int index = IndexOf(name, scene.materials);
+  return index >= 0 || name == kNoMaterial ? std::optional(index) : std::nullopt;
+}
+
+// Returns what the scene gives for a pair of materials, to be set; it is added if there is nothing.
+MaterialPair& PairOf(int index, Scene* scene) {
+  const auto [a, b] = MaterialsOfPair(index);
+  for (MaterialPair& pair : scene->pairs) {
+    if (MaterialPairIndex(pair.a + 1, pair.b + 1) == index) return pair;
+  }
+  return scene->pairs.emplace_back(MaterialPair{a - 1, b - 1});
+}
+
 }  // namespace
 
 std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& scene) {
   for (const NamedKind& kind : kContactKinds) {
-    if (name == kind.name) return {{kind.kind}};
+    if (name == kind.name && !IsOfPair(kind.kind, scene)) return {{kind.kind}};
+    if (!IsOfPair(kind.kind, scene) || !name.starts_with(std::string(kind.name) + '.')) continue;
+    const std::string_view pair = name.substr(kind.name.size() + 1);
+    const std::size_t dash = pair.find('-');
+    if (dash == std::string_view::npos) return {};
+    const std::optional<int> a = MaterialNamed(pair.substr(0, dash), scene);
+    const std::optional<int> b = MaterialNamed(pair.substr(dash + 1), scene);
+    if (!a || !b) return {};
+    return {{kind.kind, -1, MaterialPairIndex(*a + 1, *b + 1)}};
   }
   const auto rest = [&](std::string_view prefix) -> std::optional<std::string_view> {
     return name.starts_with(prefix) ? std::optional(name.substr(prefix.size())) : std::nullopt;
@@ -170,7 +200,9 @@ std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
     case Kind::kStiffness:
     case Kind::kDamping:
       for (const NamedKind& kind : kContactKinds) {
-        if (parameter.kind == kind.kind) return std::string(kind.name);
+        if (parameter.kind != kind.kind) continue;
+        const std::string name(kind.name);
+        return IsOfPair(kind.kind, scene) ? name + '.' + NameOfPair(parameter.component, scene) : name;
       }
       break;
     case Kind::kMass:
@@ -197,13 +229,31 @@ std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
   LOG(FATAL) << "not a kind of parameter: " << static_cast<int>(parameter.kind);
 }
 
+std::string ContactParametersOf(const Scene& scene) {
+  if (scene.materials.empty()) return "restitution, friction, stiffness, damping";
+  std::string names;
+  for (const Kind kind : {Kind::kRestitution, Kind::kFriction}) {
+    for (const int pair : PairsInUse(scene)) names += NameOf({kind, -1, pair}, scene) + ", ";
+  }
+  return names + "stiffness, damping";
+}
+
 double ValueOf(const SceneParameter& parameter, const Scene& scene) {
+  if (IsOfPair(parameter.kind, scene)) {
+    const PairContact contact = PairContactsOf(scene)[parameter.component];
+    return parameter.kind == Kind::kRestitution ? contact.restitution : contact.friction;
+  }
   const double* entry = MemberOf(parameter, &scene);
   return entry == nullptr ? 0 : *entry;
 }
 
 void SetValue(const SceneParameter& parameter, double value, Scene* scene) {
   if (IsOfWall(parameter.kind)) return MoveWall(parameter, value, scene);
+  if (IsOfPair(parameter.kind, *scene)) {
+    MaterialPair& pair = PairOf(parameter.component, scene);
+    (parameter.kind == Kind::kRestitution ? pair.restitution : pair.friction) = value;
+    return;
+  }
   if (parameter.kind == Kind::kForce && PlaceInControl(*scene, parameter.body) == scene->num_controlled()) {
     scene->control.bodies.push_back(parameter.body);
     scene->control.initial.push_back({0, 0});

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "base/suggestion.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/scene_rules.h"
 
@@ -109,7 +110,8 @@ std::vector<int> SceneReader::ReadBodyNames(const Value& value) {
 
 Body SceneReader::ReadBody(const Value& value) {
   const Fields fields = ReadFields(
-      value, {"name", "radius", "mass", "fixed", "position", "velocity", "inertia", "angle", "angular_velocity"});
+      value,
+      {"name", "radius", "mass", "fixed", "position", "velocity", "inertia", "angle", "angular_velocity", "material"});
   Body body;
   body.name = ReadName(fields.Require("name", "a name"));
   body.radius = ReadNumber(fields.Require("radius", "the radius in m"));
@@ -124,25 +126,28 @@ Body SceneReader::ReadBody(const Value& value) {
   if (const Value* inertia = fields.Find("inertia")) body.inertia = ReadInertia(*inertia);
   if (const Value* angle = fields.Find("angle")) body.angle = ReadNumber(*angle);
   if (const Value* spin = fields.Find("angular_velocity")) body.angular_velocity = ReadNumber(*spin);
+  body.material = ReadMaterialOf(fields);
   return body;
 }
 
 Plane SceneReader::ReadPlane(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "point", "normal"});
+  const Fields fields = ReadFields(value, {"name", "point", "normal", "material"});
   return {ReadName(fields.Require("name", "a name")),
           ReadVector(fields.Require("point", "a point [x, y] of the boundary in m")),
-          ReadVector(fields.Require("normal", "the normal [x, y]"))};
+          ReadVector(fields.Require("normal", "the normal [x, y]")),
+          ReadMaterialOf(fields)};
 }
 
 EdgeSegment SceneReader::ReadSegment(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "from", "to"});
+  const Fields fields = ReadFields(value, {"name", "from", "to", "material"});
   return {ReadName(fields.Require("name", "a name")),
           ReadVector(fields.Require("from", "the point [x, y] in m where it begins")),
-          ReadVector(fields.Require("to", "the point [x, y] in m where it ends"))};
+          ReadVector(fields.Require("to", "the point [x, y] in m where it ends")),
+          ReadMaterialOf(fields)};
 }
 
 EdgePolygon SceneReader::ReadPolygon(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "points", "solid"});
+  const Fields fields = ReadFields(value, {"name", "points", "solid", "material"});
   EdgePolygon polygon;
   polygon.name = ReadName(fields.Require("name", "a name"));
   const Value& points = fields.Require("points", "the corners, a list of points [x, y] in m");
@@ -150,16 +155,18 @@ EdgePolygon SceneReader::ReadPolygon(const Value& value) {
   const Value& solid = fields.Require("solid", "inside or outside");
   const bool outside = ReadChoice(solid, {"inside", "outside"}) == 1;
   polygon.solid = outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside;
+  polygon.material = ReadMaterialOf(fields);
   return polygon;
 }
 
 EdgeArc SceneReader::ReadArc(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "center", "radius", "from", "to"});
+  const Fields fields = ReadFields(value, {"name", "center", "radius", "from", "to", "material"});
   return {ReadName(fields.Require("name", "a name")),
           ReadVector(fields.Require("center", "the center [x, y] in m")),
           ReadNumber(fields.Require("radius", "the radius in m")),
           ReadNumber(fields.Require("from", "the angle in rad where it begins")),
-          ReadNumber(fields.Require("to", "the angle in rad where it ends"))};
+          ReadNumber(fields.Require("to", "the angle in rad where it ends")),
+          ReadMaterialOf(fields)};
 }
 
 Pocket SceneReader::ReadPocket(const Value& value) {
@@ -185,6 +192,50 @@ ContactParameters SceneReader::ReadContact(const Value& value) {
   if (const Value* stiffness = fields.Find("stiffness")) contact.stiffness = ReadNumber(*stiffness);
   if (const Value* damping = fields.Find("damping")) contact.damping = ReadNumber(*damping);
   return contact;
+}
+
+// Reads the materials, in the order of the file. A number that one does not have is that of contact.
+void SceneReader::ReadMaterials(const Value& value) {
+  if (!value.node.IsMap()) FailExpected(value, "a map of materials, such as {rubber: {restitution: 0.9}}");
+  std::vector<std::string> names;
+  for (const auto& entry : value.node) names.push_back(entry.first.IsScalar() ? entry.first.Scalar() : "");
+  const Fields materials = ReadFields(value, names);
+  for (const std::string& name : names) {
+    const Fields fields = ReadFields(*materials.Find(name), {"restitution", "friction"});
+    Material material{name, {scene_.contact.restitution, scene_.contact.friction}};
+    if (const Value* restitution = fields.Find("restitution")) material.contact.restitution = ReadNumber(*restitution);
+    if (const Value* friction = fields.Find("friction")) material.contact.friction = ReadNumber(*friction);
+    scene_.materials.push_back(material);
+  }
+}
+
+// Reads the name of a material; -1 if it is that of what has none.
+int SceneReader::ReadMaterial(const Value& value) const {
+  const std::string& name = ReadName(value);
+  std::vector<std::string> names;
+  for (const Material& material : scene_.materials) {
+    if (material.name == name) return static_cast<int>(names.size());
+    names.push_back(material.name);
+  }
+  if (name == kNoMaterial && !names.empty()) return -1;
+  FailExpected(value,
+               names.empty() ? "no such key: the scene has no materials"
+                             : "one of the scene's materials, " + Join(names) + Suggestion(name, names));
+}
+
+int SceneReader::ReadMaterialOf(const Fields& fields) const {
+  const Value* material = fields.Find("material");
+  return material == nullptr ? -1 : ReadMaterial(*material);
+}
+
+MaterialPair SceneReader::ReadPair(const Value& value) {
+  const Fields fields = ReadFields(value, {"between", "restitution", "friction"});
+  const std::vector<Value> names =
+      ReadTuple(fields.Require("between", "two materials"), 2, "two materials, [rubber, steel]");
+  MaterialPair pair{ReadMaterial(names[0]), ReadMaterial(names[1])};
+  if (const Value* restitution = fields.Find("restitution")) pair.restitution = ReadNumber(*restitution);
+  if (const Value* friction = fields.Find("friction")) pair.friction = ReadNumber(*friction);
+  return pair;
 }
 
 // Reads one number for all, or a list with one for each.
@@ -365,11 +416,11 @@ void SceneReader::ReadOptimize(const Value& value) {
 
 // Reads the name of a parameter, or a map with bounds.
 void SceneReader::ReadUnknown(const Value& value) {
-  constexpr char kExpected[] =
-      "control, velocity, position, or a parameter: restitution, friction, stiffness, damping, gravity.x, gravity.y, "
-      "mass.BODY of a body that moves, radius.BODY, position.BODY of a fixed body, offset.WALL or angle.WALL of a "
-      "plane "
-      "or a segment";
+  const std::string expected = "control, velocity, position, or a parameter: " + ContactParametersOf(scene_) +
+                               ", gravity.x, gravity.y, mass.BODY of a body that moves, radius.BODY, position.BODY of "
+                               "a fixed body, offset.WALL or angle.WALL of a "
+                               "plane "
+                               "or a segment";
   DesignParameter design;
   Value name = value;
   if (value.node.IsMap()) {
@@ -378,10 +429,10 @@ void SceneReader::ReadUnknown(const Value& value) {
     if (const Value* min = fields.Find("min")) design.min = ReadNumber(*min);
     if (const Value* max = fields.Find("max")) design.max = ReadNumber(*max);
   }
-  if (!name.node.IsScalar()) FailExpected(name, kExpected);
+  if (!name.node.IsScalar()) FailExpected(name, expected);
   const std::vector<SceneParameter> found = ParametersNamed(name.node.Scalar(), scene_);
   const bool of_scene = !found.empty() && found.front().kind != SceneParameter::Kind::kForce;
-  if (!of_scene) FailExpected(name, kExpected);
+  if (!of_scene) FailExpected(name, expected);
   for (const SceneParameter& parameter : found) {
     design.parameter = parameter;
     scene_.design.push_back(design);
@@ -389,29 +440,21 @@ void SceneReader::ReadUnknown(const Value& value) {
 }
 
 Scene SceneReader::Read(const YAML::Node& root) {
-  const Fields fields = ReadFields({root, "", 1},
-                                   {"name",
-                                    "duration",
-                                    "steps",
-                                    "gravity",
-                                    "bodies",
-                                    "planes",
-                                    "segments",
-                                    "polygons",
-                                    "arcs",
-                                    "pockets",
-                                    "table",
-                                    "contact",
-                                    "control",
-                                    "objective",
-                                    "no_contact",
-                                    "optimize",
-                                    "free",
-                                    "free_spin"});
+  const Fields fields = ReadFields(
+      {root, "", 1}, {"name",     "duration", "steps",     "gravity",    "bodies",   "planes",    "segments",
+                      "polygons", "arcs",     "pockets",   "table",      "contact",  "materials", "pairs",
+                      "combine",  "control",  "objective", "no_contact", "optimize", "free",      "free_spin"});
   scene_.name = ReadName(fields.Require("name", "the name of the scene"));
   scene_.duration = ReadNumber(fields.Require("duration", "the duration in s"));
   scene_.steps = ReadSteps(fields.Require("steps", "the number of steps"));
   if (const Value* gravity = fields.Find("gravity")) scene_.gravity = ReadVector(*gravity);
+  if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
+  if (const Value* materials = fields.Find("materials")) ReadMaterials(*materials);
+  ReadEach(fields, "pairs", "a list of pairs of materials", &SceneReader::ReadPair, &scene_.pairs);
+  if (const Value* combine = fields.Find("combine")) {
+    if (scene_.materials.empty()) Fail(*combine, "found a rule, expected no such key: the scene has no materials");
+    scene_.combine = static_cast<Combine>(ReadChoice(*combine, {kCombines.begin(), kCombines.end()}));
+  }
   ReadBodies(fields.Require("bodies", "a list of bodies"));
   ReadEach(fields, "planes", "a list of planes", &SceneReader::ReadPlane, &scene_.planes);
   ReadEach(fields, "segments", "a list of segments", &SceneReader::ReadSegment, &scene_.segments);
@@ -419,7 +462,6 @@ Scene SceneReader::Read(const YAML::Node& root) {
   ReadEach(fields, "arcs", "a list of arcs", &SceneReader::ReadArc, &scene_.arcs);
   ReadEach(fields, "pockets", "a list of pockets", &SceneReader::ReadPocket, &scene_.pockets);
   if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
-  if (const Value* contact = fields.Find("contact")) scene_.contact = ReadContact(*contact);
   if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
   scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
   ReadEach(fields, "no_contact", "a list of pairs", &SceneReader::ReadNoContact, &scene_.no_contact);

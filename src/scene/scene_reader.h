@@ -49,6 +49,10 @@ class SceneReader {
   Pocket ReadPocket(const Value& value);
   TableFriction ReadTable(const Value& value);
   ContactParameters ReadContact(const Value& value);
+  void ReadMaterials(const Value& value);
+  int ReadMaterial(const Value& value) const;
+  int ReadMaterialOf(const Fields& fields) const;
+  MaterialPair ReadPair(const Value& value);
   std::vector<double> ReadBounds(const Value& value, size_t count);
   Control ReadControl(const Value& value);
   TerminalTerm::Quantity ReadQuantity(const Fields& fields);

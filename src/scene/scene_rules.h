@@ -12,6 +12,9 @@ namespace saltus {
 // The names of quantities in scene files, in the order of TerminalTerm::Quantity.
 inline constexpr std::array kQuantities = {"position", "velocity", "angle", "angular_velocity"};
 
+// The rules of scene files for pairs of materials, in the order of Combine.
+inline constexpr std::array kCombines = {"mean", "product", "min", "max"};
+
 // Returns the first broken rule of ValidateStructure. Unlike that function, it does not check natural units too.
 std::optional<SceneError> BrokenRule(const Scene& scene);
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "base/number_text.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/scene_rules.h"
@@ -57,7 +58,11 @@ void WriteSpin(YAML::Emitter* out, const Body& body) {
   WriteField(out, "angular_velocity", body.angular_velocity);
 }
 
-void WriteBody(YAML::Emitter* out, const Body& body) {
+void WriteMaterial(YAML::Emitter* out, const Scene& scene, int material) {
+  if (material >= 0) WriteName(out, "material", scene.materials[material].name);
+}
+
+void WriteBody(YAML::Emitter* out, const Scene& scene, const Body& body) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", body.name);
   WriteField(out, "radius", body.radius);
@@ -69,42 +74,47 @@ void WriteBody(YAML::Emitter* out, const Body& body) {
   WriteField(out, "position", body.position);
   if (!body.fixed) WriteField(out, "velocity", body.velocity);
   if (body.Spins()) WriteSpin(out, body);
+  WriteMaterial(out, scene, body.material);
   *out << YAML::EndMap;
 }
 
-void WritePlane(YAML::Emitter* out, const Plane& plane) {
+void WritePlane(YAML::Emitter* out, const Scene& scene, const Plane& plane) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", plane.name);
   WriteField(out, "point", plane.point);
   WriteField(out, "normal", plane.normal);
+  WriteMaterial(out, scene, plane.material);
   *out << YAML::EndMap;
 }
 
-void WriteSegment(YAML::Emitter* out, const Scene&, const EdgeSegment& segment) {
+void WriteSegment(YAML::Emitter* out, const Scene& scene, const EdgeSegment& segment) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", segment.name);
   WriteField(out, "from", segment.from);
   WriteField(out, "to", segment.to);
+  WriteMaterial(out, scene, segment.material);
   *out << YAML::EndMap;
 }
 
-void WritePolygon(YAML::Emitter* out, const Scene&, const EdgePolygon& polygon) {
+void WritePolygon(YAML::Emitter* out, const Scene& scene, const EdgePolygon& polygon) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", polygon.name);
   *out << YAML::Key << "points" << YAML::Value << YAML::BeginSeq;
   for (const Vec2d& point : polygon.points) *out << point;
   *out << YAML::EndSeq;
   WriteField(out, "solid", polygon.solid == EdgePolygon::Solid::kOutside ? "outside" : "inside");
+  WriteMaterial(out, scene, polygon.material);
   *out << YAML::EndMap;
 }
 
-void WriteArc(YAML::Emitter* out, const Scene&, const EdgeArc& arc) {
+void WriteArc(YAML::Emitter* out, const Scene& scene, const EdgeArc& arc) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", arc.name);
   WriteField(out, "center", arc.center);
   WriteField(out, "radius", arc.radius);
   WriteField(out, "from", arc.from);
   WriteField(out, "to", arc.to);
+  WriteMaterial(out, scene, arc.material);
   *out << YAML::EndMap;
 }
 
@@ -130,6 +140,31 @@ void WriteContact(YAML::Emitter* out, const ContactParameters& contact) {
   WriteField(out, "stiffness", contact.stiffness);
   WriteField(out, "damping", contact.damping);
   *out << YAML::EndMap;
+}
+
+void WriteMaterials(YAML::Emitter* out, const Scene& scene) {
+  if (scene.materials.empty()) return;
+  *out << YAML::Key << "materials" << YAML::Value << YAML::BeginMap;
+  for (const Material& material : scene.materials) {
+    *out << YAML::Key;
+    WriteName(out, material.name);
+    *out << YAML::Value << YAML::Flow << YAML::BeginMap;
+    WriteField(out, "restitution", material.contact.restitution);
+    WriteField(out, "friction", material.contact.friction);
+    *out << YAML::EndMap;
+  }
+  *out << YAML::EndMap;
+  if (!scene.pairs.empty()) *out << YAML::Key << "pairs" << YAML::Value << YAML::BeginSeq;
+  for (const MaterialPair& pair : scene.pairs) {
+    *out << YAML::Flow << YAML::BeginMap << YAML::Key << "between" << YAML::Value << YAML::BeginSeq;
+    for (const int one : {pair.a, pair.b}) WriteName(out, one < 0 ? kNoMaterial : scene.materials[one].name);
+    *out << YAML::EndSeq;
+    if (pair.restitution) WriteField(out, "restitution", *pair.restitution);
+    if (pair.friction) WriteField(out, "friction", *pair.friction);
+    *out << YAML::EndMap;
+  }
+  if (!scene.pairs.empty()) *out << YAML::EndSeq;
+  WriteField(out, "combine", kCombines[static_cast<size_t>(scene.combine)]);
 }
 
 void WriteBounds(YAML::Emitter* out, const char* key, const std::vector<double>& bounds) {
@@ -278,9 +313,9 @@ std::string WriteScene(const Scene& scene) {
   WriteField(&out, "steps", scene.steps);
   WriteField(&out, "gravity", scene.gravity);
   out << YAML::Key << "bodies" << YAML::Value << YAML::BeginSeq;
-  for (const Body& body : scene.bodies) WriteBody(&out, body);
+  for (const Body& body : scene.bodies) WriteBody(&out, scene, body);
   out << YAML::EndSeq << YAML::Key << "planes" << YAML::Value << YAML::BeginSeq;
-  for (const Plane& plane : scene.planes) WritePlane(&out, plane);
+  for (const Plane& plane : scene.planes) WritePlane(&out, scene, plane);
   out << YAML::EndSeq;
   WriteTerms(&out, "segments", scene, scene.segments, WriteSegment);
   WriteTerms(&out, "polygons", scene, scene.polygons, WritePolygon);
@@ -288,6 +323,7 @@ std::string WriteScene(const Scene& scene) {
   WriteTerms(&out, "pockets", scene, scene.pockets, WritePocket);
   if (scene.table) WriteTable(&out, *scene.table);
   WriteContact(&out, scene.contact);
+  WriteMaterials(&out, scene);
   if (scene.num_controlled() > 0) WriteControl(&out, scene);
   WriteObjective(&out, scene);
   WriteTerms(&out, "no_contact", scene, scene.no_contact, WriteNoContact);

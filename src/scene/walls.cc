@@ -18,7 +18,7 @@ class PartsOfScene {
   explicit PartsOfScene(const Scene& scene) {
     for (const Plane& plane : scene.planes) {
       const Vec2d normal = plane.normal.normalized();
-      parts_.push_back({{normal, Dot(normal, plane.point)}, {}, plane.name});
+      Add({{normal, Dot(normal, plane.point)}, {}, plane.name}, plane.material);
     }
     if (scene.table) AddTable();
     for (const Pocket& pocket : scene.pockets) AddPocket(pocket);
@@ -34,38 +34,45 @@ class PartsOfScene {
   struct End {
     Vec2d at;
     std::string name;
+    int material;  // of the first of them
     std::vector<Bound> beyond;
   };
+
+  // Adds a part of a thing with this material, or -1.
+  void Add(WallPart part, int material) {
+    part.wall.material = material + 1;
+    parts_.push_back(std::move(part));
+  }
 
   static Bound Opposite(const Bound& bound) { return {-bound.normal, -bound.offset, !bound.open}; }
 
   // Adds the end `at` of an edge that counts where `within` holds.
-  void EndAt(const Vec2d& at, double length, const std::string& name, const Bound& within) {
-    ends_[FindEnd(at, kJoint * length, name)].beyond.push_back(Opposite(within));
+  void EndAt(const Vec2d& at, double length, const std::string& name, int material, const Bound& within) {
+    ends_[FindEnd(at, kJoint * length, name, material)].beyond.push_back(Opposite(within));
   }
   // Returns the index of an end; adds one unless there is one within `joint`, m.
-  std::size_t FindEnd(const Vec2d& at, double joint, const std::string& name) {
+  std::size_t FindEnd(const Vec2d& at, double joint, const std::string& name, int material) {
     const auto last = by_x_.upper_bound(at[0] + joint);
     for (auto it = by_x_.lower_bound(at[0] - joint); it != last; ++it) {
       if (std::abs(ends_[it->second].at[1] - at[1]) <= joint) return it->second;
     }
     by_x_.emplace(at[0], ends_.size());
-    ends_.push_back({at, name, {}});
+    ends_.push_back({at, name, material, {}});
     return ends_.size() - 1;
   }
 
   // Adds the sides of a straight edge: that to its left, that to its right, or both.
-  void AddEdge(const Vec2d& from, const Vec2d& to, bool left, bool right, const std::string& name,
+  void AddEdge(const Vec2d& from, const Vec2d& to, bool left, bool right, int material, const std::string& name,
                const std::string& first, const std::string& last) {
     const double length = (to - from).norm();
     const Vec2d along = (to - from) / length, normal = Perpendicular(along);
     const Bound after{along, Dot(along, from), false}, before{-along, -Dot(along, to), true};
     const WallExtent extent{.endless = false, .bounds = {after, before}};
     const double offset = Dot(normal, from);
-    if (left) parts_.push_back({{normal, offset}, extent, name, from, to});
-    if (right) parts_.push_back({{-normal, -offset}, extent, name, from, to});
-    EndAt(from, length, first, after);
-    EndAt(to, length, last, before);
+    if (left) Add({{normal, offset}, extent, name, from, to}, material);
+    if (right) Add({{-normal, -offset}, extent, name, from, to}, material);
+    EndAt(from, length, first, material, after);
+    EndAt(to, length, last, material, before);
   }
 
   void AddTable() {
@@ -82,7 +89,8 @@ class PartsOfScene {
   }
 
   void AddSegment(const EdgeSegment& segment) {
-    AddEdge(segment.from, segment.to, true, true, segment.name, segment.name + ".a", segment.name + ".b");
+    AddEdge(
+        segment.from, segment.to, true, true, segment.material, segment.name, segment.name + ".a", segment.name + ".b");
   }
 
   void AddPolygon(const EdgePolygon& polygon) {
@@ -95,6 +103,7 @@ class PartsOfScene {
               polygon.points[next],
               discs_inside,
               !discs_inside,
+              polygon.material,
               polygon.name + ".edge" + std::to_string(i),
               corner(i),
               corner(next));
@@ -109,16 +118,16 @@ class PartsOfScene {
     WallExtent extent{.endless = false, .any = turn > std::numbers::pi};
     if (!whole) {
       extent.bounds = {{after, Dot(after, arc.center), false}, {before, Dot(before, arc.center), true}};
-      EndAt(arc.center + arc.radius * at(arc.from), arc.radius, arc.name + ".a", extent.bounds[0]);
-      EndAt(arc.center + arc.radius * at(arc.to), arc.radius, arc.name + ".b", extent.bounds[1]);
+      EndAt(arc.center + arc.radius * at(arc.from), arc.radius, arc.name + ".a", arc.material, extent.bounds[0]);
+      EndAt(arc.center + arc.radius * at(arc.to), arc.radius, arc.name + ".b", arc.material, extent.bounds[1]);
     }
     for (const int side : {1, -1}) {
-      parts_.push_back({{.side = side, .center = arc.center, .radius = arc.radius}, extent, arc.name});
+      Add({{.side = side, .center = arc.center, .radius = arc.radius}, extent, arc.name}, arc.material);
     }
   }
 
   void AddEnd(const End& end) {
-    parts_.push_back({{.side = 1, .center = end.at}, {.endless = false, .bounds = end.beyond}, end.name});
+    Add({{.side = 1, .center = end.at}, {.endless = false, .bounds = end.beyond}, end.name}, end.material);
   }
 
   std::vector<WallPart> parts_;

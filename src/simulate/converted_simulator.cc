@@ -197,8 +197,10 @@ class ConvertedSimulator final : public LaneSimulator {
       island->A.col(column) *= FactorOf(to_inner_, column, body_size());
     }
     island->B *= to_inner_.force;
-    for (Eigen::Index column = 2; column < island->P.cols(); ++column) {
-      const bool mass = column < 4 + static_cast<Eigen::Index>(island->bodies.size());
+    const auto discs = static_cast<Eigen::Index>(island->bodies.size());
+    const Eigen::Index of_discs = 4 + (scene_.Spins() ? 2 : 1) * discs;  // restitution and friction of pairs follow
+    for (Eigen::Index column = 2; column < std::min(of_discs, island->P.cols()); ++column) {
+      const bool mass = column < 4 + discs;
       island->P.col(column) *= column == 2   ? Stiffness()
                                : column == 3 ? Damping()
                                : mass        ? to_inner_.mass

@@ -189,7 +189,6 @@ template <int kRotation>
 void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<kRotation>& group,
                 Sides<kRotation>* sides) {
   using Quantity = OneSided::Quantity;
-  const double friction = scene.contact.friction, restitution = scene.contact.restitution;
   const bool undecided = IsHeldByFriction<kRotation>(group);
   for (const auto* contact : FindRattling<kRotation>(start, group)) {
     const Candidate& c = start.touching[contact->pair];
@@ -199,6 +198,7 @@ void AddPressed(const Scene& scene, const Start<kRotation>& start, const Group<k
   }
   for (const auto& contact : group.contacts()) {
     const Candidate& c = start.touching[contact.pair];
+    const auto& [restitution, friction] = start.in.ContactOf(c);
     const Vec2d normal = start.Normal(c), tangent = Perpendicular(normal);
     if (!contact.closed) {
       sides->AddOneSided(c, Quantity::kVelocity, normal);

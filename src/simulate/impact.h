@@ -18,6 +18,7 @@
 #include <optional>
 
 #include "contact/law/impact.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene.h"
 
 namespace saltus {
@@ -52,10 +53,14 @@ inline double InverseMass(const Body& body) { return body.fixed ? 0.0 : 1 / body
 
 inline ImpactConstants MakeImpactConstants(const Scene& scene, const Candidate& c) {
   const Body& a = scene.bodies[c.a];
+  PairContact contact{scene.contact.restitution, scene.contact.friction};
+  if (!scene.materials.empty()) {
+    contact = ContactBetween(scene, a.material, c.plane ? scene.planes[c.b].material : scene.bodies[c.b].material);
+  }
   ImpactConstants law{.inverse_mass_a = InverseMass(a),
                       .inverse_mass_b = c.plane ? 0.0 : InverseMass(scene.bodies[c.b]),
-                      .restitution = scene.contact.restitution,
-                      .friction = scene.contact.friction,
+                      .restitution = contact.restitution,
+                      .friction = contact.friction,
                       .contact_distance = a.radius + (c.plane ? 0.0 : scene.bodies[c.b].radius),
                       .plane = c.plane};
   for (int side = 0; side < (c.plane ? 1 : 2); ++side) {

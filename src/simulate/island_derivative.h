@@ -31,11 +31,16 @@ class IslandDerivative {
   using Matrix = Eigen::Matrix<S, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
   // Columns of the Jacobian for n discs: their states, the forces on them, the torques on them if there are any (where
-  // discs spin as the scene says) and, if asked for, restitution, friction, stiffness, damping, their masses and, if
-  // they spin so, their inverse moments of inertia. Rows: their next states.
-  static int NumColumns(int n, bool with_torques, bool with_parameters) {
-    return n * (kSize + 2 + with_torques) + (with_parameters ? 4 + (kRotation == kSpin ? 2 : 1) * n : 0);
+  // discs spin as the scene says) and, if asked for, restitution, friction, stiffness, damping, their masses, if they
+  // spin so, their inverse moments of inertia, and the restitution and friction of each further pair of materials of
+  // `num_pairs`. Rows: their next states.
+  static int NumColumns(int n, bool with_torques) { return n * (kSize + 2 + with_torques); }
+  static int NumColumns(int n, bool with_torques, bool with_parameters, std::size_t num_pairs) {
+    if (!with_parameters) return NumColumns(n, with_torques);
+    return NumColumns(n, with_torques) + FirstOfPairs(n) + (num_pairs > 1 ? 2 * static_cast<int>(num_pairs - 1) : 0);
   }
+  // Where those of further pairs begin among the parameters.
+  static int FirstOfPairs(int n) { return 4 + (kRotation == kSpin ? 2 : 1) * n; }
 
   // Computes before = J^T after. `in` and `x` have the discs of the island only, as the model's step takes them.
   void ApplyTranspose(const Model& model, const StepInput<S>& in, std::span<const State> x,
@@ -47,8 +52,8 @@ class IslandDerivative {
       if (n >= model.properties().taped_from) return PullBackOnTape(model, in, x, after, before);
     }
     if (model.properties().published_jacobian) {
-      first = NumColumns(n, HasTorques(in), false);
-      PullBackAsPublished(model, in, x, after, before.first(NumColumns(n, false, false)));
+      first = NumColumns(n, HasTorques(in));
+      PullBackAsPublished(model, in, x, after, before.first(NumColumns(n, false)));
       if constexpr (kRotation == kSpin) {
         for (int i = 0; HasTorques(in) && i < n; ++i) {
           before[n * (kSize + 2) + i] = TorqueAsSpin(in, i) * before[i * kSize + 5];
@@ -69,11 +74,11 @@ class IslandDerivative {
   void Evaluate(const Model& model, const StepInput<S>& in, std::span<const State> x, bool with_parameters,
                 Matrix* jacobian) {
     const int n = static_cast<int>(x.size());
-    jacobian->setZero(n * kSize, NumColumns(n, HasTorques(in), with_parameters));
+    jacobian->setZero(n * kSize, NumColumns(n, HasTorques(in), with_parameters, in.pairs.size()));
     int first = 0;
     if (model.properties().published_jacobian) {
       EvaluateAsPublished(model, in, x, jacobian);
-      first = NumColumns(n, HasTorques(in), false);
+      first = NumColumns(n, HasTorques(in));
     }
     ForEachPass(model, in, x, with_parameters, first, -1, [&](const auto& columns) {
       const auto* next = reinterpret_cast<const StepJet<S>*>(next_.data());
@@ -169,7 +174,8 @@ class IslandDerivative {
       }
     }
     const int more = first == 0 ? n * (kSize + 2) : first;
-    for (int column = more; column < NumColumns(n, HasTorques(in), with_parameters); ++column) add(column);
+    const int end = NumColumns(n, HasTorques(in), with_parameters, in.pairs.size());
+    for (int column = more; column < end; ++column) add(column);
     if (columns.count > 0) RunPass(model, in, columns, use);
   }
 
@@ -198,6 +204,7 @@ class IslandDerivative {
       bodies_[i].inverse_mass.a = body.inverse_mass;
       bodies_[i].radius = body.radius;
       bodies_[i].fixed = body.fixed;
+      bodies_[i].material = body.material;
       bodies_[i].inverse_inertia.a = body.inverse_inertia;
     }
     torque_.clear();
@@ -208,6 +215,12 @@ class IslandDerivative {
     jets_.contact.friction.a = in.contact.friction;
     jets_.contact.stiffness.a = in.contact.stiffness;
     jets_.contact.damping.a = in.contact.damping;
+    pairs_.resize(in.pairs.size());
+    for (std::size_t k = 0; k < pairs_.size(); ++k) {
+      pairs_[k].restitution.a = in.pairs[k].restitution;
+      pairs_[k].friction.a = in.pairs[k].friction;
+    }
+    jets_.pairs = pairs_;
     jets_.bodies = bodies_;
     jets_.force = force_;
   }
@@ -215,7 +228,7 @@ class IslandDerivative {
   // Sets the derivatives of the variables of a pass to `one` in their directions.
   void Seed(const StepInput<S>& in, const Columns& columns, S one) {
     for (int direction = 0; direction < columns.count; ++direction) columns.variable[direction]->v[direction] = one;
-    const int first_mass = NumColumns(static_cast<int>(x_.size()), HasTorques(in), false) + 4;
+    const int first_mass = NumColumns(static_cast<int>(x_.size()), HasTorques(in)) + 4;
     if (columns.count == 0 || columns.index[columns.count - 1] < first_mass) return;
     for (size_t i = 0; i < x_.size(); ++i) {
       if (!in.bodies[i].fixed) bodies_[i].inverse_mass = Divide(S(1), bodies_[i].mass);
@@ -234,8 +247,13 @@ class IslandDerivative {
     if (column < torques) return &torque_[column];
     column -= torques;
     ContactConstants<Jet>& c = jets_.contact;
-    Jet* const contact[] = {&c.restitution, &c.friction, &c.stiffness, &c.damping};
+    PairConstants<Jet>& pair = pairs_.empty() ? c : pairs_[0];
+    Jet* const contact[] = {&pair.restitution, &pair.friction, &c.stiffness, &c.damping};
     if (column < 4) return contact[column];
+    if (const int of_pairs = column - FirstOfPairs(n); of_pairs >= 0) {
+      PairConstants<Jet>& further = pairs_[1 + of_pairs / 2];
+      return of_pairs % 2 == 0 ? &further.restitution : &further.friction;
+    }
     column -= 4;
     return column < n ? &bodies_[column].mass : &bodies_[column - n].inverse_inertia;
   }
@@ -264,8 +282,11 @@ class IslandDerivative {
     std::vector<Taped> torque(in.torque.size());
     for (std::size_t i = 0; i < torque.size(); ++i) vary(torque[i], in.torque[i]);
     ContactConstants<Taped> contact;
-    vary(contact.restitution, in.contact.restitution);
-    vary(contact.friction, in.contact.friction);
+    std::vector<PairConstants<Taped>> pairs(in.pairs.size());
+    PairConstants<Taped>& pair = pairs.empty() ? contact : pairs[0];
+    const PairConstants<S>& pair_in = pairs.empty() ? in.contact : in.pairs[0];
+    vary(pair.restitution, pair_in.restitution);
+    vary(pair.friction, pair_in.friction);
     vary(contact.stiffness, in.contact.stiffness);
     vary(contact.damping, in.contact.damping);
     for (std::size_t i = 0; i < n; ++i) {
@@ -274,13 +295,19 @@ class IslandDerivative {
       bodies[i].inverse_mass = body.fixed ? Taped(body.inverse_mass) : Divide(S(1), bodies[i].mass);
       bodies[i].radius = body.radius;
       bodies[i].fixed = body.fixed;
+      bodies[i].material = body.material;
     }
     for (std::size_t i = 0; kRotation == kSpin && i < n; ++i) {
       vary(bodies[i].inverse_inertia, in.bodies[i].inverse_inertia);
     }
+    for (std::size_t k = 1; k < pairs.size(); ++k) {
+      vary(pairs[k].restitution, in.pairs[k].restitution);
+      vary(pairs[k].friction, in.pairs[k].friction);
+    }
     StepInput<Taped> taped{};
     taped.ShareScene(in);
     taped.contact = contact;
+    taped.pairs = pairs;
     taped.bodies = bodies;
     taped.force = force;
     taped.torque = torque;
@@ -342,7 +369,7 @@ class IslandDerivative {
     }
     static bool SameConstants(const BodyConstants<S>& a, const BodyConstants<S>& b) {
       return a.mass == b.mass && a.inverse_mass == b.inverse_mass && a.radius == b.radius && a.fixed == b.fixed &&
-             a.inverse_inertia == b.inverse_inertia;
+             a.material == b.material && a.inverse_inertia == b.inverse_inertia;
     }
   };
 
@@ -388,6 +415,7 @@ class IslandDerivative {
   std::vector<JetState> x_, next_;
   std::vector<Vec2<Jet>> force_;
   std::vector<BodyConstants<Jet>> bodies_;
+  std::vector<PairConstants<Jet>> pairs_;
   std::vector<Jet> torque_;
   StepInput<Jet> jets_;  // kept: it is large to set up
   static constexpr std::size_t kMostResting = 4;

@@ -120,6 +120,7 @@ class ModelAdjoint {
 
   void ClearParameters(ParameterGradient* parameters) const {
     parameters->restitution = parameters->friction = parameters->stiffness = parameters->damping = 0;
+    parameters->pairs.assign(scene_.pairs.size(), {0, 0});
     parameters->gravity.setZero();
     parameters->mass.assign(scene_.num_bodies(), 0.0);
     parameters->force.assign(scene_.num_bodies(), Vec2d::Zero());
@@ -150,9 +151,8 @@ class ModelAdjoint {
       const auto by = [&]() -> double {
         switch (kind) {
           case Kind::kRestitution:
-            return parameters->restitution;
           case Kind::kFriction:
-            return parameters->friction;
+            return ByContact(given_.design[i].parameter, *parameters);
           case Kind::kStiffness:
             return parameters->stiffness;
           case Kind::kDamping:
@@ -181,7 +181,7 @@ class ModelAdjoint {
     const int n = static_cast<int>(island.size());
     const bool with_parameters = out_.parameters != nullptr;
     after_.resize(n * kSize);
-    before_.resize(IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, with_parameters));
+    before_.resize(IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, with_parameters, scene_.pairs.size()));
     for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &after_[i * kSize]);
     derivative_.ApplyTranspose(
         model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
@@ -201,7 +201,7 @@ class ModelAdjoint {
       if (with_parameters) AddConstantForce(body, push);
       if (IsTorqueWanted(body)) PutTorque(body, k, before_[n * (kSize + 2) + i]);
     }
-    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, false);
+    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns);
     if (with_parameters) AddContactParameters(island, &before_[parameters]);
   }
 
@@ -274,6 +274,12 @@ class ModelAdjoint {
     parameters.friction += gradient[1];
     parameters.stiffness += gradient[2];
     parameters.damping += gradient[3];
+    const S* further = gradient + IslandDerivative<S, kRotation>::FirstOfPairs(static_cast<int>(island.size()));
+    for (std::size_t k = 0; k < parameters.pairs.size(); ++k) {
+      const S* of_pair = k == 0 ? gradient : further + 2 * (k - 1);
+      parameters.pairs[k].restitution += of_pair[0];
+      parameters.pairs[k].friction += of_pair[1];
+    }
     for (std::size_t i = 0; i < island.size(); ++i) {
       if (!scene_.fixed[island[i]]) parameters.mass[island[i]] += gradient[4 + i];
     }

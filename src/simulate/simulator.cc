@@ -152,6 +152,12 @@ void Simulator::SelectControl(std::span<const double> force, std::span<double> r
   for (int body : scene_.control.turned) *u++ = force[2 * num_bodies() + body];
 }
 
+double ByContact(const SceneParameter& parameter, const ParameterGradient& gradient) {
+  const PairConstants<double> of_scene{gradient.restitution, gradient.friction};
+  const PairConstants<double>& by = gradient.pairs.empty() ? of_scene : gradient.pairs[parameter.component];
+  return parameter.kind == SceneParameter::Kind::kRestitution ? by.restitution : by.friction;
+}
+
 int InitialSize(const Scene& scene) { return (scene.Spins() ? 4 + kSpin : 4) * scene.num_bodies(); }
 
 std::vector<double> ToInitial(std::span<const double> state, int num_bodies) {

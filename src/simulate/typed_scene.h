@@ -19,21 +19,22 @@ struct TypedScene {
   TypedScene(const Scene& scene, double step)
       : h(S(step)),
         gravity(scene.gravity.cast<S>()),
-        contact{S(scene.contact.restitution),
-                S(scene.contact.friction),
+        contact{{S(scene.contact.restitution), S(scene.contact.friction)},
                 S(scene.contact.stiffness),
                 S(scene.contact.damping)} {
     for (const Body& body : scene.bodies) {
       const S mass = S(body.mass);
-      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
+      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed, body.material + 1});
       if (body.Spins()) bodies.back().inverse_inertia = S(1) / S(body.MomentOfInertia());
       fixed.push_back(body.fixed);
     }
+    for (const PairContact& pair : PairContactsOf(scene)) pairs.push_back({S(pair.restitution), S(pair.friction)});
     turns = scene.num_turned() > 0;
     if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);
     for (WallPart& part : WallPartsOf(scene)) {
       const Wall<double>& wall = part.wall;
-      planes.push_back({wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius)});
+      planes.push_back(
+          {wall.normal.cast<S>(), S(wall.offset), wall.side, wall.material, wall.center.cast<S>(), S(wall.radius)});
       extents.push_back(part.extent);
       if (part.table) table = static_cast<int>(wall_parts.size());
       if (part.pocket && num_pockets++ == 0) first_pocket = static_cast<int>(wall_parts.size());
@@ -49,6 +50,7 @@ struct TypedScene {
     in.h = h;
     in.gravity = gravity;
     in.contact = contact;
+    in.pairs = pairs;
     in.bodies = bodies;
     in.planes = planes;
     in.extents = extents;
@@ -62,6 +64,7 @@ struct TypedScene {
   S h;              // s
   Vec2<S> gravity;  // m/s^2
   ContactConstants<S> contact;
+  std::vector<PairConstants<S>> pairs;  // by MaterialPairIndex(); none without materials
   std::vector<BodyConstants<S>> bodies;
   std::vector<char> fixed;  // of each disc
   std::vector<Wall<S>> planes;

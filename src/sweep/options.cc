@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <limits>
 
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "scene/control_problems.h"
@@ -130,6 +131,13 @@ std::optional<BodyField> FindBodyField(const std::string& name, const Scene& sce
   return found;
 }
 
+// Restitution or friction of a pair of materials, "restitution.rubber-steel".
+std::optional<SceneParameter> FindOfPair(const std::string& name, const Scene& scene) {
+  const bool of_pair = name.starts_with("restitution.") || name.starts_with("friction.");
+  const std::vector<SceneParameter> found = of_pair ? ParametersNamed(name, scene) : std::vector<SceneParameter>();
+  return found.empty() ? std::nullopt : std::optional(found[0]);
+}
+
 // Where a body stands in a list of controlled ones; -1 if it does not.
 int FindIn(const std::vector<int>& bodies, int body) {
   const auto found = std::ranges::find(bodies, body);
@@ -205,7 +213,10 @@ Json RunProgram(const std::string& arguments, double seconds) {
 std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Scene& scene) {
   if (kept_program) return FindProgramOption(name);
   if (IsWord(name)) return SweepOptionKind::kWord;
+  const bool of_contact = name == "restitution" || name == "friction";  // of all contacts, or of a pair of materials
+  if (of_contact && !scene.materials.empty()) return std::nullopt;
   if (const NumberOption* option = FindNumber(name)) return option->kind;
+  if (FindOfPair(name, scene)) return kReal;
   const std::optional<BodyField> found = FindBodyField(name, scene);
   if (!found) return std::nullopt;
   const bool known = FindBodyNumber(found->field) != nullptr ||
@@ -237,6 +248,8 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
     SetWord(name, value.get<std::string>(), request);
   } else if (const NumberOption* option = FindNumber(name)) {
     option->set(ToNumber(value), request);
+  } else if (const auto of_pair = FindOfPair(name, request->scene)) {
+    SetValue(*of_pair, ToNumber(value), &request->scene);
   } else {
     const std::optional<BodyField> found = FindBodyField(name, request->scene);
     CHECK(found) << name;

@@ -3,7 +3,8 @@
 //
 // Beside the names in SweepOptionNames(), "<body>.<field>" is an option for every body of the scene: mass, radius,
 // position_x, position_y, velocity_x, velocity_y, and force_x, force_y (of the initial control) if it is controlled,
-// torque if it is turned.
+// torque if it is turned. In a scene with materials restitution and friction have the names of scene_parameter.h, such
+// as "restitution.rubber-steel".
 #pragma once
 
 #include <optional>

@@ -7,6 +7,7 @@
 #include "base/csv.h"
 #include "base/number_text.h"
 #include "base/table.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -143,7 +144,8 @@ class SpecParser {
   void CheckName(const std::string& name, const OnError& fail) {
     if (!FindSweepOption(name, scene_)) {
       fail("an option: one of " + Joined(SweepOptionNames()) + ", or <body>.<field> of the scene, such as " +
-           (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass");
+           (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass" +
+           (scene_.materials.empty() ? "" : ", or of its materials: " + ContactParametersOf(scene_)));
     }
     if (!used_.insert(name).second) fail("each option once");
   }

@@ -171,6 +171,44 @@ TEST(Identify, IsExactWithoutNoise) {
   EXPECT_NEAR(report.estimates[0].value, 0.75, 1e-6);
 }
 
+// Two restitutions from one recording: those of a ball with its floor and with walls of another material.
+TEST(Identify, FindsTheRestitutionOfEachPairOfMaterials) {
+  GeneratedProblem problem;
+  Scene& scene = problem.truth;
+  scene.name = "walls";
+  scene.duration = 3;
+  scene.steps = 180;
+  scene.gravity = {0, -9.81};
+  scene.bodies = {
+      {.name = "ball", .radius = 0.05, .mass = 0.3, .position = {0, 1}, .velocity = {1.5, 0}, .material = 0}};
+  scene.planes = {{"floor", {0, 0}, {0, 1}, 1}, {"left", {-0.5, 0}, {1, 0}, 2}, {"right", {0.5, 0}, {-1, 0}, 2}};
+  scene.materials = {{"rubber", {0.9, 0}}, {"steel", {0.7, 0}}, {"wood", {0.5, 0}}};
+  scene.pairs = {{0, 2, 0.62, std::nullopt}};
+  GeneratedRandom random(4);
+  problem.recording.name = "walls";
+  Measure(1e-3, 0, &random, &problem);
+  problem.guess = problem.truth;
+  problem.guess.materials = {{"rubber", {0.5, 0}}, {"steel", {0.9, 0}}, {"wood", {0.5, 0}}};
+  problem.guess.pairs.clear();
+  const auto unknowns =
+      std::get<std::vector<Unknown>>(ParseUnknowns("restitution.rubber-steel,restitution.wood-rubber", scene));
+  const IdentifyReport report = Identify("event", problem.guess, {problem.recording}, unknowns);
+  ASSERT_EQ(report.verdict, FitVerdict::kFits) << report.reason;
+  ASSERT_EQ(report.estimates.size(), 2u);
+  EXPECT_EQ(report.estimates[1].name, "restitution.rubber-wood");
+  for (int i = 0; i < 2; ++i) {
+    const Estimate& estimate = report.estimates[i];
+    EXPECT_EQ(estimate.determination, Determination::kDetermined);
+    EXPECT_NEAR(estimate.value, i == 0 ? 0.8 : 0.62, 5 * estimate.standard_error);
+    EXPECT_LT(estimate.standard_error, 2e-3);
+  }
+  EXPECT_THAT(std::get<std::string>(ParseUnknowns("restitution", scene)),
+              HasSubstr("expected some of restitution.rubber-steel, restitution.rubber-wood, friction.rubber-steel"));
+  const IdentifyReport law =
+      Identify("event", problem.guess, {problem.recording}, {}, {.law = RestitutionNetwork(2, 3, 0.5)});
+  EXPECT_THAT(law.reason, HasSubstr("found a law of impact in a scene with materials"));
+}
+
 TEST(Identify, SaysWhatNoImpactReveals) {
   const GeneratedProblem problem = Bounce();
   const std::vector<Unknown> unknowns = {{Kind::kRestitution}, {Kind::kMass, 0}, {Kind::kGravity, -1, 1}};

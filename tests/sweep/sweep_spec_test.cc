@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include "folders.h"
+#include "saltus/scene/materials.h"
 #include "sweep/options.h"
 #include "sweep/spec.h"
 #include "sweep/study.h"
@@ -177,6 +178,26 @@ TEST(SweepOptions, ChangeWhatTheyName) {
     EXPECT_THROW(SetSweepOption(name, -1.0, &other), InputError) << name;
   }
   EXPECT_THROW(SetSweepOption("learning_rate", -1.0, &request), InputError);
+}
+
+TEST(SweepOptions, NameThePairsOfMaterials) {
+  Request request = TwoBallsRequest();
+  request.scene.materials = {{"rubber", {0.9, 0.4}}, {"steel", {0.6, 0.2}}};
+  request.scene.bodies[0].material = 0;
+  request.scene.bodies[1].material = 1;
+  EXPECT_FALSE(FindSweepOption("restitution", request.scene));
+  EXPECT_FALSE(FindSweepOption("friction", request.scene));
+  EXPECT_FALSE(FindSweepOption("restitution.rubber-stone", request.scene));
+  EXPECT_FALSE(FindSweepOption("restitution.rubber-steel", TwoBalls()));
+  const std::vector<SweepBlock> blocks = ParseSweep("restitution.steel-rubber=0.1,0.3", request.scene);
+  SetSweepOption(blocks[0].options[0], 0.3, &request);
+  EXPECT_EQ(ContactBetween(request.scene, 0, 1), (PairContact{0.3, 0.5 * (0.4 + 0.2)}));
+  try {
+    ParseSweep("restitution=0.1", request.scene);
+    ADD_FAILURE() << "expected an error";
+  } catch (const InputError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("restitution.rubber-steel, friction.rubber-steel"));
+  }
 }
 
 TEST(SweepStudy, CombinesBlocksWithTheLastFastest) {

@@ -38,6 +38,9 @@ struct ModelTraits {
   // derivatives a pass. A model that claims it and is not so gets a wrong gradient.
   bool relative = false;
   bool spins = false;  // discs turn by its source, whatever the scene says of their inertia, and friction turns them
+  // Takes restitution and friction of each candidate from StepInput::ContactOf(); without, a scene with materials is
+  // not applicable.
+  bool by_pair = false;
 };
 
 // A number of a model's own that users may set, as in --contact=ncp:kappa=1e-6.

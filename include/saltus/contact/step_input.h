@@ -10,6 +10,7 @@
 
 #include "saltus/contact/solve_record.h"
 #include "saltus/scene/geometry.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
 
 namespace saltus {
@@ -40,12 +41,20 @@ struct BodyConstants {
   T inverse_mass;  // 1/kg; 0 if fixed
   Base<T> radius;  // m
   bool fixed = false;
+  int material = 0;                   // 0: none; else its number, from 1 on, in the scene
   T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it does not spin as the scene says
 };
 
+// Restitution and friction where two things touch.
 template <typename T>
-struct ContactConstants {
-  T restitution, friction, stiffness, damping;  // as in ContactParameters
+struct PairConstants {
+  T restitution, friction;
+};
+
+// As in ContactParameters.
+template <typename T>
+struct ContactConstants : PairConstants<T> {
+  T stiffness, damping;
 };
 
 // Disc `a` and either disc `b` or, as `plane`, wall `b` (walls.h), which may touch in this step. Normals point towards
@@ -90,9 +99,9 @@ struct TiedContact {
 template <typename T, typename H = Base<T>>
 struct StepInput {
   using S = Base<T>;
-  H h;              // s, length of the step
-  Vec2<S> gravity;  // m/s^2
-  ContactConstants<T> contact;
+  H h;                          // s, length of the step
+  Vec2<S> gravity;              // m/s^2
+  ContactConstants<T> contact;  // restitution and friction: of what has no material; see ContactOf()
   std::span<const BodyConstants<T>> bodies;
   std::span<const Wall<S>> planes;        // half-planes, and the parts of edges (walls.h)
   std::span<const Vec2<T>> force;         // N
@@ -109,6 +118,8 @@ struct StepInput {
   int first_pocket = 0, num_pockets = 0;     // which of them are pockets
   S slowing = S(0);                          // m/s^2, by which it slows them
   std::span<const T> torque = {};            // N m, on the discs; none if empty
+  // Restitution and friction by MaterialPairIndex() (materials.h), if the scene has materials.
+  std::span<const PairConstants<T>> pairs = {};
 
   // The numbers that solve() returns, or that it returned at this place when the step was taken before; valid until the
   // end of the step. They may depend on values only.
@@ -165,6 +176,23 @@ struct StepInput {
   // literal; what the step leaves should be not a number, so that derivatives taken there fail too.
   void Fail(std::string_view why) const {
     if (failure != nullptr && failure->empty()) *failure = why;
+  }
+
+  // Restitution and friction of a candidate. Stiffness and damping are the same for all.
+  const PairConstants<T>& ContactOf(const Candidate& c) const { return ContactOfPair(PairOf(c)); }
+  // The same by its pair of materials, of which there are num_pairs().
+  int PairOf(const Candidate& c) const {
+    if (pairs.empty()) return 0;
+    return MaterialPairIndex(bodies[c.a].material, c.plane ? planes[c.b].material : bodies[c.b].material);
+  }
+  const PairConstants<T>& ContactOfPair(int pair) const { return pairs.empty() ? contact : pairs[pair]; }
+  int num_pairs() const { return pairs.empty() ? 1 : static_cast<int>(pairs.size()); }
+  // Whether a candidate has friction.
+  bool HasFriction() const {
+    if (pairs.empty()) return Value(contact.friction) > S(0);
+    return std::any_of(candidates.begin(), candidates.end(), [this](const Candidate& c) {
+      return Value(ContactOf(c).friction) > S(0);
+    });
   }
 
   // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.

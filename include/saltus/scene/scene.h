@@ -40,6 +40,7 @@ struct Body {
   Inertia inertia = {};
   double angle = 0;             // rad, counter-clockwise; zero if it cannot spin
   double angular_velocity = 0;  // rad/s, counter-clockwise; likewise
+  int material = -1;            // index into Scene::materials; -1: none, it has the numbers of Scene::contact
 
   bool Spins() const { return inertia.kind != Inertia::Kind::kNone; }
   // kg m^2. Precondition: it spins.
@@ -55,6 +56,7 @@ struct Plane {
   std::string name;              // as of a body; no two bodies, planes, edges or pockets have the same
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
+  int material = -1;             // as of a body
 
   bool operator==(const Plane&) const = default;
 };
@@ -64,6 +66,7 @@ struct Plane {
 struct EdgeSegment {
   std::string name;                                // as of a body
   Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m; different
+  int material = -1;                               // as of a body
 
   bool operator==(const EdgeSegment&) const = default;
 };
@@ -74,6 +77,7 @@ struct EdgePolygon {
   std::string name;           // as of a body
   std::vector<Vec2d> points;  // m; corners in counter-clockwise order, at least three; its sides do not meet
   Solid solid = Solid::kInside;
+  int material = -1;  // as of a body
 
   bool operator==(const EdgePolygon&) const = default;
 };
@@ -84,6 +88,7 @@ struct EdgeArc {
   Vec2d center = Vec2d::Zero();  // m
   double radius = 0;             // m, > 0
   double from = 0, to = 0;       // rad, counter-clockwise; from < to <= from + 2 pi
+  int material = -1;             // as of a body
 
   bool operator==(const EdgeArc&) const = default;
 };
@@ -107,7 +112,8 @@ struct Pocket {
   bool operator==(const Pocket&) const = default;
 };
 
-// Scene-wide contact parameters. A model reads those it knows.
+// Contact parameters: restitution and friction of all that has no material, and the stiffness and damping of the whole
+// scene. A model reads those it knows.
 struct ContactParameters {
   double restitution = 1;  // e in [0, 1]
   double friction = 0;     // mu >= 0
@@ -116,6 +122,33 @@ struct ContactParameters {
 
   bool operator==(const ContactParameters&) const = default;
 };
+
+// Restitution and friction where two things touch.
+struct PairContact {
+  double restitution = 1;  // e in [0, 1]
+  double friction = 0;     // mu >= 0
+
+  bool operator==(const PairContact&) const = default;
+};
+
+// What bodies and walls are made of.
+struct Material {
+  std::string name;     // as of a body, but without '-'; not "default", which is what has no material
+  PairContact contact;  // what Scene::combine makes the numbers of a pair of
+
+  bool operator==(const Material&) const = default;
+};
+
+// Two materials, or twice the same, whose restitution or friction is given and not combined.
+struct MaterialPair {
+  int a = -1, b = -1;  // indices into Scene::materials; -1: what has no material
+  std::optional<double> restitution = std::nullopt, friction = std::nullopt;
+
+  bool operator==(const MaterialPair&) const = default;
+};
+
+// How the numbers of two materials make those of the pair that they are.
+enum class Combine { kMean, kProduct, kMin, kMax };
 
 // Which bodies are pushed and turned, and the constant force and torque on each with which optimisation starts.
 //
@@ -249,8 +282,10 @@ struct SceneParameter {
     kSegmentAngle,   // rad, by which it is turned about its middle, counter-clockwise
   };
   Kind kind = Kind::kRestitution;
-  int body = -1;      // of a mass, force, radius or position; or the index of a plane or a segment
-  int component = 0;  // of gravity, a force or a position: 0 is x, 1 is y; or the number of a law's parameter
+  int body = -1;  // of a mass, force, radius or position; or the index of a plane or a segment
+  // Of gravity, a force or a position: 0 is x, 1 is y; or the number of a law's parameter. Of restitution or friction
+  // in a scene with materials: MaterialPairIndex() of the pair (materials.h).
+  int component = 0;
 
   bool operator==(const SceneParameter&) const = default;
 };
@@ -291,7 +326,10 @@ struct Scene {
   std::vector<Pocket> pockets = {};
   std::optional<TableFriction> table = std::nullopt;  // none: nothing slows discs but contact
   ContactParameters contact;
-  Control control;  // empty if nothing is pushed
+  std::vector<Material> materials = {};  // none: everything has the restitution and friction of `contact`
+  std::vector<MaterialPair> pairs = {};  // no pair twice
+  Combine combine = Combine::kMean;      // for pairs that are not there; for these a material with itself is a pair too
+  Control control;                       // empty if nothing is pushed
   Objective objective;
   std::vector<NoContact> no_contact;
   Optimize optimize = Optimize::kNone;

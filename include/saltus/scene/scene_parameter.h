@@ -1,6 +1,8 @@
 // The names and values of the numbers of a scene that may be unknown (SceneParameter in scene.h).
 //
 //   restitution, friction, stiffness, damping    those of contact
+//   restitution.A-B, friction.A-B                in a scene with materials, in the place of restitution and friction:
+//                                                of the pair of two materials; "default" is what has none
 //   gravity.x, gravity.y                         m/s^2; "gravity" is both
 //   mass.BODY                                    kg, of a disc that moves
 //   force.BODY.x, force.BODY.y                   N, constant, on a disc that moves; "force.BODY" is both
@@ -30,9 +32,13 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
 // "restitution", "mass.ball", "gravity.y", "position.post.x", "offset.wall". Precondition: it is one of the scene's.
 std::string NameOf(const SceneParameter& parameter, const Scene& scene);
 
+// The names of restitution and friction (of each pair of materials that may touch, if the scene has materials),
+// stiffness and damping, with commas.
+std::string ContactParametersOf(const Scene& scene);
+
 // Returns its value, in the scene's units; 0 for a parameter of a law, and for the force on an uncontrolled disc.
 double ValueOf(const SceneParameter& parameter, const Scene& scene);
-// Does nothing for a parameter of a law.
+// Does nothing for a parameter of a law. Restitution or friction of a pair of materials becomes one of Scene::pairs.
 void SetValue(const SceneParameter& parameter, double value, Scene* scene);
 
 // The values that solvers may give a design parameter: between its own bounds, and within what its kind allows

@@ -33,7 +33,7 @@ struct Meeting {
   Vec2<T> normal;                 // unit vector, towards the first disc
   Vec2<T> velocity;               // m/s, of the first relative to the second
   T mass;                         // kg, 1 / (1/m_a + 1/m_b)
-  ContactConstants<T> constants;  // of the scene: restitution, friction, stiffness, damping
+  ContactConstants<T> constants;  // restitution and friction of the two, stiffness and damping of the scene
 
   // No force.
   Vec2<T> Zero() const { return Vec2<T>(T(0.0), T(0.0)); }
@@ -53,7 +53,8 @@ struct ForceModel : F {
                                           .compliant = true,
                                           .double_engine = true,
                                           .rebound = Rebound::kEmergent,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   static constexpr int kRotation = 0;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -73,7 +74,7 @@ struct ForceModel : F {
                                   .normal = at.normal,
                                   .velocity = RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return x[i].v; }),
                                   .mass = in.EffectiveMass(c),
-                                  .constants = in.contact};
+                                  .constants = {in.ContactOf(c), in.contact.stiffness, in.contact.damping}};
       const Vec2<T> force = F::Force(meeting);
       if (Value(force[0]) == 0 && Value(force[1]) == 0) continue;
       in.Report(c);

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "saltus/internal/contact_step.h"
+#include "saltus/scene/materials.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -21,7 +22,10 @@ namespace internal {
 
 template <ContactModel M>
 std::string WhyModelNotApplicable(const Scene& scene) {
-  if (!M::kTraits.friction && scene.contact.friction > 0) return "this model knows no friction";
+  if (!M::kTraits.friction && HasFriction(scene)) return "this model knows no friction";
+  if (!M::kTraits.by_pair && !scene.materials.empty()) {
+    return "the scene has materials: this model has one restitution and one friction for all contacts";
+  }
   if (scene.steps % M::kTraits.grid_steps != 0) {
     return "this model needs a number of steps divisible by " + std::to_string(M::kTraits.grid_steps);
   }

@@ -58,6 +58,9 @@ struct ParameterGradient {
   double friction = 0;
   double stiffness = 0;
   double damping = 0;
+  // In a scene with materials: by MaterialPairIndex() (materials.h). Restitution and friction above are then those of
+  // pairs without a material, as here at 0.
+  std::vector<PairConstants<double>> pairs;
   Vec2d gravity = Vec2d::Zero();
   std::vector<double> mass;     // B; 0 for fixed discs; at the moment of inertia that the disc has
   std::vector<Vec2d> force;     // B; with respect to a constant force on the disc; 0 for fixed discs
@@ -66,6 +69,9 @@ struct ParameterGradient {
   // moment of inertia too.
   std::vector<double> design;
 };
+
+// The derivative by restitution or friction, of the pair of materials that the parameter names if the scene has any.
+double ByContact(const SceneParameter& parameter, const ParameterGradient& gradient);
 
 // Derivatives of one number with respect to all that determines a rollout.
 struct Sensitivity {
@@ -90,8 +96,9 @@ struct SensitivityView {
 class StepLinearization {
  public:
   // Discs that are stepped together. Columns of A: their states; of B: the forces on them and, if discs are turned,
-  // then torque / radius of each; of P: restitution, friction, stiffness, damping, their masses and, if the scene has
-  // discs that spin, their inverse moments of inertia (only if parameters were asked for).
+  // then torque / radius of each; of P: restitution, friction, stiffness, damping, their masses, if the scene has discs
+  // that spin, their inverse moments of inertia and, if it has materials, restitution and friction of each pair of
+  // materials from 1 on, by MaterialPairIndex() (only if parameters were asked for).
   struct Island {
     std::vector<int> bodies;
     Eigen::MatrixXd A, B, P;

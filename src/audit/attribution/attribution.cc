@@ -25,6 +25,7 @@
 #include "base/parallel_for.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
@@ -533,8 +534,10 @@ class Attributor {
       impact.spin[side] += time * torque * impact.inverse_inertia[side];
     }
     impact.spins = scene_.Spins();
-    impact.restitution = scene_.contact.restitution;
-    impact.friction = scene_.contact.friction;
+    const int other = pair.plane ? walls_[pair.b].wall.material - 1 : scene_.bodies[pair.b].material;
+    const auto contact = ContactBetween(scene_, scene_.bodies[pair.a].material, other);
+    impact.restitution = contact.restitution;
+    impact.friction = contact.friction;
     impact.mode = at.touch.mode;
     impact.before = at.step * h() + time;
     impact.after = (interval.end - interval.begin) * h() - impact.before;

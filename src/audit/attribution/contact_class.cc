@@ -9,6 +9,7 @@
 #include "audit/attribution/contact_run.h"
 #include "base/number_text.h"
 #include "base/statistics.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -250,9 +251,11 @@ ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, 
     return refused;
   }
   const double h = natural.duration / (natural.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps);
-  ContactRecognition found = RecogniseOnBench(
-      ModelBench(contact, natural, *encounter, stop), h, encounter->before, natural.contact.restitution);
   const Candidate& pair = encounter->pair;
+  const int other = pair.plane ? WallPartsOf(natural)[pair.b].wall.material - 1 : natural.bodies[pair.b].material;
+  const double restitution = ContactBetween(natural, natural.bodies[pair.a].material, other).restitution;
+  ContactRecognition found =
+      RecogniseOnBench(ModelBench(contact, natural, *encounter, stop), h, encounter->before, restitution);
   found.step = encounter->step;
   found.a = natural.bodies[pair.a].name;
   found.b = pair.plane ? WallNamesOf(natural)[pair.b] : natural.bodies[pair.b].name;

@@ -231,6 +231,8 @@ BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
   BlackBoxTraits traits = box->Describe(scene);
   if (const std::string beyond = BeyondPlainDiscs(scene); !beyond.empty()) {
     traits.not_applicable = "the scene has " + beyond + "; black boxes are audited with discs and planes";
+  } else if (!scene.materials.empty()) {
+    traits.not_applicable = "the scene has materials; black boxes are told one restitution and one friction";
   }
   return traits;
 }

@@ -13,6 +13,7 @@
 
 #include "base/parallel_for.h"
 #include "saltus/control/single_shooting.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
@@ -231,10 +232,17 @@ OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& sc
 }
 
 std::vector<std::string> ParametersToCompare(const Scene& scene) {
+  using Kind = SceneParameter::Kind;
   if (scene.num_bodies() > kMostDiscs) return {};
-  std::vector<std::string> names = {"restitution", "stiffness", "damping", "gravity"};
+  std::vector<std::string> names;
+  const std::vector<int> pairs = PairsInUse(scene);
+  for (const int pair : pairs) names.push_back(NameOf({Kind::kRestitution, -1, pair}, scene));
+  names.insert(names.end(), {"stiffness", "damping", "gravity"});
   // At zero friction the loss has only a right derivative with respect to friction.
-  if (scene.contact.friction > 0) names.push_back("friction");
+  for (const int pair : pairs) {
+    const SceneParameter friction{Kind::kFriction, -1, pair};
+    if (ValueOf(friction, scene) > 0) names.push_back(NameOf(friction, scene));
+  }
   for (const Body& body : scene.bodies) {
     if (!body.fixed) names.push_back("mass." + body.name);
   }

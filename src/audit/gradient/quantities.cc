@@ -1,6 +1,7 @@
 // The quantities by which gradients are compared: their names, units and entries (refinement.h).
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
+#include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/units.h"
 
@@ -14,6 +15,19 @@ bool IsOf(Quantity quantity, const SceneParameter& parameter) {
   const Kind kind = parameter.kind;
   if (quantity == Quantity::kWallAngle) return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle;
   return kind == Kind::kRadius || kind == Kind::kPosition || kind == Kind::kPlaneOffset || kind == Kind::kSegmentOffset;
+}
+
+// Returns the restitutions, or the frictions above zero, of the pairs of materials that may touch; those of the scene
+// if it has no materials.
+std::vector<SceneParameter> OfPairs(Quantity quantity, const Scene& scene) {
+  using Kind = SceneParameter::Kind;
+  std::vector<SceneParameter> parameters;
+  for (const int pair : PairsInUse(scene)) {
+    const SceneParameter parameter{quantity == Quantity::kRestitution ? Kind::kRestitution : Kind::kFriction, -1, pair};
+    const bool one_sided = parameter.kind == Kind::kFriction && !(ValueOf(parameter, scene) > 0);
+    if (!one_sided || scene.materials.empty()) parameters.push_back(parameter);
+  }
+  return parameters;
 }
 
 }  // namespace
@@ -71,7 +85,7 @@ std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int i
       break;
     case Quantity::kRestitution:
     case Quantity::kFriction:
-      names.push_back(QuantityToString(quantity));
+      for (const SceneParameter& parameter : OfPairs(quantity, scene)) names.push_back(NameOf(parameter, scene));
       break;
     case Quantity::kGeometry:
     case Quantity::kWallAngle:
@@ -98,10 +112,10 @@ std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient,
       entries = CoarsenControl(g.control, gradient.num_steps, intervals);
       break;
     case Quantity::kRestitution:
-      entries = {g.parameters.restitution};
-      break;
     case Quantity::kFriction:
-      entries = {g.parameters.friction};
+      for (const SceneParameter& parameter : OfPairs(quantity, scene)) {
+        entries.push_back(ByContact(parameter, g.parameters));
+      }
       break;
     case Quantity::kMass:
       for (int i = 0; i < scene.num_bodies(); ++i) {

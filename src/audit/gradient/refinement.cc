@@ -12,6 +12,7 @@
 #include "base/parallel_for.h"
 #include "base/statistics.h"
 #include "saltus/audit/audit.h"
+#include "saltus/scene/materials.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -28,7 +29,7 @@ std::vector<Quantity> QuantitiesOf(const Scene& scene, bool parameters) {
   if (!parameters) return quantities;
   quantities.push_back(Quantity::kRestitution);
   // At zero friction the loss has only a right derivative with respect to friction.
-  if (scene.contact.friction > 0) quantities.push_back(Quantity::kFriction);
+  if (HasFriction(scene)) quantities.push_back(Quantity::kFriction);
   quantities.push_back(Quantity::kMass);
   quantities.push_back(Quantity::kGravity);
   for (const Quantity design : {Quantity::kGeometry, Quantity::kWallAngle}) {

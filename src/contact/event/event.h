@@ -119,7 +119,8 @@ struct EventDrivenOf {
                                           .chains = true,
                                           .event_driven = true,
                                           .sequential = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   static constexpr int kRotation = kTurn;
   static constexpr bool kLinearRotation = kTurn > 0;
   static constexpr int kTapedFrom = 5;  // discs

@@ -11,21 +11,16 @@
 
 namespace saltus::internal {
 
-template <typename T>
-struct ImpactNumbers {
-  T restitution, friction;
-};
-
-// The impact law with the constant restitution and friction of the scene, independent of velocity and normal.
+// The impact law with the restitution and friction that the scene gives the pair, independent of velocity and normal.
 template <typename T>
 struct SceneLaw {
   const StepInput<T>& in;
-  ImpactNumbers<T> At(const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
-    return {in.contact.restitution, in.contact.friction};
+  const PairConstants<T>& At(const Candidate& c, const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
+    return in.ContactOf(c);
   }
 };
 
-// Law::At(normal, w) returns restitution and friction of an impact.
+// Law::At(c, normal, w) returns restitution and friction of an impact of a candidate.
 template <typename T, int kRotation, typename Law>
 class EventChanges {
  public:
@@ -192,7 +187,7 @@ class EventChanges {
   SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = motion_.LastSeparation(c);
     const Vec2<T> w = motion_.LastRelativeVelocity(c);
-    const ImpactNumbers<T> law = law_.At(at.normal, w);
+    const PairConstants<T> law = law_.At(c, at.normal, w);
     const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
     const T bounce = last ? T(1.0) : T(law.restitution + 1.0);
     const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
@@ -228,7 +223,7 @@ class EventChanges {
     const Candidate& c = motion_.CandidateOf(q);
     if (++queue_.pair(q).meetings > kRepeatedImpacts && MayFallBack()) {
       const bool many =
-          motion_.num_discs() >= kManyDiscs || (counts_.impacts > kManyImpacts && Value(in_.contact.friction) > 0);
+          motion_.num_discs() >= kManyDiscs || (counts_.impacts > kManyImpacts && Value(in_.ContactOf(c).friction) > 0);
       if (many && !motion_.TouchesAlone(q, Value(motion_.disc(c.a).t))) return Fail("impacts without end");
     }
     if (++counts_.impacts <= kManyImpacts) return;

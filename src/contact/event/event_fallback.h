@@ -93,7 +93,7 @@ class TimeSteppingStep {
   };
 
   bool Moves(int i) const { return !in_.bodies[i].fixed; }
-  double Friction() const { return Value(in_.contact.friction); }
+  double Friction(const Candidate& c) const { return Value(in_.ContactOf(c).friction); }
 
   template <typename PositionOf>
   Separation<double> ApartAt(const Candidate& c, const PositionOf& position) const {
@@ -163,15 +163,14 @@ class TimeSteppingStep {
   bool Solve() {
     contacts_.clear();
     std::vector<ImpulseRow> rows;
-    const bool slips = Friction() > 0;
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
       if (!Bounds(pair)) continue;
       const Contact contact = MeasureContact(pair);
       contacts_.push_back(contact);
-      const Vec2d slope = Friction() * Perpendicular(contact.normal);
+      const Vec2d slope = Friction(c) * Perpendicular(contact.normal);
       rows.push_back({c.a, c.plane ? -1 : c.b, contact.normal - slope, contact.apart});
-      if (slips) rows.push_back({c.a, c.plane ? -1 : c.b, contact.normal + slope, contact.apart});
+      if (Friction(c) > 0) rows.push_back({c.a, c.plane ? -1 : c.b, contact.normal + slope, contact.apart});
     }
     std::vector<Vec2d> velocity;
     std::vector<double> inverse_mass;
@@ -182,9 +181,10 @@ class TimeSteppingStep {
     if (!SolveImpulseQp(inverse_mass, velocity, rows)) return false;
     largest_ = 0;
     for (const ImpulseRow& row : rows) largest_ = std::max(largest_, row.impulse);
-    for (std::size_t k = 0; k < contacts_.size(); ++k) {
-      contacts_[k].left = rows[slips ? 2 * k : k].impulse;
-      contacts_[k].right = slips ? rows[2 * k + 1].impulse : 0;
+    auto row = rows.begin();
+    for (Contact& contact : contacts_) {
+      contact.left = (row++)->impulse;
+      contact.right = Friction(in_.candidates[contact.pair]) > 0 ? (row++)->impulse : 0;
     }
     for (std::size_t i = 0; i < discs_.size(); ++i) discs_[i].after = velocity[i];
     return true;
@@ -235,7 +235,7 @@ class TimeSteppingStep {
   // Reports a contact without a time, so not as an event; inactive pairs too, as the derivatives are of all discs.
   void Report(const Contact& contact) {
     const Candidate& c = in_.candidates[contact.pair];
-    const bool left = contact.left > 0, right = contact.right > 0, rough = Friction() > 0 && (left || right);
+    const bool left = contact.left > 0, right = contact.right > 0, rough = Friction(c) > 0 && (left || right);
     const ContactMode mode = !rough          ? ContactMode::kFrictionless
                              : left && right ? ContactMode::kStick
                                              : ContactMode::kSlip;
@@ -270,7 +270,7 @@ class TimeSteppingStep {
         rows_.Add({c.a, c.plane ? -1 : c.b, direction, direction, Divide(gap, in_.h), T(impulse)});
       }
     };
-    const Vec2<T> slope = Scale(in_.contact.friction, Perpendicular(at.normal));
+    const Vec2<T> slope = Scale(in_.ContactOf(c).friction, Perpendicular(at.normal));
     add(at.normal - slope, contact.left);
     add(at.normal + slope, contact.right);
   }

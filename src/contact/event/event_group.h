@@ -114,7 +114,7 @@ class EventGroup {
     }
     for (std::size_t k = 0; k < contacts_.size(); ++k) {
       contacts_[k].force_at_start = contacts_[k].force.normal_force;
-      Classify(Value(in_.contact.friction), kOpenForce * largest, found[3 + 3 * k], &contacts_[k]);
+      Classify(kOpenForce * largest, found[3 + 3 * k], &contacts_[k]);
     }
     return true;
   }
@@ -282,13 +282,12 @@ class EventGroup {
   // Returns how far the forces at the end of the curves are from where a contact with friction opens or begins to
   // slide: the least distance over all contacts, divided by the normal force at the start; negative beyond that place.
   double LeftInMode() const {
-    const double friction = Value(in_.contact.friction);
     double left = kNever;
     for (const Contact& contact : contacts_) {
       if (!contact.closed) continue;
       const RestingContact& f = contact.force;
       const bool sticks = contact.mode == ContactMode::kStick;
-      const double force = sticks ? friction * f.normal_force - std::abs(f.tangential_force) : f.normal_force;
+      const double force = sticks ? f.friction * f.normal_force - std::abs(f.tangential_force) : f.normal_force;
       left = std::min(left, force / contact.force_at_start);
     }
     return left;
@@ -297,7 +296,7 @@ class EventGroup {
   // Returns the tangential force of a sliding contact divided by its normal force.
   T TangentialShare(const Contact& contact) const {
     if (contact.mode == ContactMode::kStick || jammed_) return T(0.0);
-    return in_.contact.friction * double(-contact.force.sliding);
+    return FrictionOf(contact) * double(-contact.force.sliding);
   }
 
   // Speed and acceleration of the two centres along each other, which turn the normal, as values.
@@ -321,6 +320,8 @@ class EventGroup {
  private:
   using Row = typename ForceRows<T, kRotation>::Row;
   static constexpr bool kDerivatives = !std::is_same_v<T, double>;
+
+  const T& FrictionOf(const Contact& contact) const { return in_.ContactOf(in_.candidates[contact.pair]).friction; }
 
   // Returns the difference of a vector of the two discs along the tangent; a wall's vector is zero.
   template <typename Of>
@@ -374,8 +375,7 @@ class EventGroup {
       forces_.push_back(contact.force);
     }
     const bool many = forces_.size() > std::size_t{kMostDenseRows};
-    return SolveRestingForces(Value(in_.contact.friction),
-                              rows_.inverse_mass(),
+    return SolveRestingForces(rows_.inverse_mass(),
                               acceleration_,
                               forces_,
                               turning_,
@@ -392,6 +392,7 @@ class EventGroup {
     f.a = c.a;
     f.b = c.plane ? -1 : c.b;
     f.normal = at.normal;
+    f.friction = Value(in_.ContactOf(c).friction);
     f.mass = Value(in_.EffectiveMass(c));
     if constexpr (kRotation == kSpin) {
       const auto turns = [&](int i) {
@@ -403,7 +404,7 @@ class EventGroup {
     }
     const double sliding = SlidingSpeed(*contact);
     const bool at_rest = std::abs(sliding) <= kStickSpeed;
-    const bool may_stick = at_rest && Value(in_.contact.friction) > 0;
+    const bool may_stick = at_rest && f.friction > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
     const double turning = Value(TurningDistance(in_, c, T(at.distance)));
     contact->bends = !c.plane || turning != 0;
@@ -413,16 +414,16 @@ class EventGroup {
   }
 
   // Sets the state and mode of a contact from its forces. `along`: the acceleration along the tangent, m/s^2.
-  static void Classify(double friction, double open, double along, Contact* contact) {
+  static void Classify(double open, double along, Contact* contact) {
     RestingContact& f = contact->force;
     contact->closed = f.normal_force > open;
-    if (!(friction > 0)) {
+    if (!(f.friction > 0)) {
       contact->mode = ContactMode::kFrictionless;
       // The derivative with respect to friction exists only where the contact slides or begins to slide.
       if (f.sliding == 0) f.sliding = (along > kPushing) - (along < -kPushing);
       return;
     }
-    const double bound = friction * f.normal_force;
+    const double bound = f.friction * f.normal_force;
     const bool sticks = f.sliding == 0 && std::abs(f.tangential_force) < bound * (1 - kAtBound);
     contact->mode = sticks ? ContactMode::kStick : ContactMode::kSlip;
     if (f.sliding == 0 && !sticks) f.sliding = f.tangential_force > 0 ? -1 : 1;
@@ -506,11 +507,10 @@ class EventGroup {
   // number, as it depends on which of them meets first.
   double DriftOf(const Contact& contact) const {
     const RestingContact& f = contact.force;
-    const double restitution = Value(in_.contact.restitution);
+    const double restitution = Value(in_.ContactOf(in_.candidates[contact.pair]).restitution);
     if (contacts_.size() > 1 || f.mass == 0 || restitution >= 1) return 0;
     const auto given = [&](int i) { return ValueOf(in_.Acceleration(i)); };
     const Vec2d a = given(f.a) - (f.b >= 0 ? given(f.b) : Vec2d(0, 0));
-    const double friction = Value(in_.contact.friction);
     double tangential = Dot(Perpendicular(f.normal), a);
     if constexpr (kRotation == kSpin) {
       // The part that it yields by turning is no drift, which is measured beside the motion in which it rolls.
@@ -518,7 +518,7 @@ class EventGroup {
       tangential = AlongSurface<kRotation>(in_, in_.candidates[contact.pair], tangential, given_turn);
       tangential *= f.tangential_mass / f.mass;
     }
-    return DriftOfBounces(tangential, -Dot(f.normal, a) - f.turning, friction, restitution);
+    return DriftOfBounces(tangential, -Dot(f.normal, a) - f.turning, f.friction, restitution);
   }
   // Adds a row for an overlap, on values; for open contacts too: closing others must not make them overlap bit by bit.
   void AddOverlap(const Contact& contact) {
@@ -593,7 +593,7 @@ class EventGroup {
       rows_.Add({c.a, b, tangent, tangent, T(0.0), T(f.tangential_force), T(1.0), T(1.0)});
       return;
     }
-    const T share = in_.contact.friction * double(-f.sliding);
+    const T share = FrictionOf(contact) * double(-f.sliding);
     const Vec2<T> push = at.normal + Scale(share, tangent);
     rows_.Add({c.a, b, at.normal, push, turning, T(f.normal_force), T(0.0), share});
   }

@@ -267,12 +267,12 @@ class EventMotion {
       if constexpr (kRotation == kSpin) AddSpinTo(static_cast<int>(i), &gain, &energy);
     }
     // A gain is allowed where the scene asks for it, and where discs overlap at the start.
-    bool may_gain = Value(in_.contact.restitution) > 1;
+    bool may_gain = false;
     for (int q = 0; q < num_pairs(); ++q) {
       const Candidate& c = CandidateOf(q);
       const Approach end = ApproachAt(c, in_.h);
       const double gap = StartGap(c);
-      may_gain = may_gain || gap < -kContactGap;
+      may_gain = may_gain || gap < -kContactGap || Value(in_.ContactOf(c).restitution) > 1;
       // Impacts within the last kNodeMargin are left to the next step.
       const double allowed = kLargestOverlap + 2 * kNodeMargin * in_.h * std::abs(end.speed);
       if (end.gap < std::min(gap, 0.0) - allowed) return "discs would overlap: contacts of this step are not resolved";

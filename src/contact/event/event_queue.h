@@ -261,8 +261,9 @@ class EventQueue {
   // Returns how often pair q has met since the step has had kManyImpacts, at most as often as its discs have met
   // others. It is 0 with friction, with which piles come to rest, and for elastic impacts, with which they never do.
   int Repetitions(int q) const {
-    if (Value(in_.contact.friction) > 0 || Value(in_.contact.restitution) >= 1) return 0;
     const Candidate& c = motion_.CandidateOf(q);
+    const PairConstants<T>& contact = in_.ContactOf(c);
+    if (Value(contact.friction) > 0 || Value(contact.restitution) >= 1) return 0;
     const int own = pairs_[q].impacts;
     const auto others = [&](int i) { return motion_.Moves(i) ? motion_.disc(i).impacts - own : 0; };
     return std::min(own, others(c.a) + (c.plane ? 0 : others(c.b)));

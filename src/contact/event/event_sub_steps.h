@@ -96,7 +96,7 @@ class SubSteps {
   // Whether sub-steps have no constant accelerations: with friction, as long as the conditions are few enough to be
   // solved directly. The errors of an iteration would add up over the stages.
   bool HasCurves() const {
-    if (!(Value(in_.contact.friction) > 0)) return false;
+    if (!in_.HasFriction()) return false;
     int rows = 0;
     for (const auto& contact : group_.contacts()) rows += contact.closed * (1 + (contact.mode == ContactMode::kStick));
     return rows <= kMostDenseRows || kRotation == kSpin;

@@ -54,7 +54,7 @@ struct NeuralEvent {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
     StepInput<T> at_rest = in;
-    const internal::ImpactNumbers<T> numbers = At(in, T(0.0), T(0.0));
+    const PairConstants<T> numbers = At(in, T(0.0), T(0.0));
     at_rest.contact.restitution = numbers.restitution;
     at_rest.contact.friction = numbers.friction;
     internal::TakeEventStep(*this, at_rest, SpeedLaw<T>{*this, in}, x, next);
@@ -70,7 +70,7 @@ struct NeuralEvent {
   struct SpeedLaw {
     const NeuralEvent& model;
     const StepInput<T>& in;
-    internal::ImpactNumbers<T> At(const Vec2<T>& normal, const Vec2<T>& w) const {
+    PairConstants<T> At(const Candidate& /*c*/, const Vec2<T>& normal, const Vec2<T>& w) const {
       const T sliding = Dot(Perpendicular(normal), w);
       return model.At(in, T(-Dot(normal, w)), Value(sliding) < 0 ? T(-sliding) : sliding);
     }
@@ -78,7 +78,7 @@ struct NeuralEvent {
 
   // Returns restitution and friction at the given speeds, which are in the units of the step.
   template <typename T>
-  internal::ImpactNumbers<T> At(const StepInput<T>& in, const T& speed, const T& sliding) const {
+  PairConstants<T> At(const StepInput<T>& in, const T& speed, const T& sliding) const {
     const std::size_t count = law->parameters.size();
     const double speeds[2] = {Value(speed) * speed_unit, Value(sliding) * speed_unit};
     const double* blocks[2] = {speeds, law->parameters.data()};

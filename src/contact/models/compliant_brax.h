@@ -36,7 +36,8 @@ struct CompliantBraxIn {
                                           .averages = true,
                                           .compared = true,
                                           .relative = true,
-                                          .spins = true};
+                                          .spins = true,
+                                          .by_pair = true};
   static constexpr int kRotation = kOfScene ? kSpin : 1;
   static constexpr bool kLinearRotation = kOfScene;
   template <typename T>
@@ -114,7 +115,7 @@ struct CompliantBraxIn {
 
   template <typename T>
   static T NormalImpulse(const StepInput<T>& in, const Candidate& c, const T& approach) {
-    const T restitution = in.contact.restitution * in.contact.restitution;
+    const T restitution = in.ContactOf(c).restitution * in.ContactOf(c).restitution;
     return Divide(T(-(restitution + Base<T>(1)) * approach), T(in.InverseMassA(c) + in.InverseMassB(c)));
   }
 
@@ -123,7 +124,7 @@ struct CompliantBraxIn {
   static Vec2<T> Friction(const StepInput<T>& in, const Candidate& c, const T& normal_impulse,
                           const Vec2<T>& tangential, ContactMode* mode) {
     using S = Base<T>;
-    const T friction = in.contact.friction * in.contact.friction;
+    const T friction = in.ContactOf(c).friction * in.ContactOf(c).friction;
     const T speed = brax::Norm(tangential);
     *mode = friction > S(0) ? ContactMode::kStick : ContactMode::kFrictionless;
     if (!(speed > S(0.01))) return Vec2<T>::Zero();

@@ -29,7 +29,8 @@ struct CompliantWarpOf : SemiImplicitFlight<kTurn> {
                                           .compliant = true,
                                           .rebound = Rebound::kEmergent,
                                           .compared = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   static constexpr int kTapedFrom = 12;  // discs
   template <typename T>
   using State = BodyState<T, kTurn>;
@@ -52,8 +53,8 @@ struct CompliantWarpOf : SemiImplicitFlight<kTurn> {
       const Vec2<T> sliding = w - Scale(s, at.normal);
       const T speed = Length(sliding);
       const bool slides = speed > S(1e-6);
-      if (slides) force -= Scale(T(in.contact.friction * SafeAbs(normal_force)), Quotient(sliding, speed));
-      in.Report(c, ModeOf(in.contact.friction > S(0), !slides));
+      if (slides) force -= Scale(T(in.ContactOf(c).friction * SafeAbs(normal_force)), Quotient(sliding, speed));
+      in.Report(c, ModeOf(in.ContactOf(c).friction > S(0), !slides));
       PushContact<kTurn>(in, c, at.normal, force, [&](int i, const auto& change) { acceleration[i] += change; });
     }
     for (std::size_t i = 0; i < x.size(); ++i) next[i] = SemiImplicitEuler(in.h, acceleration[i], x[i]);

@@ -1,10 +1,10 @@
 // Rows of contact groups, for models that solve for the impulses of all contacts of a group together.
 //
 // A group is a set of contacts connected by moving discs. Its rows are directions in which contacts push: first the
-// normals of all contacts, then, with friction, the tangents, in the same order. An impulse along a row acts on disc a,
-// and its opposite on disc b. With J the matrix of all rows, A = J M^-1 J^T is how impulses change velocities. A scene
-// without friction has no tangents, so these models' derivative by friction is zero there. Of discs that spin (kTurn),
-// rows and velocities are those of the points of contact.
+// normals of all contacts, then, if one has friction, the tangents, in the same order. An impulse along a row acts on
+// disc a, and its opposite on disc b. With J the matrix of all rows, A = J M^-1 J^T is how impulses change velocities.
+// A scene without friction has no tangents, so these models' derivative by friction is zero there. Of discs that spin
+// (kTurn), rows and velocities are those of the points of contact.
 #pragma once
 
 #include <Eigen/Core>
@@ -47,6 +47,8 @@ class ContactGroup {
   int num_contacts() const { return static_cast<int>(contacts_.size()); }
   int size() const { return friction_ ? 2 * num_contacts() : num_contacts(); }
   bool friction() const { return friction_; }
+  // The coefficient of a contact.
+  const T& friction(int i) const { return in_->ContactOf(contact(i).candidate).friction; }
   const GapContact<T>& contact(int i) const { return *contacts_[i]; }
   bool IsNormal(int row) const { return row < num_contacts(); }
   int NormalOf(int row) const { return IsNormal(row) ? row : row - num_contacts(); }
@@ -105,7 +107,7 @@ class ContactGroup {
     for (int i = 0; i < num_contacts(); ++i) {
       if (class_of(i) == LcpClass::kFree) continue;
       const bool sticks = friction_ && class_of(i + num_contacts()) == LcpClass::kClamping;
-      in_->Report(contact(i).candidate, ModeOf(friction_, sticks));
+      in_->Report(contact(i).candidate, ModeOf(friction_ && friction(i) > S(0), sticks));
     }
   }
 
@@ -180,9 +182,10 @@ std::pmr::vector<ContactGroup<T, kTurn>> FindContactGroups(const StepInput<T>& i
   contacts = contacts.first(num_contacts);
   std::pmr::vector<ContactGroup<T, kTurn>> groups(in.scratch);
   groups.reserve(num_contacts);
+  const bool friction = in.HasFriction();
   const std::pmr::vector<std::size_t> numbers = NumbersOfGroups(in, x.size(), contacts);
   for (std::size_t i = 0; i < num_contacts; ++i) {
-    if (numbers[i] == groups.size()) groups.emplace_back(in, Value(in.contact.friction) > 0);
+    if (numbers[i] == groups.size()) groups.emplace_back(in, friction);
     groups[numbers[i]].Add(contacts[i]);
   }
   return groups;
@@ -254,7 +257,7 @@ std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup
     const auto follow_normals = [&] {
       for (int i = 0; i < n; ++i) {
         if (!at_bound(i)) continue;
-        const T followed = sign(i) * (in.contact.friction * x[group.NormalOf(i)]);
+        const T followed = sign(i) * (group.friction(group.NormalOf(i)) * x[group.NormalOf(i)]);
         x[i] = T(values[i]) + (followed - Value(followed));
       }
     };
@@ -274,7 +277,7 @@ std::pmr::vector<T> ImpulsesInClasses(const StepInput<T>& in, const ContactGroup
         Q(i, j) = Value(group.Coupling(clamping[i], clamping[j]));
         const int tangent = clamping[j] + group.num_contacts();
         if (!group.IsNormal(clamping[j]) || tangent >= n || !at_bound(tangent)) continue;
-        Q(i, j) += sign(tangent) * Value(in.contact.friction) * Value(group.Coupling(clamping[i], tangent));
+        Q(i, j) += sign(tangent) * Value(group.friction(clamping[j])) * Value(group.Coupling(clamping[i], tangent));
       }
     }
     if (m > 0) {

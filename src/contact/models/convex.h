@@ -32,7 +32,8 @@ struct ConvexOf : ExplicitFlight<kTurn> {
       .source = "DiffCoSim (Zhong, Dey, Chakraborty 2021); Zhong, Han, Brikis 2022",
       .published_jacobian = true,
       .compared = true,
-      .relative = true};
+      .relative = true,
+      .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
 
@@ -53,10 +54,12 @@ struct ConvexOf : ExplicitFlight<kTurn> {
       const Vec2<S> n(Value(at.normal[0]), Value(at.normal[1]));
       const Vec2<S> t = Perpendicular(n);
       const Vec2<T> frozen = n.template cast<T>();
-      const Projection<T> f = ProjectOnCone<T>(
-          -Dot(n, w), -Dot(t, ContactVelocity<kTurn>(in, c, frozen, twist)), in.contact.friction, MassRatio(in, c));
+      const Projection<T> f = ProjectOnCone<T>(-Dot(n, w),
+                                               -Dot(t, ContactVelocity<kTurn>(in, c, frozen, twist)),
+                                               in.ContactOf(c).friction,
+                                               MassRatio(in, c));
       in.Report(c, f.mode);
-      const T scale = (in.contact.restitution + S(1)) * in.EffectiveMass(c);
+      const T scale = (in.ContactOf(c).restitution + S(1)) * in.EffectiveMass(c);
       const Vec2<T> impulse = Scale(scale, Vec2<T>(Scale(f.normal, n) + Scale(f.tangential, t)));
       T lever = T(S(0));  // s, by how much the impulse moves the disc within this step
       if constexpr (kTimeOfImpact) {

@@ -26,7 +26,8 @@ struct DirectRule : SemiImplicitFlight<0> {
       .source = "DiffTaichi (Hu et al. 2020); Zhong, Han, Brikis 2022",
       .friction = false,
       .compared = true,
-      .relative = true};
+      .relative = true,
+      .by_pair = true};
   template <typename T>
   using State = BodyState<T, 0>;
 
@@ -43,7 +44,7 @@ struct DirectRule : SemiImplicitFlight<0> {
       if (!(s < S(0))) continue;
       in.Report(c);
 
-      const Vec2<T> impulse = Scale(T(-(in.contact.restitution + S(1)) * in.EffectiveMass(c) * s), at.normal);
+      const Vec2<T> impulse = Scale(T(-(in.ContactOf(c).restitution + S(1)) * in.EffectiveMass(c) * s), at.normal);
       T lever = T(in.h);  // s, for how long the impulse moves the disc within this step
       if constexpr (kTimeOfImpact) {
         const T time_left = Divide(overlap, MinOf(T(S(-1e-3)), s));

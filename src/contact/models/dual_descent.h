@@ -37,7 +37,8 @@ struct DualDescentOf : SpringDescent<kTurn> {
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
 
   bool gauss_seidel = false;
   bool incremental = false;
@@ -111,7 +112,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
     const T miss = at.depth - before.normal * give;
     forces->normal =
         MaxOf(T(0.0), T(before.normal + Divide(T(alpha * miss), T(give + problem.h * problem.h * mobility))));
-    if (problem.friction > 0.0) {
+    if (side.friction > 0.0) {
       const T slip = -at.sliding - before.tangential / problem.drag;
       if constexpr (kTurn == kSpin) {
         for (const int disc : {side.a, side.b}) {
@@ -121,7 +122,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
         }
       }
       const T wanted = before.tangential + Divide(T(alpha * slip), T(1 / problem.drag + problem.h * mobility));
-      const T bound = problem.friction * forces->normal;
+      const T bound = side.friction * forces->normal;
       forces->tangential = MaxOf(T(-bound), MinOf(wanted, bound));
     }
     if (incremental) {

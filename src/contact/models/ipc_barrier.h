@@ -179,7 +179,8 @@ struct IpcBarrierOf {
                                           .rebound = Rebound::kEmergent,
                                           .push_gap = kRange,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   static constexpr int kRotation = kTurn;
   static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
@@ -316,7 +317,7 @@ struct IpcBarrierOf {
                                  c.plane ? in.planes[c.b] : Wall<double>{},
                                  in.ContactDistance(c),
                                  Perpendicular(at.normal),
-                                 T(in.contact.friction * force)});
+                                 T(in.ContactOf(c).friction * force)});
       if (!trapezoidal) continue;
       ApplyImpulse(in, c, Scale(T(energy.barrier_weight * force), at.normal), [&](int disc, const Vec2<T>& change) {
         energy.discs[members.place[disc]].target += change;
@@ -359,7 +360,7 @@ struct IpcBarrierOf {
       if (reported[i] || !(acts || side.friction > 0)) continue;
       reported[i] = 1;
       const bool slips = std::abs(energy.Slid(at, side)) > energy.slip;
-      in.Report(group.contact(i).candidate, ModeOf(in.contact.friction > 0.0, !slips));
+      in.Report(group.contact(i).candidate, ModeOf(group.friction(i) > 0.0, !slips));
     }
   }
 };

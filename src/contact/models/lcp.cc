@@ -82,16 +82,17 @@ DofMatrix<kMaxRows> TurningOfDirection(const Dofs& dofs, const Candidate& c, con
   return ImpulseDirection<kMaxRows>(dofs, c, Perpendicular(direction)) * along.transpose() / distance;
 }
 
-// Returns the matrix X closest to the identity with a^T X a = -e for each column a of `bounces`.
+// Returns the matrix X closest to the identity with a^T X a = -e for each column a of `bounces`, with e its
+// restitution.
 template <int kMaxRows>
-DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, double restitution) {
+DofMatrix<kMaxRows> BounceMatrix(const DofsByRows<kMaxRows>& bounces, const LcpVector<kMaxRows>& restitution) {
   const int size = static_cast<int>(bounces.rows());
   DofMatrix<kMaxRows> X = DofMatrix<kMaxRows>::Identity(size, size);
   if (bounces.cols() == 0) return X;
   LcpMatrix<kMaxRows> gram(bounces.cols(), bounces.cols());
   MultiplyTransposed(bounces, bounces, gram);
   const LcpMatrix<kMaxRows> squared = gram.cwiseProduct(gram);
-  LcpVector<kMaxRows> weights = (gram.diagonal().array() + restitution).matrix();
+  LcpVector<kMaxRows> weights = gram.diagonal() + restitution;
   LeastNormSolver(squared, 1e-11).Solve(weights, weights);
   for (int i = 0; i < bounces.cols(); ++i) X -= weights[i] * bounces.col(i) * bounces.col(i).transpose();
   return X;
@@ -217,6 +218,7 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
   LcpList<Matrix, kMaxRows> turning(num_clamping), caused_turning(num_clamping);
   LcpVector<kMaxRows> beta(num_clamping), rhs(num_clamping), impulse(num_clamping);
   DofsByRows<kMaxRows> bounces(size, 0);
+  LcpVector<kMaxRows> rebounds(0);  // the restitution of each of these
   for (int k = 0; k < num_clamping; ++k) {
     const int i = solution.clamping[k];
     const Vec2d tangent = Perpendicular(group[group[i].normal].direction);
@@ -228,17 +230,21 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
     for (int j = 0; j < static_cast<int>(group.size()); ++j) {
       const LcpClass c = solution.classes[j];
       if (group[j].normal != i || (c != LcpClass::kUpperBound && c != LcpClass::kLowerBound)) continue;
-      const double sigma = c == LcpClass::kUpperBound ? in.contact.friction : -in.contact.friction;
+      const double friction = in.ContactOf(group[j].candidate).friction;
+      const double sigma = c == LcpClass::kUpperBound ? friction : -friction;
       caused.col(k) += sigma * RowDirection<kMaxRows>(in, dofs, group[j]);
       caused_turning[k] +=
           sigma * TurningOfDirection<kMaxRows>(dofs, group[j].candidate, group[j].direction, tangent, distance);
     }
-    beta[k] = group[i].bounced ? 1 + in.contact.restitution : 1;
+    const double restitution = in.ContactOf(group[i].candidate).restitution;
+    beta[k] = group[i].bounced ? 1 + restitution : 1;
     rhs[k] = group[i].rhs;
     impulse[k] = solution.x[i];
     if (!group[i].bounced || !with_bounces) continue;
     bounces.conservativeResize(Eigen::NoChange, bounces.cols() + 1);
     bounces.template rightCols<1>() = direction.col(k);
+    rebounds.conservativeResize(bounces.cols());
+    rebounds[bounces.cols() - 1] = restitution;
   }
 
   const DofsByRows<kMaxRows> response = inverse_mass.asDiagonal() * caused;  // of the velocities to clamping impulses
@@ -269,7 +275,7 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
     pv += inverse_mass.asDiagonal() * applied;
   }
 
-  const Matrix X = BounceMatrix<kMaxRows>(bounces, in.contact.restitution);
+  const Matrix X = BounceMatrix<kMaxRows>(bounces, rebounds);
   constexpr int kSize = 4 + kTurn;
   for (int row : dofs.discs()) {
     for (int column : dofs.discs()) {

@@ -52,7 +52,8 @@ struct LcpOf : ExplicitFlight<kTurn> {
                                           .double_engine = true,
                                           .published_jacobian = true,
                                           .compared = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
 
@@ -130,8 +131,8 @@ struct LcpOf : ExplicitFlight<kTurn> {
   static constexpr double kMaxBounce = 100;        // m/s
 
   template <typename T>
-  static bool HasFriction(const StepInput<T>& in) {
-    return in.contact.friction > Base<T>(kMinFriction);
+  static bool HasFriction(const StepInput<T>& in, const Candidate& c) {
+    return in.ContactOf(c).friction > Base<T>(kMinFriction);
   }
 
   // Returns the groups of contacts. `flying` has the velocities without contact.
@@ -165,11 +166,12 @@ struct LcpOf : ExplicitFlight<kTurn> {
     const Vec2<T> velocity = ContactVelocity<kTurn>(in, c, at.normal, [&](int i) { return TwistOf(flying[i]); });
     const int normal = static_cast<int>(group->size());
     T rhs = -Dot(at.normal, velocity);
-    const T bounce = in.contact.restitution * rhs;
-    const bool bounced = in.contact.restitution > S(kMinRestitution) && bounce > S(kBounceThreshold);
+    const T& restitution = in.ContactOf(c).restitution;
+    const T bounce = restitution * rhs;
+    const bool bounced = restitution > S(kMinRestitution) && bounce > S(kBounceThreshold);
     if (bounced) rhs += MinOf(bounce, T(S(kMaxBounce)));
     group->push_back({c, at.normal, at.distance, rhs, normal, bounced});
-    if (!HasFriction(in)) return;
+    if (!HasFriction(in, c)) return;
     const Vec2<T> tangent = Perpendicular(at.normal);
     group->push_back({c, tangent, at.distance, T(-Dot(tangent, velocity)), normal, false, true});
   }
@@ -203,10 +205,11 @@ struct LcpOf : ExplicitFlight<kTurn> {
     BoxedLcpUpTo<kMaxRows> problem;
     problem.matrix.resize(n, n);
     problem.rhs.resize(n);
-    problem.friction = HasFriction(in) ? double(Value(in.contact.friction)) : 0.0;
+    problem.friction.resize(n);
     for (int i = 0; i < n; ++i) {
       for (int j = 0; j < n; ++j) problem.matrix(i, j) = Value(Coupling(in, group[i], group[j]));
       problem.rhs[i] = Value(group[i].rhs);
+      problem.friction[i] = Value(in.ContactOf(group[i].candidate).friction);
       problem.normal.push_back(group[i].normal);
     }
     return problem;
@@ -228,7 +231,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
           const LcpClass c = solution.classes[i];
           if (c != LcpClass::kUpperBound && c != LcpClass::kLowerBound) continue;
           const S sign = c == LcpClass::kUpperBound ? S(1) : S(-1);
-          x[i] = S(solution.x[i]) + variation(sign * (in.contact.friction * x[group[i].normal]));
+          x[i] = S(solution.x[i]) + variation(sign * (in.ContactOf(group[i].candidate).friction * x[group[i].normal]));
         }
       };
       follow_normals();
@@ -254,7 +257,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
     for (int i = 0; i < static_cast<int>(group.size()); ++i) {
       const bool idle = solution.x[i] == 0 && !complementarity_aware;
       if (group[i].normal != i || idle) continue;
-      const LcpClass tangent = HasFriction(in) ? solution.classes[i + 1] : LcpClass::kFree;
+      const LcpClass tangent = HasFriction(in, group[i].candidate) ? solution.classes[i + 1] : LcpClass::kFree;
       in.Report(group[i].candidate, ModeOf(tangent != LcpClass::kFree, tangent == LcpClass::kClamping));
     }
   }

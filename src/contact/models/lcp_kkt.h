@@ -45,12 +45,11 @@ struct KktEquations {
   };
 
   double kappa = 1;
-  T friction;
-  bool has_friction = false;
+  bool has_friction = false;            // a contact has
   bool transposed = false;              // the source's backward pass
   std::vector<T> free_velocity;         // 2 per moving disc, 3 with kTurn
   std::vector<std::vector<Push>> rows;  // per contact: n, then t if there is friction
-  std::vector<T> rebound;               // e n . w, per contact
+  std::vector<T> rebound, friction;     // per contact: e n . w, and mu
 
   int num_velocities() const { return static_cast<int>(free_velocity.size()); }
   int num_contacts() const { return static_cast<int>(rebound.size()); }
@@ -85,15 +84,19 @@ struct KktEquations {
       out[0] = Speed(x, normal) + rebound[c] - s[0];
       if (!has_friction) continue;
       apply(normal + 1, T(z[1] - z[2]));
+      if (!(Value(friction[c]) > 0)) {  // the multipliers of its tangent cancel out
+        for (int i = 1; i < 4; ++i) out[i] = z[i] - s[i];
+        continue;
+      }
       const T slip = Speed(x, normal + 1);
       out[1] = slip + z[3] - s[1];
       out[2] = z[3] - slip - s[2];
-      out[3] = friction * z[0] - z[1] - z[2] - s[3];
+      out[3] = friction[c] * z[0] - z[1] - z[2] - s[3];
       if (transposed) {  // F^T z in the place of F z
-        out[0] += friction * z[3];
+        out[0] += friction[c] * z[3];
         out[1] -= 2.0 * z[3];
         out[2] -= 2.0 * z[3];
-        out[3] += z[1] + z[2] - friction * z[0] + z[1] + z[2];
+        out[3] += z[1] + z[2] - friction[c] * z[0] + z[1] + z[2];
       }
     }
     for (int i = 0; i < nz; ++i) F[nv + nz + i] = x[nv + i] * x[nv + nz + i] - kappa;
@@ -109,7 +112,7 @@ struct KktEquations {
     const auto number = [](const T& x) { return U(Value(x)); };
     KktEquations<U, kTurn> out;
     out.kappa = kappa;
-    out.friction = number(friction);
+    for (const T& mu : friction) out.friction.push_back(number(mu));
     out.has_friction = has_friction;
     out.transposed = transposed;
     for (const T& v : free_velocity) out.free_velocity.push_back(number(v));
@@ -139,7 +142,8 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
                                           .chains = true,
                                           .allocates = true,
                                           .accuracy = 1e-9,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
   template <typename T>
@@ -312,8 +316,8 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
       char& known = reported[touching[k]];
       if (known || !acts) continue;
       known = 1;
-      const bool slips = equations.has_friction && z[first + 3] > 1e-6;
-      in.Report(group.contact(touching[k]).candidate, ModeOf(equations.has_friction, !slips));
+      const bool rough = equations.friction[k] > 0.0, slips = rough && z[first + 3] > 1e-6;
+      in.Report(group.contact(touching[k]).candidate, ModeOf(rough, !slips));
     }
   }
 
@@ -322,7 +326,6 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
                                                std::span<const int> touching, std::span<const State<T>> x,
                                                std::span<const Twist<T, kTurn>> free_velocity) {
     internal::KktEquations<T, kTurn> equations;
-    equations.friction = in.contact.friction;
     equations.has_friction = group.friction();
     std::pmr::vector<int> unknown(members.discs.size(), -1, in.scratch);
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
@@ -353,7 +356,8 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
         }
       }
       const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) -> const Vec2<T>& { return x[i].v; });
-      equations.rebound.push_back(in.contact.restitution * Dot(n, w));
+      equations.rebound.push_back(in.ContactOf(c).restitution * Dot(n, w));
+      equations.friction.push_back(in.ContactOf(c).friction);
     }
     return equations;
   }

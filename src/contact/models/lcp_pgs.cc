@@ -2,15 +2,22 @@
 
 namespace saltus {
 
-GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, double friction,
-                                     int num_normals, int sweeps, std::pmr::memory_resource* memory)
-    : A_(A), x_(b.size(), 0.0, memory), friction_(friction), num_normals_(num_normals), updates_(memory) {
+GaussSeidelSweeps::GaussSeidelSweeps(std::span<const double> A, std::span<const double> b,
+                                     std::span<const double> friction, std::span<const int> kind, int sweeps,
+                                     std::pmr::memory_resource* memory)
+    : A_(A),
+      x_(b.size(), 0.0, memory),
+      friction_(friction),
+      kind_(kind),
+      num_normals_(static_cast<int>(kind.size())),
+      updates_(memory) {
   const int n = static_cast<int>(b.size());
   updates_.reserve(static_cast<std::size_t>(sweeps) * n);
   for (int sweep = 0; sweep < sweeps; ++sweep) {
     for (int i = 0; i < n; ++i) {
       const double overwritten = x_[i];
-      updates_.push_back({UpdateRow<double>(A_, b, friction_, num_normals_, i, x_), overwritten});
+      const double mu = i < num_normals_ ? 0 : friction_[kind_[i - num_normals_]];
+      updates_.push_back({UpdateRow<double>(A_, b, mu, num_normals_, i, x_), overwritten});
     }
   }
 }
@@ -20,7 +27,9 @@ LcpClass GaussSeidelSweeps::ClassOf(int row) const { return updates_[updates_.si
 GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
   const int n = static_cast<int>(x_.size());
   std::pmr::memory_resource* const memory = updates_.get_allocator().resource();
-  Derivative d{std::pmr::vector<double>(n * n, 0.0, memory), std::pmr::vector<double>(n, 0.0, memory), 0};
+  Derivative d{std::pmr::vector<double>(n * n, 0.0, memory),
+               std::pmr::vector<double>(n, 0.0, memory),
+               std::pmr::vector<double>(friction_.size(), 0.0, memory)};
   std::pmr::vector<double> x(x_, memory), cotangent(n, 0.0, memory);
   cotangent[row] = 1;
   for (int k = static_cast<int>(updates_.size()) - 1; k >= 0; --k) {
@@ -43,8 +52,9 @@ GaussSeidelSweeps::Derivative GaussSeidelSweeps::Reverse(int row) const {
       case LcpClass::kUpperBound:
       case LcpClass::kLowerBound: {
         const double sign = updates_[k].kind == LcpClass::kUpperBound ? 1 : -1;
-        cotangent[i - num_normals_] += sign * friction_ * g;
-        d.by_friction += sign * x[i - num_normals_] * g;
+        const int kind = kind_[i - num_normals_];
+        cotangent[i - num_normals_] += sign * friction_[kind] * g;
+        d.by_friction[kind] += sign * x[i - num_normals_] * g;
         break;
       }
       case LcpClass::kFree:

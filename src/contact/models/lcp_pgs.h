@@ -49,9 +49,11 @@ LcpClass UpdateRow(std::span<const T> A, std::span<const T> b, const T& friction
 // Projected Gauss-Seidel on values, with a record of all updates for the reverse sweep.
 class GaussSeidelSweeps {
  public:
-  // Rows [0, n) of A are normals; if there are 2 n rows, row n + i is the tangent of normal i. A lies row by row and is
-  // to outlive the sweeps, as is `memory`, of which they are made.
-  GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, double friction, int num_normals, int sweeps,
+  // Rows [0, n) of A are normals; if there are 2 n rows, row n + i is the tangent of normal i, whose coefficient of
+  // friction is friction[kind[i]]. A lies row by row and is to outlive the sweeps, as are `friction` and `kind`, and
+  // `memory`, of which they are made.
+  GaussSeidelSweeps(std::span<const double> A, std::span<const double> b, std::span<const double> friction,
+                    std::span<const int> kind, int sweeps,
                     std::pmr::memory_resource* memory = std::pmr::get_default_resource());
 
   std::span<const double> x() const { return x_; }
@@ -60,8 +62,7 @@ class GaussSeidelSweeps {
 
   // The derivative of x[row] with respect to b, to friction, and to A, in the layout of A.
   struct Derivative {
-    std::pmr::vector<double> by_A, by_b;
-    double by_friction;
+    std::pmr::vector<double> by_A, by_b, by_friction;
   };
   Derivative Reverse(int row) const;
 
@@ -73,7 +74,8 @@ class GaussSeidelSweeps {
 
   std::span<const double> A_;
   std::pmr::vector<double> x_;
-  double friction_;
+  std::span<const double> friction_;
+  std::span<const int> kind_;
   int num_normals_;
   std::pmr::vector<Update> updates_;  // row by row, sweep by sweep
 };
@@ -87,7 +89,8 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       .source = kAdjoint ? "after Qiao et al. 2021" : "Tiny Differentiable Simulator (Heiden et al. 2021)",
       .double_engine = true,
       .rebound = Rebound::kEmergent,
-      .relative = true};
+      .relative = true,
+      .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
   template <typename T>
@@ -111,9 +114,9 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       std::pmr::vector<T> b(in.scratch);
       for (int row = 0; row < group.size(); ++row) {
         const T speed = group.Along(row, [&](int i) { return TwistOf(next[i]); });
-        b.push_back(group.IsNormal(row)
-                        ? T(-(in.contact.restitution + 1.0) * speed - Divide(T(erp * group.contact(row).gap), in.h))
-                        : T(-speed));
+        b.push_back(group.IsNormal(row) ? T(-(in.ContactOf(group.candidate(row)).restitution + 1.0) * speed -
+                                            Divide(T(erp * group.contact(row).gap), in.h))
+                                        : T(-speed));
       }
       group.Push(Impulses(in, group, b), [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });
     }
@@ -133,8 +136,11 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       }
       b_values[i] = Value(b[i]);
     }
-    const GaussSeidelSweeps solution(
-        A_values, b_values, Value(in.contact.friction), group.num_contacts(), sweeps, in.scratch);
+    const std::span<double> friction = in.template Array<double>(in.num_pairs());
+    const std::span<int> kind = in.template Array<int>(group.num_contacts());
+    for (int pair = 0; pair < in.num_pairs(); ++pair) friction[pair] = Value(in.ContactOfPair(pair).friction);
+    for (int i = 0; i < group.num_contacts(); ++i) kind[i] = in.PairOf(group.candidate(i));
+    const GaussSeidelSweeps solution(A_values, b_values, friction, kind, sweeps, in.scratch);
     group.Report([&](int row) { return solution.ClassOf(row); });
     std::pmr::vector<T> x(n, T(0.0), in.scratch);
     if constexpr (std::is_same_v<T, double>) {
@@ -143,7 +149,10 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       const auto variation = [](const T& value) { return T(value - Value(value)); };
       for (int row = 0; row < n; ++row) {
         const GaussSeidelSweeps::Derivative d = solution.Reverse(row);
-        x[row] = d.by_friction * variation(in.contact.friction) + solution.x()[row];
+        x[row] = T(solution.x()[row]);
+        for (int pair = 0; pair < in.num_pairs(); ++pair) {
+          x[row] += d.by_friction[pair] * variation(in.ContactOfPair(pair).friction);
+        }
         for (int i = 0; i < n; ++i) {
           x[row] += d.by_b[i] * variation(b[i]);
           for (int j = 0; j < n; ++j) x[row] += d.by_A[i * n + j] * variation(A[i * n + j]);
@@ -151,7 +160,9 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
       }
     } else {
       for (int sweep = 0; sweep < sweeps; ++sweep) {
-        for (int i = 0; i < n; ++i) UpdateRow<T>(A, b, in.contact.friction, group.num_contacts(), i, x);
+        for (int i = 0; i < n; ++i) {
+          UpdateRow<T>(A, b, group.friction(group.NormalOf(i)), group.num_contacts(), i, x);
+        }
       }
     }
     return x;

@@ -50,11 +50,12 @@ struct NcpEquations {
     Wall<double> plane;
     double touching;  // m, distance of centres or of centre and plane
     Vec2<T> normal;   // at q
+    T restitution, friction;
+    bool IsRough() const { return Value(friction) > 0; }
   };
 
   double h = 0;
-  T restitution, friction;
-  bool has_friction = false;
+  bool has_friction = false;  // a contact has
   double kappa = 1;
   std::vector<Disc> discs;
   std::vector<Side> contacts;
@@ -95,7 +96,7 @@ struct NcpEquations {
       Vec2<T> normal = side.normal;
       if constexpr (kRestitution) {
         const Vec2<T> before = side.b < 0 ? discs[side.a].v : Vec2<T>(discs[side.a].v - discs[side.b].v);
-        F[at] = Dot(normal, w) + restitution * Dot(normal, before) - s;
+        F[at] = Dot(normal, w) + side.restitution * Dot(normal, before) - s;
       } else {
         const Separation<T> after = SeparationAfter(z, side);
         normal = after.normal;
@@ -106,8 +107,8 @@ struct NcpEquations {
       if (has_friction) {
         const T &p_t = z[at + 2], &b = z[at + 3], &w_t = z[at + 4];
         const Vec2<T> tangent = Perpendicular(normal);
-        F[at + 2] = (friction * p_n + p_t) * (b + w_t) - kappa;
-        F[at + 3] = (friction * p_n - p_t) * (b - w_t) - kappa;
+        F[at + 2] = side.IsRough() ? T((side.friction * p_n + p_t) * (b + w_t) - kappa) : p_t;
+        F[at + 3] = side.IsRough() ? T((side.friction * p_n - p_t) * (b - w_t) - kappa) : b;
         F[at + 4] = Dot(tangent, w) - w_t;
         if constexpr (kTurn == kSpin) F[at + 4] += SlidingBySpin(z, side);
         impulse += Scale(p_t, tangent);
@@ -125,11 +126,12 @@ struct NcpEquations {
 
   template <typename Visit>
   void VisitPositive(const Eigen::VectorXd& z, const Eigen::VectorXd& dz, const Visit& visit) const {
-    for (int at = num_velocities; at < size(); at += per_contact()) {
+    for (std::size_t i = 0; i < contacts.size(); ++i) {
+      const int at = num_velocities + per_contact() * static_cast<int>(i);
       visit(z[at], dz[at]);
       visit(z[at + 1], dz[at + 1]);
-      if (!has_friction) continue;
-      const double mu = Value(friction);
+      const double mu = Value(contacts[i].friction);
+      if (!has_friction || !(mu > 0)) continue;
       visit(mu * z[at] + z[at + 2], mu * dz[at] + dz[at + 2]);
       visit(mu * z[at] - z[at + 2], mu * dz[at] - dz[at + 2]);
       visit(z[at + 3] + z[at + 4], dz[at + 3] + dz[at + 4]);
@@ -143,8 +145,6 @@ struct NcpEquations {
     const auto vector = [&](const Vec2<T>& x) { return Vec2<U>(number(x[0]), number(x[1])); };
     NcpEquations<U, kRestitution, kTurn> out;
     out.h = h;
-    out.restitution = number(restitution);
-    out.friction = number(friction);
     out.has_friction = has_friction;
     out.kappa = kappa;
     for (const Disc& d : discs) {
@@ -156,7 +156,10 @@ struct NcpEquations {
                            number(d.flying_rim),
                            number(d.rim_mobility)});
     }
-    for (const Side& s : contacts) out.contacts.push_back({s.a, s.b, s.plane, s.touching, vector(s.normal)});
+    for (const Side& s : contacts) {
+      out.contacts.push_back(
+          {s.a, s.b, s.plane, s.touching, vector(s.normal), number(s.restitution), number(s.friction)});
+    }
     out.num_velocities = num_velocities;
     return out;
   }
@@ -176,7 +179,8 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
       .push_gap = kRestitution ? 0.0 : std::numeric_limits<double>::infinity(),
       .allocates = true,
       .accuracy = 1e-12,
-      .relative = true};
+      .relative = true,
+      .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
   template <typename T>
@@ -254,8 +258,6 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
                     std::span<const State<T>> x, std::span<const State<T>> flying) const {
     Equations<T> equations;
     equations.h = in.h;
-    equations.restitution = in.contact.restitution;
-    equations.friction = in.contact.friction;
     equations.has_friction = group.friction();
     for (const int disc : members.discs) {
       const bool fixed = in.bodies[disc].fixed;
@@ -275,7 +277,9 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
                                     c.plane ? -1 : members.place[c.b],
                                     c.plane ? in.planes[c.b] : Wall<double>{},
                                     in.ContactDistance(c),
-                                    SeparationAt(in, c, now).normal});
+                                    SeparationAt(in, c, now).normal,
+                                    in.ContactOf(c).restitution,
+                                    in.ContactOf(c).friction});
     }
     return equations;
   }
@@ -307,9 +311,8 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
       const Vec2d w = equations->Velocity(velocities, side.a) - equations->Velocity(velocities, side.b);
       double w_t = Dot(Perpendicular(after.normal), w);
       if constexpr (kTurn == kSpin) w_t += equations->SlidingBySpin(velocities, side);
-      const double product = equations->kappa / (equations->friction * z[at]);
       z[at + 2] = 0;
-      z[at + 3] = std::hypot(w_t, product);
+      z[at + 3] = side.IsRough() ? std::hypot(w_t, equations->kappa / (side.friction * z[at])) : 0.0;
       z[at + 4] = w_t;
     }
     return z;
@@ -321,9 +324,10 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
                              const Eigen::VectorXd& z) {
     for (int i = 0; i < group.num_contacts(); ++i) {
       const int at = equations.num_velocities + i * equations.per_contact();
-      const bool slips = equations.has_friction && std::abs(z[at + 2]) > 0.99 * equations.friction * z[at];
+      const bool rough = equations.contacts[i].IsRough();
+      const bool slips = rough && std::abs(z[at + 2]) > 0.99 * equations.contacts[i].friction * z[at];
       in.Report(group.contact(i).candidate,
-                ModeOf(equations.has_friction, !slips),
+                ModeOf(rough, !slips),
                 -1,
                 kRestitution ? ContactKind::kImpact : ContactKind::kSustained);
     }

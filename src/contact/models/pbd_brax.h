@@ -47,7 +47,8 @@ struct PbdBraxIn {
                                           .averages = true,
                                           .compared = true,
                                           .relative = true,
-                                          .spins = true};
+                                          .spins = true,
+                                          .by_pair = true};
   static constexpr int kRotation = 3;
   template <typename T>
   using State = BodyState<T, kRotation>;
@@ -193,11 +194,11 @@ struct PbdBraxIn {
   static void CorrectPositions(const StepInput<T>& in, std::span<const State<T>> old, std::span<Touching<T>> contacts,
                                std::span<State<T>> x) {
     using S = Base<T>;
-    const T friction = in.contact.friction * in.contact.friction;
     brax::Averages<T> moves(static_cast<int>(x.size()), in.scratch);
     for (Touching<T>& touching : contacts) {
       const brax::Contact<T>& contact = touching.contact;
       const Candidate& c = contact.candidate;
+      const T friction = in.ContactOf(c).friction * in.ContactOf(c).friction;
       Vec2<T> push = Scale(touching.lambda, contact.normal);
 
       const Vec2<T> way = RelativeVelocity<T>(c, [&](int i) { return WayOfPoint<T>(contact, i, old, x); });
@@ -254,7 +255,8 @@ struct PbdBraxIn {
                              const T& after, const T& before) {
     using S = Base<T>;
     if (!(before <= S(0))) return Vec2<T>::Zero();
-    const T restitution = in.contact.restitution * in.contact.restitution;
+    const PairConstants<T>& pair = in.ContactOf(contact.candidate);
+    const T restitution = pair.restitution * pair.restitution;
     const T missing = -after - brax::HalfTieMin(T(restitution * before), T(S(0)));
     const Vec2<T> change = Scale(missing, contact.normal);
     const T size = brax::Norm(change);
@@ -268,7 +270,8 @@ struct PbdBraxIn {
   static Vec2<T> Friction(const StepInput<T>& in, std::span<const State<T>> x, const Vec2<T>& tangential,
                           Touching<T>* touching) {
     using S = Base<T>;
-    const T friction = in.contact.friction * in.contact.friction;
+    const PairConstants<T>& pair = in.ContactOf(touching->contact.candidate);
+    const T friction = pair.friction * pair.friction;
     const T speed = brax::Norm(tangential);
     const Vec2<T> direction = brax::Direction(tangential, speed);
     const T limit = Divide(T(friction * SafeAbs(touching->lambda)), S(S(2) * SubStep(in)));

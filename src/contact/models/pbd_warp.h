@@ -38,14 +38,15 @@ struct PbdWarpOf {
                                           .rebound = Rebound::kElasticOnly,
                                           .projects = true,
                                           .compared = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   static constexpr int kRotation = kTurn;
   static constexpr bool kLinearRotation = kTurn == kSpin;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
   static std::string WhyNot(const Scene& scene) {
-    const bool slides = scene.contact.friction > 0 && scene.HasEdges();
+    const bool slides = scene.HasEdges() && HasFriction(scene);
     return slides ? "friction with segments, polygons and arcs: its source has friction with planes only" : "";
   }
 
@@ -133,7 +134,7 @@ struct PbdWarpOf {
       }
       const Vec2<T> slid = moved - Scale(Dot(moved, at.normal), at.normal);
       const T length = Length(slid);
-      const bool held = length < in.contact.friction * SafeAbs(overlap);
+      const bool held = length < in.ContactOf(c).friction * SafeAbs(overlap);
       Vec2<T> correction = Scale(T(-overlap), at.normal);
       if (held) correction -= Scale(length, Quotient(slid, T(length + S(1e-6))));
       contacts.push_back({c, at.normal, correction, held});
@@ -157,19 +158,19 @@ struct PbdWarpOf {
       const T projected =
           Dot(n, RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return VelocityBetween(in, x[i].p, next[i].p); }));
       const T s = Dot(n, w);
-      Vec2<T> change = Scale(T(-s - MinOf(T(S(0)), T(in.contact.restitution * projected))), n);
+      Vec2<T> change = Scale(T(-s - MinOf(T(S(0)), T(in.ContactOf(c).restitution * projected))), n);
 
       const Vec2<T> sliding = w - Scale(s, n);
       const T speed = Length(sliding);
       bool slips = false;
       if (!(speed < S(1e-6))) {
-        const T bound = in.contact.friction * SafeAbs(T((in.contact.restitution + S(1)) * projected));
+        const T bound = in.ContactOf(c).friction * SafeAbs(T((in.ContactOf(c).restitution + S(1)) * projected));
         const Vec2<T> own = Quotient(sliding, speed);
         if (c.plane && c.b == 0) first_plane[c.a] = own;
         change -= Scale(MinOf(speed, bound), c.plane ? first_plane[c.a] : own);
         slips = bound < speed;
       }
-      in.Report(c, ModeOf(in.contact.friction > S(0), contact.held || !slips));
+      in.Report(c, ModeOf(in.ContactOf(c).friction > S(0), contact.held || !slips));
       ApplyCorrection(in, contact, change, [&](int i, const Twist<T, kTurn>& dv) { Kick(dv, &next[i]); });
     }
   }

@@ -42,7 +42,8 @@ struct PositionQpRule : SemiImplicitFlight<0> {
                                           .rebound = Rebound::kPlastic,
                                           .projects = true,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, 0>;
 
@@ -162,7 +163,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
       if (!(approach[i] < 0.0)) continue;
       closing.Add(pushing.contact(i));
       const T speed = pushing.Along(i, [&](int disc) { return TwistOf(next[disc]); });
-      c.push_back(speed + in.contact.restitution * approach[i]);
+      c.push_back(speed + in.ContactOf(pushing.contact(i).candidate).restitution * approach[i]);
       values.push_back(Value(c.back()));
     }
     if (values.empty()) return;

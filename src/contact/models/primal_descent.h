@@ -36,7 +36,8 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
 
   double exponent = 2;
   bool newton = false;
@@ -123,7 +124,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
       if (!at.pressed) continue;
       touched[c] = 1;
       const T slope = problem.stiffness * (problem.exponent - 1) * Power(at.depth, problem.exponent - 2);
-      const T normal = problem.h * problem.h * slope, tangential = problem.h * Secant(problem, at);
+      const T normal = problem.h * problem.h * slope, tangential = problem.h * Secant(problem, side, at);
       const Vec2<T> push = Scale(at.force, at.normal) - Scale(at.friction, at.tangent);
       for (const int disc : {side.a, side.b}) {
         if (disc < 0) continue;
@@ -144,10 +145,10 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
   }
 
   template <typename T>
-  static T Secant(const Problem<T>& problem, const typename Problem<T>::At& at) {
-    if (!(problem.friction > 0.0)) return T(0.0);
+  static T Secant(const Problem<T>& problem, const typename Problem<T>::Side& side, const typename Problem<T>::At& at) {
+    if (!(side.friction > 0.0)) return T(0.0);
     if (at.sticks || at.sliding == 0.0) return T(problem.drag);
-    return Divide(T(problem.friction * at.force), SafeAbs(at.sliding));
+    return Divide(T(side.friction * at.force), SafeAbs(at.sliding));
   }
 
   template <typename T>

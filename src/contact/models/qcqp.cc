@@ -61,9 +61,9 @@ std::optional<Eigen::VectorXd> SolveBoxQp(const Eigen::MatrixXd& A, const Eigen:
   return checked(feasible ? polished : x);
 }
 
-StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
+StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& friction,
                                  int passes, double tolerance) {
-  const int n = num_contacts, size = static_cast<int>(c.size());
+  const int n = static_cast<int>(friction.size()), size = static_cast<int>(c.size());
   const Eigen::VectorXd zero = Eigen::VectorXd::Zero(n);
   const Eigen::VectorXd unbounded = Eigen::VectorXd::Constant(n, std::numeric_limits<double>::infinity());
   StaggeredImpulses result{Eigen::VectorXd::Zero(size), std::vector<LcpClass>(size, LcpClass::kFree), false};
@@ -75,7 +75,7 @@ StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd
     if (!normals) break;
     x.head(n) = *normals;
     if (size > n) {
-      const Eigen::VectorXd bound = friction * x.head(n);
+      const Eigen::VectorXd bound = friction.cwiseProduct(x.head(n));
       const Eigen::VectorXd slide = c.tail(n) + A.bottomLeftCorner(n, n) * x.head(n);
       const auto tangents = SolveBoxQp(A.bottomRightCorner(n, n), slide, -bound, bound, x.tail(n));
       if (!tangents) break;
@@ -87,7 +87,7 @@ StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd
     if (!(x[i] > 0)) continue;
     result.classes[i] = LcpClass::kClamping;
     if (size == n) continue;
-    const double bound = friction * x[i];
+    const double bound = friction[i] * x[i];
     result.classes[i + n] = x[i + n] >= bound    ? LcpClass::kUpperBound
                             : x[i + n] <= -bound ? LcpClass::kLowerBound
                                                  : LcpClass::kClamping;

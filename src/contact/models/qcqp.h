@@ -38,7 +38,8 @@ struct StaggeredImpulses {
   bool converged = false;
 };
 // Solves both programs in turn. `c`: N v^f + restitution, then T v^f; without tangents one entry for each contact.
-StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, double friction, int num_contacts,
+// `friction`: of each contact.
+StaggeredImpulses SolveStaggered(const Eigen::MatrixXd& A, const Eigen::VectorXd& c, const Eigen::VectorXd& friction,
                                  int passes, double tolerance);
 
 template <int kTurn>
@@ -48,7 +49,8 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
                                           .source = "Le Lidec et al. 2021",
                                           .double_engine = true,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
   template <typename T>
@@ -70,8 +72,9 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
       const std::pmr::vector<T> c = Velocities<T>(in, group, x, next);
       Eigen::VectorXd values(group.size());
       for (int row = 0; row < group.size(); ++row) values[row] = Value(c[row]);
-      const StaggeredImpulses solution = SolveStaggered(
-          group.CouplingValues(), values, Value(in.contact.friction), group.num_contacts(), passes, tolerance);
+      Eigen::VectorXd friction(group.num_contacts());
+      for (int i = 0; i < group.num_contacts(); ++i) friction[i] = Value(group.friction(i));
+      const StaggeredImpulses solution = SolveStaggered(group.CouplingValues(), values, friction, passes, tolerance);
       group.Report([&](int row) { return solution.classes[row]; });
       std::pmr::vector<T> impulse = ImpulsesInClasses(in, group, c, solution.x, solution.classes);
       if (!solution.converged) {
@@ -92,7 +95,7 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
       c.push_back(group.Along(row, [&](int i) { return TwistOf(flying[i]); }));
       if (!group.IsNormal(row)) continue;
       const T before = group.Along(row, [&](int i) { return TwistOf(x[i]); });
-      if (before < 0.0) c.back() += in.contact.restitution * before;
+      if (before < 0.0) c.back() += in.ContactOf(group.candidate(row)).restitution * before;
     }
     return c;
   }

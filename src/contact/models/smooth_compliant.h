@@ -44,7 +44,8 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
                                           .compliant = true,
                                           .chains = true,
                                           .rebound = Rebound::kEmergent,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
 
@@ -70,7 +71,8 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     std::copy(x.begin(), x.end(), next.begin());
     const Base<T> h = SubstepLength(in);
-    const Law<T> law = LawOf(in);
+    std::pmr::vector<Law<T>> laws(in.scratch);  // by pairs of materials
+    for (int pair = 0; pair < in.num_pairs(); ++pair) laws.push_back(LawOf(in, pair));
     std::pmr::vector<char> reported(in.candidates.size(), 0, in.scratch);
     std::pmr::vector<Twist<T, kTurn>> acceleration(x.size(), in.scratch);
     for (int substep = 0; substep < substeps; ++substep) {
@@ -81,7 +83,7 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
         const Candidate& c = in.candidates[i];
         ContactMode mode;
         Vec2<T> force, normal;
-        if (!Force<T>(in, law, c, next, &force, &normal, &mode)) continue;
+        if (!Force<T>(in, laws[in.PairOf(c)], c, next, &force, &normal, &mode)) continue;
         if (!reported[i]) in.Report(c, mode);
         reported[i] = 1;
         PushContact<kTurn>(in, c, normal, force, [&](int disc, const auto& change) { acceleration[disc] += change; });
@@ -98,13 +100,14 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
   };
 
   template <typename T>
-  Law<T> LawOf(const StepInput<T>& in) const {
+  Law<T> LawOf(const StepInput<T>& in, int pair) const {
     using S = Base<T>;
-    const double e = Value(in.contact.restitution);
+    const T& restitution = in.ContactOfPair(pair).restitution;
+    const double e = Value(restitution);
     const double x = ScaledDissipation(e);
     // dx/de from the condition that defines x; its limit at x = 0.
     const double slope = x == 0 ? -1.5 : -e * x * (1 + x) / ((1 + e) * (e * x - 1 + e));
-    const T change = in.contact.restitution - Value(in.contact.restitution);
+    const T change = restitution - Value(restitution);
     return {in.contact.stiffness * S(std::pow(reference_depth, 1 - exponent)),
             (change * S(e > kLeastRestitution ? slope : 0) + S(x)) * S(1 / reference_speed)};
   }
@@ -124,9 +127,9 @@ struct SmoothCompliantOf : HuntCrossley, SubstepFlight<kTurn, 4> {
     const Vec2<T> tangent = Perpendicular(at.normal);
     const T sliding = Dot(tangent, w);
     const T y = MinOf(Divide(SafeAbs(sliding), S(slip_speed)), T(S(1)));
-    const T friction = in.contact.friction * normal_force * y * (S(2) - y) * SignOf(sliding);
+    const T friction = in.ContactOf(c).friction * normal_force * y * (S(2) - y) * SignOf(sliding);
     *force = Scale(normal_force, at.normal) - Scale(friction, tangent);
-    *mode = ModeOf(in.contact.friction > S(0), y < S(1));
+    *mode = ModeOf(in.ContactOf(c).friction > S(0), y < S(1));
     return true;
   }
 };

@@ -41,7 +41,8 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
                                           .compliant = true,
                                           .double_engine = true,
                                           .rebound = Rebound::kEmergent,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
   template <typename T>
@@ -106,7 +107,6 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     using S = Base<T>;
     const int n = group.num_contacts();
     const S at_width = S(impedance.at_width);
-    const T normal_damping = damping >= 0 ? T(S(damping)) : DampingOf(in);
     const T sliding_damping = !group.friction()         ? T(S(0))
                               : tangential_damping >= 0 ? T(S(tangential_damping))
                                                         : T(S(2) * SafeSqrt(in.contact.stiffness));
@@ -117,6 +117,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
       const T coupling = group.Coupling(row, row), softness = Divide(T(S(1) - d), d);
       program.diagonal[row] = coupling + (row < n ? softness : Divide(softness, S(impratio))) * coupling;
       const T speed = group.Along(row, [&](int i) { return TwistOf(x[i]); });
+      const T normal_damping = row >= n || damping >= 0 ? T(S(damping)) : DampingOf(in, group.candidate(row));
       T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
       program.c[row] = group.Along(
@@ -128,16 +129,17 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
 
   // Returns 2 zeta(e) sqrt(stiffness): twice damping ratio times frequency of a linear spring with restitution e.
   template <typename T>
-  static T DampingOf(const StepInput<T>& in) {
+  static T DampingOf(const StepInput<T>& in, const Candidate& c) {
     using S = Base<T>;
+    const T& restitution = in.ContactOf(c).restitution;
     constexpr S kSquaredPi = S(9.869604401089358);
-    const S e = std::max(S(1e-6), Value(in.contact.restitution)), decrement = std::log(e);
+    const S e = std::max(S(1e-6), Value(restitution)), decrement = std::log(e);
     const S squared = decrement * decrement + kSquaredPi, root = std::sqrt(squared);
     const S zeta = -decrement / root, frequency = std::sqrt(Value(in.contact.stiffness));
     T damping = T(S(2) * zeta * frequency);
     if constexpr (!std::is_same_v<T, S>) {
       const S slope = e > S(1e-6) ? -kSquaredPi / (squared * root * e) : S(0);  // of zeta
-      damping.v = S(2) * slope * frequency * in.contact.restitution.v;
+      damping.v = S(2) * slope * frequency * restitution.v;
       if (frequency > S(0)) damping.v += zeta / frequency * in.contact.stiffness.v;
     }
     return damping;
@@ -187,7 +189,7 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
       before = f;
       for (int i = 0; i < n; ++i) {
-        const LcpClass edge = SolveContact(group, H, c, Value(in.contact.friction), i, f);
+        const LcpClass edge = SolveContact(group, H, c, Value(group.friction(i)), i, f);
         found[size + i] = static_cast<int>(edge);
       }
       change = (f - before).cwiseAbs().maxCoeff();
@@ -247,29 +249,33 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
     }
     const auto follow_normals = [&] {
       for (const Column& column : columns) {
-        if (column.slope != 0) f[column.row + n].v = (column.slope * (in.contact.friction * f[column.row])).v;
+        if (column.slope == 0) continue;
+        f[column.row + n].v = (column.slope * (group.friction(column.row) * f[column.row])).v;
       }
     };
     follow_normals();
     // Row by row, E^T applied to a vector of numbers of type U.
-    const auto project = [&](const Column& column, const auto& mu, const auto& row_value) {
+    const auto project = [&](const Column& column, const auto& friction, const auto& row_value) {
       auto value = row_value(column.row);
-      if (column.slope != 0) value += column.slope * (mu * row_value(column.row + n));
+      if (column.slope != 0) value += column.slope * (friction(column.row) * row_value(column.row + n));
       return value;
     };
-    const double mu = Value(in.contact.friction);
+    const auto mu = [&](int i) -> double { return Value(group.friction(i)); };
     const int m = static_cast<int>(columns.size());
     if (m == 0) return;
     MatrixMap K(in.template Array<double>(m * m).data(), m, m),
         changes(in.template Array<double>(m * kJetWidth).data(), m, kJetWidth);
     for (int i = 0; i < m; ++i) {
-      const T residual = project(columns[i], in.contact.friction, [&](int row) {
-        T sum = program.c[row] + program.diagonal[row] * f[row];
-        for (int j = 0; j < size; ++j) {
-          if (j != row) sum += group.Coupling(row, j) * f[j];
-        }
-        return sum;
-      });
+      const T residual = project(
+          columns[i],
+          [&](int c) -> const T& { return group.friction(c); },
+          [&](int row) {
+            T sum = program.c[row] + program.diagonal[row] * f[row];
+            for (int j = 0; j < size; ++j) {
+              if (j != row) sum += group.Coupling(row, j) * f[j];
+            }
+            return sum;
+          });
       changes.row(i) = -residual.v;
       for (int j = 0; j < m; ++j) {
         K(i, j) = project(

@@ -50,6 +50,7 @@ struct SpringStep {
     int a, b;  // discs; b < 0 at a plane
     Wall<double> plane;
     double touching;  // m, distance at which the gap is zero
+    T friction;       // mu
   };
   // A contact at some velocities.
   struct At {
@@ -65,7 +66,6 @@ struct SpringStep {
   T stiffness;      // N / m^(exponent - 1)
   double exponent;  // of the energy of a spring
   double drag;      // k_f, N s/m
-  T friction;       // mu
   std::vector<Disc> discs;
   std::vector<Side> contacts;
 
@@ -97,7 +97,7 @@ struct SpringStep {
     At at = Locate(z, side);
     if (!at.pressed) return at;
     at.force = stiffness * Power(at.depth, exponent - 1);
-    const T bound = friction * at.force;
+    const T bound = side.friction * at.force;
     at.friction = drag * at.sliding;
     at.sticks = SafeAbs(at.friction) < bound;
     if (!at.sticks) at.friction = SignOf(at.sliding) * bound;
@@ -139,7 +139,7 @@ struct SpringStep {
   template <typename U>
   SpringStep<U, kTurn> Cast() const {
     const auto lift = [](const Vec2<T>& v) { return Vec2<U>(U(Value(v[0])), U(Value(v[1]))); };
-    SpringStep<U, kTurn> out{h, U(Value(stiffness)), exponent, drag, U(Value(friction)), {}, {}};
+    SpringStep<U, kTurn> out{h, U(Value(stiffness)), exponent, drag, {}, {}};
     for (const Disc& disc : discs) {
       out.discs.push_back({lift(disc.q),
                            lift(disc.free_velocity),
@@ -150,7 +150,9 @@ struct SpringStep {
                            U(Value(disc.inverse_inertia)),
                            disc.radius});
     }
-    for (const Side& side : contacts) out.contacts.push_back({side.a, side.b, side.plane, side.touching});
+    for (const Side& side : contacts) {
+      out.contacts.push_back({side.a, side.b, side.plane, side.touching, U(Value(side.friction))});
+    }
     return out;
   }
 };
@@ -257,7 +259,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
   template <typename T>
   Problem<T> Pose(const StepInput<T>& in, double exponent, int num_discs) const {
     const T stiffness = in.contact.stiffness * std::pow(kReferenceDepth, 2 - exponent);
-    Problem<T> problem{SubstepLength(in), stiffness, exponent, kf, in.contact.friction, {}, {}};
+    Problem<T> problem{SubstepLength(in), stiffness, exponent, kf, {}, {}};
     for (int i = 0; i < num_discs; ++i) {
       problem.discs.push_back({{}, {}, in.bodies[i].mass, in.bodies[i].inverse_mass, in.bodies[i].fixed});
       if constexpr (kTurn == kSpin) {
@@ -266,8 +268,11 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
       }
     }
     for (const Candidate& c : in.candidates) {
-      problem.contacts.push_back(
-          {c.a, c.plane ? -1 : c.b, c.plane ? in.planes[c.b] : Wall<double>{}, in.ContactDistance(c)});
+      problem.contacts.push_back({c.a,
+                                  c.plane ? -1 : c.b,
+                                  c.plane ? in.planes[c.b] : Wall<double>{},
+                                  in.ContactDistance(c),
+                                  in.ContactOf(c).friction});
     }
     return problem;
   }
@@ -361,7 +366,8 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     for (std::size_t i = 0; i < touched.size(); ++i) {
       if (!touched[i] || (*reported)[i]) continue;
       (*reported)[i] = 1;
-      in.Report(in.candidates[i], ModeOf(in.contact.friction > 0.0, problem.Press(z, problem.contacts[i]).sticks));
+      const auto& side = problem.contacts[i];
+      in.Report(in.candidates[i], ModeOf(side.friction > 0.0, problem.Press(z, side).sticks));
     }
   }
 };

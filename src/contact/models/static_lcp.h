@@ -37,7 +37,8 @@ struct StaticLcp : SemiImplicitFlight<0> {
                                           .rebound = Rebound::kPlastic,
                                           .projects = true,
                                           .allocates = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, 0>;
 

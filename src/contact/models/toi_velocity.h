@@ -28,7 +28,8 @@ struct ToiVelocityRule : SemiImplicitFlight<0> {
                                           .source = "Zhong, Han, Dey, Brikis 2023",
                                           .friction = false,
                                           .compared = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, 0>;
 
@@ -53,7 +54,7 @@ struct ToiVelocityRule : SemiImplicitFlight<0> {
       in.Report(c, ContactMode::kFrictionless, Value(impact));
       const Vec2<T> n = SeparationAt(in, c, position_after(impact)).normal;
       const T s = Dot(n, RelativeVelocity<T>(c, [&](int i) -> Vec2<T> { return VelocityAfter(in, impact, i, x[i]); }));
-      const Vec2<T> impulse = Scale(T(-(in.contact.restitution + S(1)) * in.EffectiveMass(c) * s), n);
+      const Vec2<T> impulse = Scale(T(-(in.ContactOf(c).restitution + S(1)) * in.EffectiveMass(c) * s), n);
       const T lever = in.h - impact;
       ApplyImpulse(in, c, impulse, [&](int i, const Vec2<T>& dv) {
         next[i].v += dv;

@@ -41,7 +41,8 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
                                           .chains = true,
                                           .projects = true,
                                           .sequential = true,
-                                          .relative = true};
+                                          .relative = true,
+                                          .by_pair = true};
   template <typename T>
   using State = BodyState<T, kTurn>;
 
@@ -126,12 +127,12 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
       };
       ApplyImpulse(in, c, Scale(multiplier, at.normal), [&](int disc, const Vec2<T>& change) { x[disc].p += change; });
       bool held = false;
-      if (in.contact.friction > S(0)) {
+      if (in.ContactOf(c).friction > S(0)) {
         const Vec2<T> tangent = Perpendicular(at.normal);
         const Vec2<T> slid =
             ContactVelocity<kTurn>(in, c, at.normal, [&](int disc) { return Way(old[disc], x[disc]); });
         const T resist = -Dot(tangent, slid) * SlidingMass<kTurn>(in, c);
-        held = SafeAbs(resist) < in.contact.friction * multiplier;
+        held = SafeAbs(resist) < in.ContactOf(c).friction * multiplier;
         if (held) PushContact<kTurn>(in, c, at.normal, Scale(resist, tangent), move);
       }
       contacts->push_back({static_cast<int>(i), at.normal, multiplier, held});
@@ -151,17 +152,17 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
     T target = approach;
     if (approach < S(0)) {
       const S slow = S(2) * std::sqrt(Dot(in.gravity, in.gravity)) * h;
-      target = -approach > slow ? T(-in.contact.restitution * approach) : T(S(0));
+      target = -approach > slow ? T(-in.ContactOf(c).restitution * approach) : T(S(0));
     }
     const T normal_impulse = mass * (target - Dot(n, w));
     Vec2<T> impulse = Scale(normal_impulse, n);
     ContactMode mode = ContactMode::kFrictionless;
-    if (in.contact.friction > S(0)) {
+    if (in.ContactOf(c).friction > S(0)) {
       const Vec2<T> tangent = Perpendicular(n);
       const T sliding = Dot(tangent, w);
       T bound = Divide(contact.multiplier, h);
       if (!published_bound) bound += normal_impulse;
-      const T largest = in.contact.friction * MaxOf(T(S(0)), bound);
+      const T largest = in.ContactOf(c).friction * MaxOf(T(S(0)), bound);
       const T stopping = SlidingMass<kTurn>(in, c) * SafeAbs(sliding);
       impulse -= Scale(T(SignOf(sliding) * MinOf(largest, stopping)), tangent);
       mode = contact.held || stopping < largest ? ContactMode::kStick : ContactMode::kSlip;

@@ -23,8 +23,9 @@ constexpr double kPivotRegularizations[] = {1e-8, 1e-7, 1e-6};
 constexpr int kMaxSweeps = 2000;
 
 template <int kMaxRows>
-double Sigma(const BoxedLcpUpTo<kMaxRows>& problem, LcpClass c) {
-  return c == LcpClass::kUpperBound ? problem.friction : c == LcpClass::kLowerBound ? -problem.friction : 0.0;
+double Sigma(const BoxedLcpUpTo<kMaxRows>& problem, int row, LcpClass c) {
+  const double friction = problem.friction[row];
+  return c == LcpClass::kUpperBound ? friction : c == LcpClass::kLowerBound ? -friction : 0.0;
 }
 
 bool AtBound(LcpClass c) { return c == LcpClass::kUpperBound || c == LcpClass::kLowerBound; }
@@ -51,7 +52,7 @@ LcpMatrix<kMaxRows> InverseInClasses(const BoxedLcpUpTo<kMaxRows>& problem, cons
     for (int j = 0; j < n; ++j) reduced(i, j) = problem.matrix(clamping[i], clamping[j]);
     for (int k = 0; k < problem.size(); ++k) {
       if (!AtBound(classes[k]) || column[problem.normal[k]] < 0) continue;
-      reduced(i, column[problem.normal[k]]) += Sigma(problem, classes[k]) * problem.matrix(clamping[i], k);
+      reduced(i, column[problem.normal[k]]) += Sigma(problem, k, classes[k]) * problem.matrix(clamping[i], k);
     }
   }
   LcpMatrix<kMaxRows> inverse(n, n);
@@ -68,7 +69,7 @@ LcpVector<kMaxRows> SolveInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const 
     for (int j = 0; j < n; ++j) x[clamping[i]] += inverse(i, j) * problem.rhs[clamping[j]];
   }
   for (int k = 0; k < problem.size(); ++k) {
-    if (AtBound(classes[k])) x[k] = Sigma(problem, classes[k]) * x[problem.normal[k]];
+    if (AtBound(classes[k])) x[k] = Sigma(problem, k, classes[k]) * x[problem.normal[k]];
   }
   return x;
 }
@@ -83,7 +84,7 @@ LcpClass BetterClass(const BoxedLcpUpTo<kMaxRows>& problem, const LcpList<LcpCla
     if (c == LcpClass::kFree && w[i] < -tolerance) return LcpClass::kClamping;
     return c;
   }
-  const double bound = problem.friction * x[problem.normal[i]];
+  const double bound = problem.friction[i] * x[problem.normal[i]];
   if (c == LcpClass::kClamping && x[i] > bound + tolerance) return LcpClass::kUpperBound;
   if (c == LcpClass::kClamping && x[i] < -bound - tolerance) return LcpClass::kLowerBound;
   if (c == LcpClass::kUpperBound && w[i] > tolerance) return LcpClass::kClamping;
@@ -144,7 +145,7 @@ LcpVector<kMaxRows> ProjectedGaussSeidel(const BoxedLcpUpTo<kMaxRows>& problem) 
     const double change = GaussSeidelSweep(problem.size(), [&](std::ptrdiff_t row) {
       const int i = static_cast<int>(row);
       const double step = (problem.rhs[i] - problem.matrix.row(i).dot(x)) / problem.matrix(i, i);
-      const double bound = problem.friction * x[problem.normal[i]];
+      const double bound = problem.friction[i] * x[problem.normal[i]];
       const double to = problem.IsNormal(i) ? std::max(0.0, x[i] + step) : std::clamp(x[i] + step, -bound, bound);
       return std::abs(to - std::exchange(x[i], to));
     });
@@ -160,7 +161,8 @@ double Violation(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRows
   double violation = 0;
   for (int i = 0; i < problem.size(); ++i) {
     const bool is_normal = problem.IsNormal(i);
-    const double upper = is_normal ? std::numeric_limits<double>::infinity() : problem.friction * x[problem.normal[i]];
+    const double upper =
+        is_normal ? std::numeric_limits<double>::infinity() : problem.friction[i] * x[problem.normal[i]];
     const double lower = is_normal ? 0.0 : -upper;
     violation = std::max({violation, lower - x[i], x[i] - upper});
     if (!(x[i] <= lower + at_bound)) violation = std::max(violation, w[i]);
@@ -181,7 +183,7 @@ LcpClass Classify(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRow
   if (std::abs(x[i]) < kNoImpulse) {
     return !is_normal && normal >= kNoImpulse ? LcpClass::kClamping : LcpClass::kFree;
   }
-  const double upper = is_normal ? std::numeric_limits<double>::infinity() : problem.friction * normal;
+  const double upper = is_normal ? std::numeric_limits<double>::infinity() : problem.friction[i] * normal;
   const double lower = is_normal ? 0.0 : -upper;
   const bool inside = x[i] > lower + kTolerance && x[i] < upper - kTolerance;
   if (inside || x[i] < lower - kFarOutside || x[i] > upper + kFarOutside) return LcpClass::kClamping;
@@ -199,7 +201,7 @@ BoxedLcpUpTo<kMaxRows> WithoutFriction(BoxedLcpUpTo<kMaxRows> problem) {
     problem.matrix(i, i) = 1;
     problem.rhs[i] = 0;
   }
-  problem.friction = 0;
+  problem.friction.setZero();
   return problem;
 }
 

@@ -32,7 +32,7 @@ struct BoxedLcpUpTo {
   LcpMatrix<kMaxRows> matrix;     // Lambda, symmetric positive semidefinite
   LcpVector<kMaxRows> rhs;        // b
   LcpList<int, kMaxRows> normal;  // of each row: its normal row; of a normal row itself
-  double friction = 0;            // mu >= 0
+  LcpVector<kMaxRows> friction;   // mu >= 0, of the contact of each row
 
   int size() const { return static_cast<int>(normal.size()); }
   bool IsNormal(int row) const { return normal[row] == row; }

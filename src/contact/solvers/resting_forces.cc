@@ -102,10 +102,9 @@ class RowSolver {
 
 class ForceSolver {
  public:
-  ForceSolver(double friction, std::span<const double> inverse_mass, const Accelerations& of,
-              std::span<RestingContact> contacts, bool iteration_limited, ContactSystem::Cache* cache)
-      : friction_(friction),
-        inverse_mass_(inverse_mass),
+  ForceSolver(std::span<const double> inverse_mass, const Accelerations& of, std::span<RestingContact> contacts,
+              bool iteration_limited, ContactSystem::Cache* cache)
+      : inverse_mass_(inverse_mass),
         of_(of),
         contacts_(contacts),
         iteration_limited_(iteration_limited),
@@ -170,7 +169,7 @@ class ForceSolver {
     double* b = c->b < 0 ? nullptr : of_.linear[c->b].data();
     const double x = b ? a[0] - b[0] : a[0], y = b ? a[1] - b[1] : a[1];
     const double normal_force = std::max(0.0, c->normal_force - c->mass * (nx * x + ny * y + c->turning));
-    const double bound = friction_ * normal_force;
+    const double bound = c->friction * normal_force;
     const double along = nx * y - ny * x - RimAcceleration(*c, of_.turning);
     const double tangential_force = c->sliding == 0
                                         ? std::clamp(c->tangential_force - c->tangential_mass * along, -bound, bound)
@@ -201,25 +200,25 @@ class ForceSolver {
 
   // Returns the mode of an active contact before its forces are known.
   Mode ActiveMode(const RestingContact& c) const {
-    return c.sliding > 0 ? Mode::kLeft : c.sliding < 0 || friction_ == 0 ? Mode::kRight : Mode::kStick;
+    return c.sliding > 0 ? Mode::kLeft : c.sliding < 0 || c.friction == 0 ? Mode::kRight : Mode::kStick;
   }
   // Returns the mode that follows from the forces of a contact.
   Mode ModeOf(const RestingContact& c) const {
     if (c.normal_force <= 0) return Mode::kOpen;
     if (c.sliding != 0) return c.sliding > 0 ? Mode::kLeft : Mode::kRight;
-    if (std::abs(c.tangential_force) < friction_ * c.normal_force) return Mode::kStick;
+    if (std::abs(c.tangential_force) < c.friction * c.normal_force) return Mode::kStick;
     return c.tangential_force < 0 ? Mode::kLeft : Mode::kRight;
   }
   // Returns the mode after `mode` in the order in which all are tried; kOpen after the last.
   Mode NextMode(const RestingContact& c, Mode mode) const {
     if (mode == Mode::kStick) return Mode::kOpen;
-    if (friction_ > 0 && c.sliding == 0) return static_cast<Mode>(static_cast<char>(mode) + 1);
+    if (c.friction > 0 && c.sliding == 0) return static_cast<Mode>(static_cast<char>(mode) + 1);
     return mode != Mode::kOpen ? Mode::kOpen : c.sliding > 0 ? Mode::kLeft : Mode::kRight;
   }
   // Returns the mode that a contact changes to if its forces violate the conditions by more than `allowed`, m/s^2;
   // `relative` is its acceleration under the forces.
   std::optional<Mode> BetterMode(double allowed, const RestingContact& c, const Vec2d& relative) const {
-    const double bound = friction_ * c.normal_force, slack = allowed * c.mass;
+    const double bound = c.friction * c.normal_force, slack = allowed * c.mass;
     const double apart = Dot(c.normal, relative) + c.turning, along = Dot(Perpendicular(c.normal), relative);
     if (c.normal_force < 0) return Mode::kOpen;
     if (apart < -allowed) return ActiveMode(c);
@@ -266,7 +265,7 @@ class ForceSolver {
         add(c.normal, c.normal);
         add(tangent, tangent);
       } else {
-        add(c.normal, c.normal + (modes[k] == Mode::kLeft ? -friction_ : friction_) * tangent);
+        add(c.normal, c.normal + (modes[k] == Mode::kLeft ? -c.friction : c.friction) * tangent);
       }
     }
     const int n = static_cast<int>(rows.size());
@@ -335,8 +334,8 @@ class ForceSolver {
       for (std::size_t k = 0; k < start.size(); ++k) {
         RestingContact& c = start[k];
         if (modes[k] == Mode::kOpen) c.normal_force = c.tangential_force = 0;
-        if (modes[k] == Mode::kLeft) c.tangential_force = -friction_ * c.normal_force;
-        if (modes[k] == Mode::kRight) c.tangential_force = friction_ * c.normal_force;
+        if (modes[k] == Mode::kLeft) c.tangential_force = -c.friction * c.normal_force;
+        if (modes[k] == Mode::kRight) c.tangential_force = c.friction * c.normal_force;
       }
       if (SolveInModes(allowed, modes, start, &wrong, iteration_limited)) {
         std::copy(start.begin(), start.end(), contacts_.begin());
@@ -360,7 +359,7 @@ class ForceSolver {
 
   double NumHypotheses() const {
     double number = 1;
-    for (const RestingContact& c : contacts_) number *= friction_ > 0 && c.sliding == 0 ? 4 : 2;
+    for (const RestingContact& c : contacts_) number *= c.friction > 0 && c.sliding == 0 ? 4 : 2;
     return number;
   }
   // Tries all combinations of modes, each from zero forces.
@@ -411,14 +410,15 @@ class ForceSolver {
     KeptAccelerations start(given_, std::pmr::new_delete_resource());
     Eigen::VectorXd without(2 * n);
     std::vector<int> sliding(n);
+    std::vector<double> friction(n);
     for (int k = 0; k < n; ++k) {
       const Vec2d relative = RelativeAcceleration(contacts_[k], start.view());
       without[2 * k] = Dot(contacts_[k].normal, relative) + contacts_[k].turning;
       without[2 * k + 1] = Dot(Perpendicular(contacts_[k].normal), relative);
       sliding[k] = contacts_[k].sliding;
+      friction[k] = contacts_[k].friction;
     }
-    const std::optional<Eigen::VectorXd> forces =
-        SolveFrictionalLcp(std::vector<double>(n, friction_), Responses(), without, sliding);
+    const std::optional<Eigen::VectorXd> forces = SolveFrictionalLcp(friction, Responses(), without, sliding);
     if (!forces) return false;
     std::vector<Mode> modes(n);
     for (int k = 0; k < n; ++k) {
@@ -431,7 +431,6 @@ class ForceSolver {
     return SolveByPivoting(allowed, kForcesMostPivots, modes, /*in_blocks=*/true);
   }
 
-  const double friction_;
   const std::span<const double> inverse_mass_;  // per disc
   const Accelerations of_;                      // under the forces of the contacts
   const std::span<RestingContact> contacts_;
@@ -443,10 +442,10 @@ class ForceSolver {
 
 }  // namespace
 
-RestingForces SolveRestingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+RestingForces SolveRestingForces(std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                                  std::span<RestingContact> contacts, std::span<double> turning, bool iteration_limited,
                                  ContactSystem::Cache* cache) {
-  return ForceSolver(friction, inverse_mass, {acceleration, turning}, contacts, iteration_limited, cache).Run();
+  return ForceSolver(inverse_mass, {acceleration, turning}, contacts, iteration_limited, cache).Run();
 }
 
 }  // namespace saltus

@@ -37,6 +37,7 @@ struct RestingContact {
   int a = 0;
   int b = -1;                   // -1: a wall
   Vec2d normal{0, 0};           // towards a
+  double friction = 0;          // mu
   double mass = 0;              // effective mass, kg
   double tangential_mass = 0;   // along the tangent, where discs that spin turn with it, kg; 0: the same
   double turning = 0;           // kappa, m/s^2
@@ -64,7 +65,7 @@ inline double RimAcceleration(const RestingContact& c, std::span<const double> t
 // are found. inverse_mass: per disc, 1/kg; 0 if it does not move. With `iteration_limited`, only a few pivots are tried
 // for many contacts. Where discs spin, f_t acts and t.b is measured at the points of contact. `cache`, if given, keeps
 // factorizations.
-RestingForces SolveRestingForces(double friction, std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
+RestingForces SolveRestingForces(std::span<const double> inverse_mass, std::span<Vec2d> acceleration,
                                  std::span<RestingContact> contacts, std::span<double> turning = {},
                                  bool iteration_limited = false, ContactSystem::Cache* cache = nullptr);
 

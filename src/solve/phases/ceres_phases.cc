@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "saltus/control/objective.h"
+#include "saltus/scene/materials.h"
 #include "saltus/simulate/registry.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/interior_point.h"
@@ -70,7 +71,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
     return attempt;
   if (attempt.converged) {
     if (run->Certify(attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
-  } else if (run->scene().contact.friction > 0) {
+  } else if (HasFriction(run->scene())) {
     return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
   }
   PlanAttempt last = TryByArcs(run, plan, {start.times, attempt.trial}, may_go_on);

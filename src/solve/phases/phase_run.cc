@@ -8,6 +8,7 @@
 
 #include "base/time_grid.h"
 #include "control/control_bounds.h"
+#include "saltus/scene/materials.h"
 #include "scene/units.h"
 #include "simulate/impact.h"
 
@@ -172,7 +173,7 @@ void PhaseRun::PlanAlong(ContactSequence sequence, const Trial& trial, PhasePlan
 
 std::vector<std::pair<size_t, int>> PhaseRun::RegimesAtBorders(const PhasePlan& plan, const Trial& trial) const {
   std::vector<std::pair<size_t, int>> regimes;
-  if (scene_.contact.friction == 0) return regimes;
+  if (!HasFriction(scene_)) return regimes;
   const Flight flight = FlightOf(scene_, trial);
   auto hit = flight.hits().begin();
   for (size_t k = 0; k < plan.cuts.size(); ++k) {

@@ -86,6 +86,7 @@ TEST(IterationLimits, TheLastResortOfLcpSaysWhetherItHasWorked) {
   problem.matrix = Eigen::MatrixXd::Identity(1, 1);
   problem.rhs = Eigen::VectorXd::Constant(1, 0.5);
   problem.normal = {0};
+  problem.friction = Eigen::VectorXd::Zero(1);
   EXPECT_TRUE(SolveBoxedLcp(problem).fits);
   problem.matrix *= -1.0;  // a push that pulls
   EXPECT_FALSE(SolveBoxedLcp(problem).fits);

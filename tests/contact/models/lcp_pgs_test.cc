@@ -1,6 +1,7 @@
 #include "contact/models/lcp_pgs.h"
 
 #include <Eigen/Dense>
+#include <array>
 
 #include "base/linear_algebra.h"
 #include "contact/formulation.h"
@@ -83,7 +84,8 @@ struct Coupled {
     A = root.transpose() * root;
     b << 2.0, 1.5, -0.5, 0.2, 2.5, 0.1;
   }
-  GaussSeidelSweeps Solve(int sweeps) const { return {{A.data(), 36}, {b.data(), 6}, friction, 3, sweeps}; }
+  GaussSeidelSweeps Solve(int sweeps) const { return {{A.data(), 36}, {b.data(), 6}, {&friction, 1}, kKind, sweeps}; }
+  static constexpr std::array<int, 3> kKind = {0, 0, 0};
 };
 
 // The reverse of the sweeps is the derivative of the sweeps, however few they are.
@@ -99,7 +101,7 @@ TEST(GaussSeidelSweepsTest, ReverseIsTheDerivative) {
         return (up.Solve(sweeps).x()[row] - down.Solve(sweeps).x()[row]) / 2e-6;
       };
       const double mu = difference([](Coupled& p, double by) { p.friction += by; });
-      EXPECT_NEAR(d.by_friction, mu, 1e-8 * (1 + std::abs(mu)));
+      EXPECT_NEAR(d.by_friction[0], mu, 1e-8 * (1 + std::abs(mu)));
       for (int i = 0; i < 6; ++i) {
         const double by_b = difference([&](Coupled& p, double by) { p.b[i] += by; });
         EXPECT_NEAR(d.by_b[i], by_b, 1e-8 * (1 + std::abs(by_b)));

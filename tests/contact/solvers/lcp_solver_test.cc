@@ -17,7 +17,7 @@ BoxedLcp RandomProblem(int contacts, int points, double friction, std::mt19937* 
   const int rows = friction > 0 ? 2 : 1;
   Eigen::MatrixXd A = Eigen::MatrixXd::Zero(contacts * rows, 2 * points);
   BoxedLcp problem;
-  problem.friction = friction;
+  problem.friction = Eigen::VectorXd::Constant(contacts * rows, friction);
   for (int i = 0; i < contacts; ++i) {
     const double angle = 3.2 * uniform(*random);
     const int a = static_cast<int>((*random)() % points);
@@ -53,7 +53,7 @@ std::vector<Eigen::VectorXd> AllSolutions(const BoxedLcp& problem) {
         right[i] = problem.rhs[i];
       } else {
         equations(i, i) = 1;
-        if (c >= 2) equations(i, problem.normal[i]) = c == 2 ? -problem.friction : problem.friction;
+        if (c >= 2) equations(i, problem.normal[i]) = c == 2 ? -problem.friction[i] : problem.friction[i];
       }
     }
     if (!possible) continue;
@@ -67,7 +67,7 @@ TEST(LcpSolver, OneContact) {
   BoxedLcp problem;
   problem.matrix = Eigen::Vector2d(0.5, 0.5).asDiagonal();
   problem.normal = {0, 0};
-  problem.friction = 0.3;
+  problem.friction = Eigen::Vector2d(0.3, 0.3);
   const auto solve = [&](double normal, double tangent) {
     problem.rhs = Eigen::Vector2d(normal, tangent);
     return SolveBoxedLcp(problem);

@@ -11,8 +11,16 @@
 namespace saltus {
 namespace {
 
+// With one coefficient of friction for all contacts.
+RestingForces SolveWithFriction(double friction, const std::vector<double>& inverse_mass,
+                                std::vector<Vec2d>& acceleration, std::vector<RestingContact>& contacts,
+                                bool iteration_limited = false) {
+  for (RestingContact& contact : contacts) contact.friction = friction;
+  return SolveRestingForces(inverse_mass, acceleration, contacts, {}, iteration_limited);
+}
+
 // The conditions of resting_forces.h; tolerance in m/s^2 for contacts of unit mass.
-void ExpectConditions(double friction, const std::vector<double>& inverse_mass, const std::vector<Vec2d>& given,
+void ExpectConditions(const std::vector<double>& inverse_mass, const std::vector<Vec2d>& given,
                       const std::vector<RestingContact>& contacts, const std::vector<Vec2d>& acceleration,
                       double tolerance) {
   std::vector<Vec2d> expected = given;
@@ -25,7 +33,7 @@ void ExpectConditions(double friction, const std::vector<double>& inverse_mass, 
   for (const RestingContact& c : contacts) {
     const Vec2d b = c.b >= 0 ? Vec2d(acceleration[c.a] - acceleration[c.b]) : acceleration[c.a];
     const double apart = Dot(c.normal, b) + c.turning, along = Dot(Perpendicular(c.normal), b);
-    const double bound = friction * c.normal_force;
+    const double bound = c.friction * c.normal_force;
     EXPECT_GE(c.normal_force, 0);
     EXPECT_GE(apart, -tolerance);
     EXPECT_NEAR(c.normal_force * apart, 0, tolerance * (1 + c.normal_force));
@@ -49,8 +57,8 @@ TEST(RestingForces, OfADiscOnASlope) {
     const std::vector<Vec2d> given = {Vec2d(0, -g)};
     std::vector<Vec2d> acceleration = given;
     std::vector<RestingContact> contacts = {{.a = 0, .normal = {std::sin(angle), std::cos(angle)}, .mass = 4}};
-    ASSERT_EQ(SolveRestingForces(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
-    ExpectConditions(friction, inverse_mass, given, contacts, acceleration, 1e-12);
+    ASSERT_EQ(SolveWithFriction(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
+    ExpectConditions(inverse_mass, given, contacts, acceleration, 1e-12);
     EXPECT_NEAR(contacts[0].normal_force, 4 * g * std::cos(angle), 1e-12);
     const double slides = std::max(0.0, g * (std::sin(angle) - friction * std::cos(angle)));
     EXPECT_NEAR(acceleration[0].norm(), slides, 1e-12);
@@ -69,7 +77,7 @@ TEST(RestingForces, OfAStackOfGrowingMasses) {
     const double effective = i == 0 ? mass[0] : 1 / (inverse_mass[i] + inverse_mass[i - 1]);
     contacts.push_back({.a = i, .b = i - 1, .normal = {0, 1}, .mass = effective});
   }
-  ASSERT_EQ(SolveRestingForces(0.3, inverse_mass, acceleration, contacts), RestingForces::kFound);
+  ASSERT_EQ(SolveWithFriction(0.3, inverse_mass, acceleration, contacts), RestingForces::kFound);
   double weight = 0;
   for (int i = kDiscs - 1; i >= 0; --i) {
     weight += mass[i];
@@ -88,20 +96,20 @@ TEST(RestingForces, JamWhereFrictionPushesADiscIntoBothWalls) {
     std::vector<Vec2d> acceleration = given;
     std::vector<RestingContact> contacts = {{.a = 0, .normal = {0, 1}, .mass = 2, .sliding = 1},
                                             {.a = 0, .normal = {-1, 0}, .mass = 2, .sliding = -1}};
-    const RestingForces result = SolveRestingForces(friction, inverse_mass, acceleration, contacts);
+    const RestingForces result = SolveWithFriction(friction, inverse_mass, acceleration, contacts);
     if (friction > 1) {
       EXPECT_EQ(result, RestingForces::kJammed) << friction;
       continue;
     }
     ASSERT_EQ(result, RestingForces::kFound) << friction;
-    ExpectConditions(friction, inverse_mass, given, contacts, acceleration, 1e-11);
+    ExpectConditions(inverse_mass, given, contacts, acceleration, 1e-11);
     EXPECT_NEAR(contacts[0].normal_force, 2 * 9.8 / (1 - friction * friction), 1e-9);
     EXPECT_NEAR(contacts[1].normal_force, friction * contacts[0].normal_force, 1e-9);
   }
 }
 
 // Random contacts of a few discs, more than these can move in: whatever step finds the forces, they obey the
-// conditions. Contacts that do not slide always have some.
+// conditions, with one coefficient of friction or several. Contacts that do not slide always have some.
 TEST(RestingForces, OfRandomContacts) {
   std::mt19937 random(7);
   std::uniform_real_distribution<double> uniform(-1, 1);
@@ -122,17 +130,18 @@ TEST(RestingForces, OfRandomContacts) {
       const int a = static_cast<int>(random() % discs), b = static_cast<int>(random() % (discs + 1)) - 1;
       RestingContact c{.a = a, .b = b == a ? -1 : b, .normal = {std::cos(angle), std::sin(angle)}};
       c.mass = 1 / (inverse_mass[a] + (c.b >= 0 ? inverse_mass[c.b] : 0.0));
+      c.friction = trial % 7 != 0 ? friction : k % 3 == 0 ? 0.0 : k % 3 == 1 ? 0.2 : 0.9;
       if (trial % 5 == 0 && k == 0) c.sliding = uniform(random) > 0 ? 1 : -1;
       slides = slides || c.sliding != 0;
       contacts.push_back(c);
     }
     std::vector<Vec2d> acceleration = given;
-    const RestingForces result = SolveRestingForces(friction, inverse_mass, acceleration, contacts);
+    const RestingForces result = SolveRestingForces(inverse_mass, acceleration, contacts);
     if (!slides) {
       ASSERT_EQ(result, RestingForces::kFound) << trial;
     }
     if (result != RestingForces::kFound) continue;
-    ExpectConditions(friction, inverse_mass, given, contacts, acceleration, 1e-8);
+    ExpectConditions(inverse_mass, given, contacts, acceleration, 1e-8);
     for (const RestingContact& c : contacts) active += c.normal_force > 1e-6;
     if (HasFailure()) FAIL() << trial;
   }
@@ -148,18 +157,18 @@ TEST(RestingForces, WithLimitedIterations) {
     contacts.push_back({.a = i, .b = i - 1, .normal = {0, 1}, .mass = i == 0 ? 1.0 : 0.5});
   }
   std::vector<Vec2d> acceleration(kDiscs, Vec2d(0, -1));
-  EXPECT_EQ(SolveRestingForces(0, inverse_mass, acceleration, contacts, {}, /*iteration_limited=*/true),
+  EXPECT_EQ(SolveWithFriction(0, inverse_mass, acceleration, contacts, /*iteration_limited=*/true),
             RestingForces::kFound);
   EXPECT_NEAR(contacts[0].normal_force, kDiscs, 1e-8);
   // Forces that alternate along the row close and open its contacts one after the other.
   for (int i = 0; i < kDiscs; ++i) acceleration[i] = Vec2d(0, std::sin(1.0 + i * i));
   const std::vector<Vec2d> given = acceleration;
   std::vector<RestingContact> again = contacts;
-  const bool limited = SolveRestingForces(0, inverse_mass, acceleration, again, {}, true) == RestingForces::kFound;
-  if (limited) ExpectConditions(0, inverse_mass, given, again, acceleration, 1e-9);
+  const bool limited = SolveWithFriction(0, inverse_mass, acceleration, again, true) == RestingForces::kFound;
+  if (limited) ExpectConditions(inverse_mass, given, again, acceleration, 1e-9);
   acceleration = given;
-  ASSERT_EQ(SolveRestingForces(0, inverse_mass, acceleration, contacts), RestingForces::kFound);
-  ExpectConditions(0, inverse_mass, given, contacts, acceleration, 1e-9);
+  ASSERT_EQ(SolveWithFriction(0, inverse_mass, acceleration, contacts), RestingForces::kFound);
+  ExpectConditions(inverse_mass, given, contacts, acceleration, 1e-9);
 }
 
 // Discs in a row that rest on a wall: forces known in closed form, however long the row.
@@ -171,7 +180,7 @@ TEST(RestingForces, OfALongRow) {
     for (int i = 0; i < n; ++i) {
       contacts.push_back({.a = i, .b = i - 1, .normal = {0, 1}, .mass = i == 0 ? 2.0 : 1.0});
     }
-    EXPECT_EQ(SolveRestingForces(0.4, inverse_mass, acceleration, contacts), RestingForces::kFound);
+    EXPECT_EQ(SolveWithFriction(0.4, inverse_mass, acceleration, contacts), RestingForces::kFound);
     for (int i = 0; i < n; ++i) {
       EXPECT_NEAR(contacts[i].normal_force, 2 * 9.8 * (n - i), 1e-8 * n) << n;
       EXPECT_NEAR(acceleration[i].norm(), 0, 1e-8) << n;
@@ -228,8 +237,8 @@ TEST(RestingForces, OfContactsThatDependOnEachOther) {
   };
   const std::vector<Vec2d> given = acceleration;
   const double friction = 0.038954626768827438;
-  EXPECT_EQ(SolveRestingForces(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
-  ExpectConditions(friction, inverse_mass, given, contacts, acceleration, 1e-9);
+  EXPECT_EQ(SolveWithFriction(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
+  ExpectConditions(inverse_mass, given, contacts, acceleration, 1e-9);
 }
 
 // From a pile that settles: sweeps and changes of one mode after the other go in circles.
@@ -272,15 +281,15 @@ TEST(RestingForces, WherePivotsGoInCircles) {
                         .turning = c.turning,
                         .sliding = c.sliding});
   }
-  ASSERT_EQ(SolveRestingForces(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
-  ExpectConditions(friction, inverse_mass, std::vector<Vec2d>(14, Vec2d(0, -3e-4)), contacts, acceleration, 1e-15);
+  ASSERT_EQ(SolveWithFriction(friction, inverse_mass, acceleration, contacts), RestingForces::kFound);
+  ExpectConditions(inverse_mass, std::vector<Vec2d>(14, Vec2d(0, -3e-4)), contacts, acceleration, 1e-15);
 }
 
 TEST(RestingForces, SayWhereTheyAreNotFound) {
   const std::vector<double> inverse_mass = {1};
   std::vector<Vec2d> acceleration = {Vec2d(0, std::numeric_limits<double>::quiet_NaN())};
   std::vector<RestingContact> contacts = {{.a = 0, .normal = {0, 1}, .mass = 1}};
-  EXPECT_EQ(SolveRestingForces(0, inverse_mass, acceleration, contacts), RestingForces::kNotFound);
+  EXPECT_EQ(SolveWithFriction(0, inverse_mass, acceleration, contacts), RestingForces::kNotFound);
 }
 
 }  // namespace
