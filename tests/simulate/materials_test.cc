@@ -98,7 +98,8 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
   int models = 0;
   for (const ModelTraits& model : AllContactModels()) {
     const Contact contact(model.name);
-    Scene scene = ThreePairs(true);
+    const bool couples = std::isinf(model.push_gap);  // which takes many contacts in each step
+    Scene scene = ThreePairs(true, couples ? 24 : 240);
     if (!WhyNotApplicable(contact, scene).empty()) scene = ThreePairs(false);
     if (!WhyNotApplicable(contact, scene).empty()) {
       ADD_FAILURE() << model.name << ": " << WhyNotApplicable(contact, scene);
@@ -106,7 +107,6 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
     }
     ++models;
     const Rollout all(contact, scene);
-    const bool couples = std::isinf(model.push_gap);
     for (int disc = 0; disc < 3; ++disc) {
       const Rollout one(contact, OnePair(scene, kPairs[disc]));
       const int size = all.simulator->body_size();
@@ -158,6 +158,7 @@ TEST(Materials, ModelsConvergeToTheEventModel) {
   const Rollout exact("event", ThreePairs(false));
   for (const ModelTraits& model : AllContactModels()) {
     if (model.rebound != Rebound::kRestitution || model.compliant) continue;
+    if (!WhyNotApplicable(model.name, ThreePairs(false)).empty()) continue;
     const Rollout run(Contact(model.name), ThreePairs(false, 8000));
     for (int disc = 0; disc < 2; ++disc) {
       const double rebound = std::pow(kRestitution[disc], model.restitution_power) * 2;
