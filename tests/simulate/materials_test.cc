@@ -236,7 +236,7 @@ TEST(Materials, DerivativesOfDifferences) {
     const Sensitivity gradient = Rollout(model, scene).Gradient();
     for (std::size_t i = 0; i < scene.design.size(); ++i) {
       const SceneParameter& parameter = scene.design[i].parameter;
-      const double width = 1e-6, value = ValueOf(parameter, scene);
+      const double width = 1e-5, value = ValueOf(parameter, scene);
       const auto at = [&](double by) {
         Scene near = scene;
         SetValue(parameter, value + by, &near);
