@@ -249,7 +249,7 @@ class Sweep {
       case Kind::kFriction: {
         const int friction = unknown.kind == Kind::kFriction;
         if (unknown.component == 0) return friction;
-        // Those of pairs of materials follow the masses.
+        // The numbers of pairs of materials follow the masses.
         return 4 + static_cast<int>(island.bodies.size()) + 2 * (unknown.component - 1) + friction;
       }
       case Kind::kStiffness:

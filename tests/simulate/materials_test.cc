@@ -45,7 +45,7 @@ Scene ThreePairs(bool rough, int steps = 240) {
 }
 constexpr int kPairs[] = {4, 9, 8};  // by disc: MaterialPairIndex() of (1, 2), (3, 3), (2, 3)
 
-// The same without materials, with the numbers of one pair.
+// Returns the scene without materials, with the numbers of one pair.
 Scene OnePair(Scene scene, int pair) {
   const PairContact contact = PairContactsOf(scene)[pair];
   scene.contact.restitution = contact.restitution;

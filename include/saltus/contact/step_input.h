@@ -51,7 +51,7 @@ struct PairConstants {
   T restitution, friction;
 };
 
-// As in ContactParameters.
+// The numbers of ContactParameters.
 template <typename T>
 struct ContactConstants : PairConstants<T> {
   T stiffness, damping;
@@ -178,9 +178,9 @@ struct StepInput {
     if (failure != nullptr && failure->empty()) *failure = why;
   }
 
-  // Restitution and friction of a candidate. Stiffness and damping are the same for all.
+  // Returns restitution and friction of a candidate. Stiffness and damping are the same for all.
   const PairConstants<T>& ContactOf(const Candidate& c) const { return ContactOfPair(PairOf(c)); }
-  // The same by its pair of materials, of which there are num_pairs().
+  // Returns the index of a candidate's pair of materials among num_pairs().
   int PairOf(const Candidate& c) const {
     if (pairs.empty()) return 0;
     return MaterialPairIndex(bodies[c.a].material, c.plane ? planes[c.b].material : bodies[c.b].material);

@@ -131,10 +131,10 @@ struct PairContact {
   bool operator==(const PairContact&) const = default;
 };
 
-// What bodies and walls are made of.
+// A material of bodies and walls.
 struct Material {
   std::string name;     // as of a body, but without '-'; not "default", which is what has no material
-  PairContact contact;  // what Scene::combine makes the numbers of a pair of
+  PairContact contact;  // from two of these Scene::combine makes the numbers of a pair
 
   bool operator==(const Material&) const = default;
 };
@@ -283,8 +283,8 @@ struct SceneParameter {
   };
   Kind kind = Kind::kRestitution;
   int body = -1;  // of a mass, force, radius or position; or the index of a plane or a segment
-  // Of gravity, a force or a position: 0 is x, 1 is y; or the number of a law's parameter. Of restitution or friction
-  // in a scene with materials: MaterialPairIndex() of the pair (materials.h).
+  // The component, 0 is x and 1 is y, of gravity, a force or a position; the number of a law's parameter; or the
+  // MaterialPairIndex() (materials.h) of a restitution or friction in a scene with materials.
   int component = 0;
 
   bool operator==(const SceneParameter&) const = default;
