@@ -101,6 +101,12 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
     const bool couples = std::isinf(model.push_gap);  // which takes many contacts in each step
     Scene scene = ThreePairs(true, couples ? 24 : 240);
     if (!WhyNotApplicable(contact, scene).empty()) scene = ThreePairs(false);
+    const bool of_planes = !WhyNotApplicable(contact, scene).empty();  // it takes no walls that end
+    if (of_planes) {
+      scene = ThreePairs(true);
+      scene.segments.clear();
+      scene.planes = {{"floor", {0, 0}, {0, 1}, 1}};
+    }
     if (!WhyNotApplicable(contact, scene).empty()) {
       ADD_FAILURE() << model.name << ": " << WhyNotApplicable(contact, scene);
       continue;
@@ -108,7 +114,8 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
     ++models;
     const Rollout all(contact, scene);
     for (int disc = 0; disc < 3; ++disc) {
-      const Rollout one(contact, OnePair(scene, kPairs[disc]));
+      const int pair_of_disc = of_planes && disc == 1 ? kPairs[2] : kPairs[disc];
+      const Rollout one(contact, OnePair(scene, pair_of_disc));
       const int size = all.simulator->body_size();
       for (int i = disc * size; i < (disc + 1) * size; ++i) {
         if (couples) {
@@ -122,7 +129,7 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
       EXPECT_EQ(gradient.initial, expected.initial) << model.name;
       for (int pair = 0; pair < 10; ++pair) {
         const PairConstants<double>& by = gradient.parameters.pairs[pair];
-        const bool own = pair == kPairs[disc];
+        const bool own = pair == pair_of_disc;
         EXPECT_EQ(by.restitution, own ? expected.parameters.restitution : 0) << model.name << " " << pair;
         EXPECT_EQ(by.friction, own ? expected.parameters.friction : 0) << model.name << " " << pair;
       }
