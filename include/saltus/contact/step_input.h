@@ -41,8 +41,8 @@ struct BodyConstants {
   T inverse_mass;  // 1/kg; 0 if fixed
   Base<T> radius;  // m
   bool fixed = false;
-  int material = 0;                   // 0: none; else its number, from 1 on, in the scene
   T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it does not spin as the scene says
+  int material = 0;                   // 0: none; else its number, from 1 on, in the scene
 };
 
 // Restitution and friction where two things touch.
