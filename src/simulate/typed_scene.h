@@ -24,7 +24,8 @@ struct TypedScene {
                 S(scene.contact.damping)} {
     for (const Body& body : scene.bodies) {
       const S mass = S(body.mass);
-      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed, body.material + 1});
+      bodies.push_back({mass, body.fixed ? S(0) : S(1) / mass, S(body.radius), body.fixed});
+      bodies.back().material = body.material + 1;
       if (body.Spins()) bodies.back().inverse_inertia = S(1) / S(body.MomentOfInertia());
       fixed.push_back(body.fixed);
     }
@@ -34,7 +35,7 @@ struct TypedScene {
     for (WallPart& part : WallPartsOf(scene)) {
       const Wall<double>& wall = part.wall;
       planes.push_back(
-          {wall.normal.cast<S>(), S(wall.offset), wall.side, wall.material, wall.center.cast<S>(), S(wall.radius)});
+          {wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius), wall.material});
       extents.push_back(part.extent);
       if (part.table) table = static_cast<int>(wall_parts.size());
       if (part.pocket && num_pockets++ == 0) first_pocket = static_cast<int>(wall_parts.size());
