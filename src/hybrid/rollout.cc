@@ -127,7 +127,7 @@ bool RolloutRun::FailAt(const FlowStep& step) {
   bool integrates = true;
   for (int i = 0; i < n; ++i) size = std::max(size, std::abs(step.x[i]));
   for (int i = 1; i <= kStages; ++i) {
-    cooper_verner::Combine(i, n, step.h, step.x, slopes.data(), stage.data());
+    cooper_verner::CombineSlopes(i, n, step.h, step.x, slopes.data(), stage.data());
     integrates = std::ranges::none_of(stage, not_finite);
     if (!integrates) break;
     double* slope = &slopes[i * n];

@@ -62,7 +62,7 @@ void RungeKutta::Linearize(const FlowStep& step) {
     functions_.LinearizeStep(step, scratch_.data(), slopes_.data(), jacobians_.data());
   }
   if (!projects_) return;
-  if (!flies_) cooper_verner::Combine(kStages, size_, length_, step.x, slopes_.data(), after);
+  if (!flies_) CombineSlopes(kStages, size_, length_, step.x, slopes_.data(), after);
   projection_.resize(size_ * (size_ + 1 + num_parameters_));
   functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
 }

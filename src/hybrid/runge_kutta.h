@@ -52,10 +52,10 @@ void EvaluateStep(int size, const FlowStep& step, const Flow& flow, const double
     double *slopes = scratch, *stage = scratch + kStages * size;
     std::copy_n(slope, size, slopes);
     for (int i = 1; i < kStages; ++i) {
-      cooper_verner::Combine(i, size, step.h, step.x, slopes, stage);
+      CombineSlopes(i, size, step.h, step.x, slopes, stage);
       flow(step.t + kC[i] * step.h, stage, slopes + i * size);
     }
-    cooper_verner::Combine(kStages, size, step.h, step.x, slopes, after);
+    CombineSlopes(kStages, size, step.h, step.x, slopes, after);
     flow(step.t + step.h, after, slope_after);
   });
 }
@@ -66,7 +66,7 @@ void LinearizeStep(int size, const FlowStep& step, std::size_t stride, const Flo
   WithSize(size, [&](auto known) {
     if constexpr (known > 0) return LinearizeStep<known>(step, stride, flow, slopes, jacobians);
     for (int i = 0; i < kStages; ++i) {
-      cooper_verner::Combine(i, size, step.h, step.x, slopes, scratch);
+      CombineSlopes(i, size, step.h, step.x, slopes, scratch);
       flow(step.t + kC[i] * step.h, scratch, slopes + i * size, jacobians + i * stride);
     }
   });

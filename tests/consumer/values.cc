@@ -109,7 +109,7 @@ bool StepsAgree() {
     system.functions().Flow(step, slope);
     system.functions().Step(step, slope, scratch, after, slope_after);
     system.functions().LinearizeStep(step, scratch, slopes, jacobians);
-    Combine<kStages, kSize>(step.h, x, slopes, again);
+    CombineSlopes<kStages, kSize>(step.h, x, slopes, again);
     for (int i = 0; i < kSize; ++i) {
       if (after[i] == again[i] && slope[i] == slopes[i]) continue;
       std::cerr.precision(17);

@@ -105,7 +105,7 @@ using Pair = double __attribute__((vector_size(2 * sizeof(double))));
 
 // out = x + h sum of the slopes of row kRow, which stand one after the other.
 template <int kRow, int kSize>
-[[gnu::always_inline]] inline void Combine(double h, const double* x, const double* slopes, double* out) {
+[[gnu::always_inline]] inline void CombineSlopes(double h, const double* x, const double* slopes, double* out) {
   constexpr int kPairs = kSize / 2;
   Pair sums[kPairs + 1] = {};
   double last = 0;
@@ -121,7 +121,7 @@ template <int kRow, int kSize>
   if (kSize % 2 == 1) out[kSize - 1] = x[kSize - 1] + h * last;
 }
 // Combines slopes of a state whose size is known only as the program runs.
-inline void Combine(int row, int size, double h, const double* x, const double* slopes, double* out) {
+inline void CombineSlopes(int row, int size, double h, const double* x, const double* slopes, double* out) {
   for (int i = 0; i < size; ++i) {
     double sum = 0;
     for (int k = 0; k < kRows[row].count; ++k) {
@@ -157,12 +157,12 @@ void EvaluateStep(const FlowStep& step, const Flow& flow, const double* slope, d
   std::copy_n(step.x, kSize, x);
   std::copy_n(slope, kSize, slopes);
   [&]<std::size_t... i>(std::index_sequence<i...>) __attribute__((always_inline)) {
-    ((Combine<i + 1, kSize>(step.h, x, slopes, stage),
+    ((CombineSlopes<i + 1, kSize>(step.h, x, slopes, stage),
       flow(step.t + kC[i + 1] * step.h, stage, slopes + (i + 1) * kSize)),
      ...);
   }
   (std::make_index_sequence<kStages - 1>());
-  Combine<kStages, kSize>(step.h, x, slopes, after);
+  CombineSlopes<kStages, kSize>(step.h, x, slopes, after);
   flow(step.t + step.h, after, slope_after);
 }
 
@@ -173,7 +173,7 @@ void LinearizeStep(const FlowStep& step, std::size_t stride, const FlowJacobian&
   using namespace cooper_verner;
   double stage[kSize];
   [&]<std::size_t... i>(std::index_sequence<i...>) __attribute__((always_inline)) {
-    ((Combine<i, kSize>(step.h, step.x, slopes, stage),
+    ((CombineSlopes<i, kSize>(step.h, step.x, slopes, stage),
       flow(step.t + kC[i] * step.h, stage, slopes + i * kSize, jacobians + i * stride)),
      ...);
   }

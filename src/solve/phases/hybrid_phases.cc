@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <tuple>
 
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
@@ -399,8 +400,14 @@ std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std
          met;
 }
 
-Certificate HybridPhaseRun::Certify(const HybridMotion& motion) const {
-  return saltus::Certify(problem_, InputOf(motion));
+const Certificate& HybridPhaseRun::Certify(const HybridMotion& motion) {
+  const auto variables = [](const HybridMotion& of) {
+    return std::tie(of.control, of.durations, of.initial, of.parameters);
+  };
+  if (!certified_ || variables(certified_->motion) != variables(motion)) {
+    certified_ = {motion, saltus::Certify(problem_, InputOf(motion))};
+  }
+  return certified_->certificate;
 }
 
 std::vector<HybridMotion> HybridPhaseRun::LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const {
@@ -554,12 +561,12 @@ std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridP
   HybridPhaseRun run(solver, problem, silent);
   const HybridMotion& guess = run.guess();
   if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
-  Certificate certificate = run.Certify(guess);
+  const Certificate& certificate = run.Certify(guess);
   // Without a curvature no direction is left that keeps the active bounds and the constraints.
   const bool is_minimum = !certificate.curvature || certificate.curvature->kind == Curvature::Kind::kMinimum;
   if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
   if (options.callback) options.callback(0, guess.exact.loss);
-  run.report().certificate = std::move(certificate);
+  run.report().certificate = certificate;
   return run.Finish(guess, guess.exact.loss, Termination::kConverged, "the guess is an optimum");
 }
 

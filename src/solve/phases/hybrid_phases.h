@@ -79,7 +79,7 @@ class HybridPhaseRun final : public SequenceRun {
   }
 
   bool HasCertificate() const { return true; }
-  Certificate Certify(const HybridMotion& motion) const;
+  const Certificate& Certify(const HybridMotion& motion);
   std::vector<HybridMotion> LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const;
 
   // Returns the reason why a motion, or a term at it, has no finite derivative; empty if it has, or without a motion.
@@ -103,6 +103,11 @@ class HybridPhaseRun final : public SequenceRun {
   HybridScales scales_;
   HybridMotion guess_;
   std::optional<std::vector<ModeEvent>> sequence_;
+  struct Certified {
+    HybridMotion motion;
+    Certificate certificate;
+  };
+  std::optional<Certified> certified_;  // the last motion that was
 };
 
 // Returns the reason why a problem has no phases; empty if it has.
