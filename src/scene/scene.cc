@@ -125,20 +125,23 @@ class Rules {
     for (int j = 0; j < 2; ++j) Number({key.list, key.index, key.field, j}, value[j], in_.any);
   }
 
-  void Name(const Key& key, const std::string& name, std::string_view others) {
+  enum class Capitals { kNone, kAllowed };
+  void Name(const Key& key, const std::string& name, std::string_view others, Capitals capitals = Capitals::kAllowed) {
+    const bool with_capitals = capitals == Capitals::kAllowed;
     const auto ok = [&](char c) {
-      return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || others.find(c) != std::string_view::npos;
+      return (c >= 'a' && c <= 'z') || (with_capitals && c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+             others.find(c) != std::string_view::npos;
     };
     Expect(!name.empty() && name.size() <= kLongestName && std::all_of(name.begin(), name.end(), ok), key, [&] {
-      return "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, 0-9 and " +
-             std::string(others);
+      return "found " + Quoted(name) + ", expected a name of 1 to 100 characters out of a-z, " +
+             (with_capitals ? "A-Z, " : "") + "0-9 and " + std::string(others);
     });
   }
 
   // Checks the name of a body or plane, which must be unique.
   void UniqueName(const Key& key, const std::string& name) {
     if (!all_) return;
-    Name(key, name, "_-.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+    Name(key, name, "_-.");
     const auto [other, is_new] = names_.emplace(name, key);
     Expect(is_new, key, [&, &other = other] {
       return "found " + name + ", which is " + other->second.ToString() + " too; expected a unique name";
@@ -169,7 +172,7 @@ class Rules {
   }
 
   void CheckTime() {
-    if (all_) Name({"name"}, scene_.name, "_");
+    if (all_) Name({"name"}, scene_.name, "_", Capitals::kNone);
     Number({"duration"}, scene_.duration, all_ ? in_.positive : in_.above_zero);
     Expect(scene_.steps >= 1 && scene_.steps <= kMaxSteps, {"steps"}, [&] {
       return "found " + std::to_string(scene_.steps) + ", expected a whole number from 1 to " +
@@ -287,7 +290,7 @@ class Rules {
     std::set<std::string> names;
     for (const Material& material : scene_.materials) {
       if (all_) {
-        Name({"materials"}, material.name, "_.ABCDEFGHIJKLMNOPQRSTUVWXYZ");
+        Name({"materials"}, material.name, "_.");
         Expect(names.insert(material.name).second, {"materials"}, [&] {
           return "found " + material.name + " twice, expected each material once";
         });

@@ -92,15 +92,17 @@ TEST(MaterialsInSceneFiles, AreWritten) {
 TEST(MaterialsInSceneFiles, SayWhatIsWrong) {
   const auto error = [](const std::string& before, const std::string& after) { return ErrorOf(kBalls, before, after); };
   EXPECT_THAT(error("material: rubber}", "material: ruber}"),
-              HasSubstr("balls.yaml:5: bodies[0].material: found \"ruber\", expected one of the scene's materials, "
+              HasSubstr("balls.yaml:5: bodies[0].material: found ruber, expected one of the scene's materials, "
                         "rubber, steel, wood; did you mean rubber?"));
   EXPECT_THAT(error("friction: 0.4", "friction: -0.4"),
               HasSubstr("balls.yaml:13: materials.rubber.friction: found -0.4, expected a number >= 0"));
   EXPECT_THAT(error("{restitution: 0.6}", "{restitution: 1.6}"), HasSubstr("materials.steel.restitution: found 1.6"));
   EXPECT_THAT(error("{restitution: 0.6}", "{restitutoin: 0.6}"), HasSubstr("materials.steel.restitutoin: found an"));
   EXPECT_THAT(error("wood: {", "steel: {"), HasSubstr("balls.yaml:15: materials.steel: found the key again"));
-  EXPECT_THAT(error("wood: {", "hard-wood: {"), HasSubstr("materials: found \"hard-wood\", expected a name"));
-  EXPECT_THAT(error("wood: {", "default: {"), HasSubstr("materials: found the name default"));
+  EXPECT_THAT(
+      error("  wood: {", "  hard-wood: {}\n  wood: {"),
+      HasSubstr("materials: found \"hard-wood\", expected a name of 1 to 100 characters out of a-z, A-Z, 0-9 and _."));
+  EXPECT_THAT(error("  wood: {", "  default: {}\n  wood: {"), HasSubstr("materials: found the name default"));
   EXPECT_THAT(error("[default, steel]", "[rubber, steel]"),
               HasSubstr("balls.yaml:18: pairs[1].between: found the pair of pairs[0] again, expected each pair once"));
   EXPECT_THAT(error("[default, steel]", "[steel]"), HasSubstr("pairs[1].between: found a list"));
@@ -108,9 +110,9 @@ TEST(MaterialsInSceneFiles, SayWhatIsWrong) {
               HasSubstr("balls.yaml:18: pairs[1].friction: found -1"));
   EXPECT_THAT(error(", restitution: 0.7}", "}"), HasSubstr("pairs[0]: expected restitution, friction or both"));
   EXPECT_THAT(error("combine: min", "combine: least"),
-              HasSubstr("combine: found \"least\", expected one of mean, product, min, max"));
+              HasSubstr("combine: found least, expected one of mean, product, min, max"));
   EXPECT_THAT(error("restitution.rubber-steel, min", "restitution, min"),
-              HasSubstr("found \"restitution\", expected control, velocity, position, or a parameter: "
+              HasSubstr("found restitution, expected control, velocity, position, or a parameter: "
                         "restitution.default-rubber, restitution.rubber-rubber, restitution.default-steel"));
   EXPECT_THAT(error("material: wood", "material: default"), "");
 }
