@@ -710,6 +710,93 @@ TEST(PiledUp, Rests) {
   }
 }
 
+// Friction slows down all boxes of a column by mu g: each of the contacts between them is at its limit all the while.
+TEST(PiledUp, SlidesAndStopsAsOneBody) {
+  struct Slide {
+    int count = 0;
+    double friction = 0, narrower = 0;  // each box, of the width of the first
+  };
+  for (const auto& [count, friction, narrower] :
+       {Slide{2, 0.1}, {2, 0.5}, {2, 1}, {3, 0.5, 0.1}, {4, 0.2}, {4, 0.4, 0.2}, {5, 0.3}}) {
+    SCOPED_TRACE(std::to_string(count) + " boxes, friction " + std::to_string(friction));
+    RigidScene2D scene = PiledUp(/*boxes=*/true, count, 0);
+    const double speed = 0.25 * friction * kGravity;
+    scene.friction = friction;
+    for (int i = 0; i < count; ++i) {
+      RigidBody2D& box = scene.bodies[i];
+      box.velocity = {speed, 0};
+      for (Point2D& corner : box.polygon) corner[0] *= 1 - narrower * i;
+    }
+    const BodiesInMotion motion(scene, 0.3, 0);
+    ASSERT_EQ(motion.why, "");
+    ASSERT_EQ(motion.simulator.events().size(), 1U);
+    EXPECT_NEAR(motion.simulator.events()[0].time, 0.25, 1e-12);
+    EXPECT_LE(motion.simulator.steps_per_interval(), 64);
+    for (int i = 0; i < count; ++i) {
+      const std::array<double, 3> pose = motion.bodies.PoseOf(i, motion.simulator.final_state().data());
+      EXPECT_NEAR(pose[0], 0.125 * speed, 1e-12) << i;
+      EXPECT_NEAR(pose[1], scene.bodies[i].position[1], 1e-12) << i;
+      EXPECT_NEAR(pose[2], 0, 1e-12) << i;
+    }
+    EXPECT_TRUE(Rests(motion.simulator.final_state(), 1e-12));
+  }
+}
+
+// The lower of two boxes is pushed by 0, 2, 4 and 8 mu m g: with the first and the third, the upper one is carried at
+// the limit of friction; under the last, it slides back.
+TEST(PiledUp, IsCarriedUpToTheLimitOfFriction) {
+  RigidScene2D scene = PiledUp(/*boxes=*/true, 2, 0);
+  scene.friction = 0.25;
+  for (RigidBody2D& box : scene.bodies) box.velocity = {1, 0};
+  scene.bodies[0].pushed = true;
+  const RigidBodies2D bodies(scene);
+  const MechanicalSystem system(bodies);
+  HybridSimulator simulator(system.hybrid());
+  const double limit = 0.25 * kGravity, each = 0.1;
+  HybridInput input{
+      .initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 4 * each, .num_intervals = 4};
+  input.control = {0, 0, 0, 2 * limit, 0, 0, 4 * limit, 0, 0, 8 * limit, 0, 0};
+  input.mode = system.FindMode(input.initial, input.control, input.parameters).mode;
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  double x = 0, v = 1, upper = 0, upper_v = 1;
+  for (const double a : {-limit, 0.0, limit, 5 * limit}) {
+    const double of_upper = std::min(a, limit);
+    x += v * each + 0.5 * a * each * each;
+    upper += upper_v * each + 0.5 * of_upper * each * each;
+    v += a * each;
+    upper_v += of_upper * each;
+  }
+  EXPECT_NEAR(bodies.PoseOf(0, simulator.final_state().data())[0], x, 1e-12);
+  EXPECT_NEAR(bodies.PoseOf(1, simulator.final_state().data())[0], upper, 1e-12);
+  EXPECT_NEAR(bodies.PoseOf(1, simulator.final_state().data())[2], 0, 1e-12);
+}
+
+// A force on the first box of a row accelerates all of them by 2 m/s^2.
+TEST(Rows, SlideAsOneBody) {
+  for (const auto& [count, friction] : {std::pair{2, 0.1}, {3, 0.5}, {4, 1.0}}) {
+    SCOPED_TRACE(std::to_string(count) + " boxes, friction " + std::to_string(friction));
+    RigidScene2D scene = PiledUp(/*boxes=*/true, count, 0);
+    const double height = scene.bodies[0].position[1], width = 2 * scene.bodies[0].polygon[1][0];
+    scene.friction = friction;
+    for (int i = 0; i < count; ++i) scene.bodies[i].position = {width * i, height};
+    scene.bodies[0].pushed = true;
+    const RigidBodies2D bodies(scene);
+    const MechanicalSystem system(bodies);
+    HybridSimulator simulator(system.hybrid());
+    HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 0.2};
+    input.control = {count * (friction * kGravity + 2), 0, 0};
+    input.mode = system.FindMode(input.initial, input.control, input.parameters).mode;
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    EXPECT_TRUE(simulator.events().empty());
+    for (int i = 0; i < count; ++i) {
+      const std::array<double, 3> pose = bodies.PoseOf(i, simulator.final_state().data());
+      EXPECT_NEAR(pose[0], width * i + 0.04, 1e-12) << i;
+      EXPECT_NEAR(pose[1], height, 1e-12) << i;
+      EXPECT_NEAR(pose[2], 0, 1e-12) << i;
+    }
+  }
+}
+
 TEST(PiledUp, ManyFlushBoxesRest) {
   const BodiesInMotion motion(PiledUp(/*boxes=*/true, 50, 0), 0.1, 4);
   ASSERT_EQ(motion.why, "");

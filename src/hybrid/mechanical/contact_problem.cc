@@ -425,6 +425,7 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
   for (Eigen::Index number = 0; number < d; ++number) {
     if (group[number] != number) continue;
     std::vector<Eigen::Index> columns, rows, limits;
+    std::vector<std::size_t> numbers;
     for (Eigen::Index j = number; j < d; ++j) {
       if (group[j] == number) columns.push_back(j);
     }
@@ -440,6 +441,7 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
       const Eigen::Index count = (member.normal >= 0 ? 1 : 0) + (member.tangent >= 0 ? 2 : 0);
       for (Eigen::Index k = 0; k < count; ++k) limits.push_back(limit_of[i] + k);
       members.push_back(member);
+      numbers.push_back(i);
     }
     Eigen::VectorXd of_group = force(rows);
     ForceSplit::Group found = SplitGroup(stresses(rows, columns), members, &of_group);
@@ -447,6 +449,7 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
     if (found.tight.empty()) continue;
     for (Eigen::Index& tight : found.tight) tight = tight < 0 ? tight : limits[tight];
     found.stresses = std::move(columns);
+    found.contacts = std::move(numbers);
     split.groups.push_back(std::move(found));
   }
   return split;

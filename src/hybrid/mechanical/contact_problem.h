@@ -113,6 +113,7 @@ struct ForceSplit {
   Eigen::VectorXd force;
   struct Group {
     std::vector<Eigen::Index> stresses;  // columns
+    std::vector<std::size_t> contacts;
     // The limits that are the smallest, one more than there are stresses, and their derivatives by [y, -smallest]; -1:
     // a bound that is none of the limits.
     std::vector<Eigen::Index> tight;

@@ -570,6 +570,15 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
     motion.force = split.force;
   }
   motion.tolerance = ForceTolerances(matrix, motion.force, terms);
+  if (!split.groups.empty()) motion.at_limit.resize(mode.closed.size());
+  for (const ForceSplit::Group& group : split.groups) {
+    const Eigen::Index limit = *std::ranges::max_element(group.tight);
+    if (limit < 0) continue;
+    const double smallest = limits.rows.row(limit).dot(motion.force);
+    for (const std::size_t i : group.contacts) {
+      motion.at_limit[i] = std::abs(smallest) <= motion.tolerance[static_cast<Eigen::Index>(i)];
+    }
+  }
   for (const MechanicalEquations::Seeds& seeds : passes) {
     motion.derivatives.push_back(equations_.AccelerationDerivative(system, mode.closed, seeds, motion.a, motion.force));
     if (split.groups.empty()) continue;
@@ -621,7 +630,7 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
     if (mode.status[contact] == 's') {
       tolerance = std::max(tolerance, motion.tolerance[static_cast<Eigen::Index>(tangential)]);
     }
-    if (std::abs(left.a) <= tolerance) left.a = 0;
+    if (std::abs(left.a) <= tolerance || (!motion.at_limit.empty() && motion.at_limit[normal] != 0)) left.a = 0;
     return left;
   };
   switch (guarded.what) {

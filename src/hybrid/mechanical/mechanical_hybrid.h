@@ -87,6 +87,9 @@ class MechanicalHybrid final : public HybridFunctions {
     // Set by ForcedMotion only.
     Eigen::VectorXd tolerance;  // of each force: ForceTolerances
     Eigen::MatrixXd stresses;   // InternalStresses
+    // Holds for each closed contact (none: false) whether it shares internal stresses with one that is at a limit
+    // whatever these are. Several splits of the forces are as good then, of which the search takes one or another.
+    std::vector<char> at_limit;
   };
   // Returns the forces to be compared with their limits: those that are not unique are those of SplitForces.
   ClosedMotion ForcedMotion(const Mode& mode, const Point& at,
