@@ -1,4 +1,4 @@
-// What a process does with memory that it has freed.
+// Freed memory, which a process keeps for what it allocates next.
 #pragma once
 
 #include <malloc.h>
