@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
 # The viewer of pages, and the reports of all programs, in headless Chromium: valid, nothing cut off, at three widths.
+import json
 import os
 import tempfile
 
@@ -172,6 +173,26 @@ class Reports(Pages):
         run("turbo_car", f"--output_dir={folder}", "--solver=none")
         self.open(os.path.join(folder, "report.html"))
         self.assertEqual([label[label.index("bound at"):] for label in self.js(labels) if "bound" in label], ["bound at -5.00."])
+
+    def test_numbers_of_noisy_runs_have_four_digits(self):
+        folder = tempfile.mkdtemp(dir=self.folder)
+        run("juggled_ball", f"--output_dir={folder}", "--feedback", "--feedback_samples=50")
+        self.open(os.path.join(folder, "report.html"))
+        with open(os.path.join(folder, "result.json"), encoding="utf-8") as file:
+            study = json.load(file)["runs"][0]["feedback"]["open"]
+        shown = self.js("return [...document.querySelectorAll('td[data-label=\"final error\"], td[data-label=\"first order\"]')].map((cell) => cell.textContent)")
+        self.assertEqual(shown[:2], [f"{study['runs']['final_error']:.4g}", f"{study['final_error']:.4g}"])
+
+    # Python writes an empty list where nothing was audited.
+    def test_pages_without_audits_have_no_section_of_audits(self):
+        folder = tempfile.mkdtemp(dir=self.folder)
+        run("bouncing_ball", f"--output_dir={folder}", "--solver=none")
+        self.open(os.path.join(folder, "report.html"))
+        held = self.js("return JSON.parse(document.getElementById('document').textContent)")
+        self.open(self.page_of({**held, "audits": []}))
+        headings = self.js("return [...document.querySelectorAll('h2')].map((part) => part.textContent)")
+        self.assertGreater(len(headings), 0)
+        self.assertFalse([text for text in headings if "Audit" in text])
 
     def test_reports_of_audits_and_sweeps(self):
         for program, problem, flags in (

@@ -2,6 +2,9 @@
 const shown = (value, digits = 10) => (
   typeof value === 'number' ? String(Number(value.toPrecision(digits))) : value === null || value === undefined ? '' : String(value));
 
+// A number of noisy runs or to first order, with the digits of the programs' tables.
+const statistic = (value) => (typeof value === 'number' ? Number(value.toPrecision(4)) : value);
+
 // Without columns that are empty.
 function hybridTable(heads, rows) {
   const kept = heads.map((_, j) => j).filter((j) => j === 0 || rows.some((row) => shown(row[j]) !== ''));
@@ -113,7 +116,8 @@ function hybridParts(data) {
       studies.flatMap(([name, study]) => (study.failed ? [[name, '', null, null, null, null, null, null, study.failed]]
         : ['open', 'closed'].filter((loop) => study[loop]).map((loop) => {
           const {final_error, change_probability, warning, runs: noisy = {}} = study[loop];
-          return [name, loop, noisy.final_error, final_error, noisy.samples, noisy.otherwise, change_probability, noisy.failed, warning];
+          return [name, loop, statistic(noisy.final_error), statistic(final_error), noisy.samples, noisy.otherwise,
+            statistic(change_probability), noisy.failed, warning];
         }))));
   }
   const motions = runs.filter((run) => run.motion).map((run) => [run.solver, run.motion, run.solution, run.durations]);
@@ -133,7 +137,7 @@ function hybridParts(data) {
       ...system.parameters.map((name, i) => [name, guess.parameters[i], gradient.parameters[i]]),
       ['duration', guess.duration, gradient.duration]]);
   }
-  if (audits) {
+  if (audits?.length) {
     heading('Audit of time-stepping schemes');
     table('Verdicts on the gradients of the schemes.', ['scheme', 'verdict', 'steps', 'loss', 'exact loss', 'order', 'reason'],
       audits.map((audit) => [audit.scheme, audit.verdict, audit.steps, audit.loss, audit.exact_loss, audit.order, audit.reason]));

@@ -23,6 +23,12 @@ function number(value) {
   return Number.isFinite(value) ? value.toPrecision(10).replace(/\.?0+(?=$|e)/, '') : '–';
 }
 
+// A value that is stored as a multiple of `quantum`, with the decimals that it has.
+function rounded(value, quantum) {
+  const decimals = Math.min(Math.max(Math.floor(-Math.log10(quantum)), 0), 15);
+  return number(Number(value.toFixed(decimals)));
+}
+
 class Replay {
   // In place of an element that is in the page; the data are those of output/replay.h.
   constructor(place, data) {
@@ -101,7 +107,7 @@ class Replay {
     this.valuesPart = element('details', {class: 'values', ontoggle: () => this.updateValues()},
       element('summary', {}, 'Positions and velocities at this time'),
       element('div', {class: 'scroll', tabindex: 0}, element('table', {},
-        element('thead', {}, element('tr', {}, ...VALUES.map((name) => element('th', {scope: 'col'}, name)))), this.values)));
+        element('thead', {}, element('tr', {}, ...VALUES.map((name, j) => element('th', {scope: 'col', class: j < 2 ? 'key' : 'number'}, name)))), this.values)));
     this.player.append(this.valuesPart);
     this.stills = element('div', {class: 'stills'});
     this.place.replaceWith(this.player, this.stills);
@@ -220,7 +226,7 @@ class Replay {
     for (const {motion, i, cells} of this.cells) {
       if (motion !== last) motion.stateAt(this.time, this.state);
       last = motion;
-      cells.forEach((cell, j) => { cell.textContent = number(this.state[4 * i + j]); });
+      cells.forEach((cell, j) => { cell.textContent = rounded(this.state[4 * i + j], motion.quanta[j]); });
     }
   }
 

@@ -11,6 +11,7 @@ class Motion {
     this.discs = discs;
     this.times = doublesOf(data.times);
     this.states = unpack(data.states, this.times.length, 4 * discs.length);
+    this.quanta = data.states.quanta;  // of x, y, v_x and v_y
     this.angles = data.angles && unpack(data.angles, this.times.length, discs.length);  // rad; null if none turns
     this.touches = data.touches.map(([a, b, wall, begin, end, x, y]) => ({a, b, wall, begin, end, impulse: [x, y]}));
     this.pushed = data.pushed;
