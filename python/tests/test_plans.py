@@ -196,3 +196,29 @@ def test_a_wall_that_ends_is_not_touched_beside_its_end():
     gate = saltus.load_scene(SOURCE / "problems" / "carrom_gate.yaml")
     found = saltus.propagate(gate, 1e-10 * np.eye(8))
     assert found.risks == [] and saltus.noisy_runs(gate, 1e-10 * np.eye(8), samples=50).otherwise == 0
+
+
+@pytest.mark.parametrize("from_start", [False, True])
+@pytest.mark.parametrize("wall", [False, True])
+def test_contacts_without_a_force_count(wall, from_start):
+    """Behind an inelastic impact, or from the start, any disturbance separates the pair or pushes it together. Errors of the
+    initial state do neither behind the impact."""
+    bodies = [{"name": "disc", "radius": 0.1, "mass": 1, "position": [0, 0.1 if from_start else 0.3],
+               "velocity": [0.5, 0 if from_start else -1]},
+              {"name": "other", "radius": 0.1, "mass": 2, "position": [5, 1] if wall else [0, -0.1], "velocity": [0.5, 0]}]
+    scene = saltus.Scene({
+        "name": "touching", "duration": 1, "steps": 20, "bodies": bodies, "contact": {"restitution": 0},
+        "planes": [{"name": "ground", "point": [0, 0], "normal": [0, 1]}] if wall else [],
+        "control": {"bodies": ["disc"], "initial": [[0, 0]]}, "optimize": "control",
+        "objective": {"terminal": [{"body": "disc", "quantity": "position", "target": [1, 0]}]}})
+    samples = 400
+    for noise in ({"control": 1e-6 * np.eye(2)}, {"process": 1e-8 * np.eye(8)}):
+        covariance = saltus.propagate(scene, **noise)
+        share = saltus.noisy_runs(scene, **noise, samples=samples).otherwise / samples
+        assert share > 0.2
+        assert covariance.change_probability >= share - 3 * np.sqrt(0.25 / samples)
+        assert f"the gap of disc and {'ground' if wall else 'other'} falls below zero" in covariance.warning
+    if not from_start:
+        initial = np.diag([1e-8] * 4 + [0] * 4)
+        assert saltus.propagate(scene, initial).change_probability == 0
+        assert saltus.noisy_runs(scene, initial, samples=50).otherwise == 0

@@ -271,7 +271,7 @@ def test_global_runs(tmp_path):
 class TestFits:
     """Recordings of a ball that falls from 1 m: with and without sigma, few, in other units, with outliers, and of a wrong scene."""
 
-    KINDS = {"sigma": "fits", "no_sigma": "fits", "large_sigma": "fits", "millimetres": None, "few": "not judged",
+    KINDS = {"sigma": "fits", "no_sigma": "fits", "large_sigma": "fits", "millimetres": "contradicted", "few": "not judged",
              "outliers": None, "wrong_radius": None, "no_impact": "not determined"}
 
     @staticmethod

@@ -17,6 +17,7 @@ namespace {
 
 constexpr double kLeastProbability = 1e-12;  // of a risk that is listed
 constexpr double kSameDeviation = 1e-7;      // of the deviations of two times: that of their difference
+constexpr double kNoDeviation = 1e-7;        // of the deviations of the terms of a sum: that of the sum, by rounding
 
 // Returns the probability that a normal number with this mean and standard deviation is below zero.
 double ProbabilityBelowZero(double mean, double deviation) {
@@ -80,12 +81,15 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
     out.change_probability = std::min(1.0, out.change_probability + probability);
     if (probability >= kLeastProbability) out.risks.push_back({std::move(what), time, probability});
   };
+  Eigen::VectorXd largest;  // variances of the state so far, whose rounding errors later ones have
   std::vector<Pending> events;
   std::map<int, std::size_t> last_of;  // the last event of each disc; of a hybrid system, of all (-1)
   for (int k = 0; k < K; ++k) {
     const LinearInterval& at = motion.intervals[k];
     const Eigen::MatrixXd& P = out.nodes[k];
     const Eigen::Index n = at.A.cols();
+    if (largest.size() != n) largest.setZero(n);
+    largest = largest.cwiseMax(P.diagonal());
     const Eigen::MatrixXd gain = regulator ? regulator->gains[k] : Eigen::MatrixXd::Zero(m, n);
     // The covariance of the control that does not come from dx.
     const Eigen::MatrixXd of_control =
@@ -100,7 +104,12 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
     for (const LinearGuard& guard : at.guards) {
       const Eigen::RowVectorXd by_state = guard.by_state - guard.by_control * gain;
       const double variance = covariance(by_state, guard.by_control, by_state, guard.by_control);
-      const double probability = ProbabilityBelowZero(guard.value, std::sqrt(std::max(variance, 0.0)));
+      const double rounding =
+          kNoDeviation * (guard.by_control.cwiseAbs() * of_control.diagonal().cwiseMax(0).cwiseSqrt() +
+                          by_state.cwiseAbs() * largest.cwiseSqrt())
+                             .value();
+      const double probability =
+          ProbabilityBelowZero(guard.value, variance > rounding * rounding ? std::sqrt(variance) : 0);
       if (probability >= kLeastProbability) add_risk(guard.name + " falls below zero", guard.time, probability);
     }
     for (const LinearEvent& event : at.events) {

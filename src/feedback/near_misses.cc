@@ -202,12 +202,15 @@ class IntervalEvents {
     return {by_start * start.A, by_start * start.B + Select(by_force, columns_)};
   }
 
-  void AddLeastGaps(const Pair& pair) {
-    const bool touches = std::ranges::any_of(touches_, [&](const Touch& touch) {
+  static bool Touches(std::span<const Touch> touches, const Pair& pair) {
+    return std::ranges::any_of(touches, [&](const Touch& touch) {
       const Candidate& c = touch.candidate;
       return c.a == pair.a && c.b == pair.b && c.plane == (pair.wall != nullptr);
     });
-    if (touches) return;
+  }
+
+  void AddLeastGaps(const Pair& pair) {
+    if (Touches(touches_, pair)) return;
     const double first = std::min(first_[pair.discs()[0]], first_[pair.discs()[1]]);
     if (first == kNever) {
       if (AddLeastGap(at_begin_, pair, 0, length_) && ends_) AddGap(at_begin_, pair, length_, nullptr);
@@ -222,18 +225,22 @@ class IntervalEvents {
     if (AddLeastGap(at_end_, pair, last, length_) && ends_) AddGap(at_end_, pair, length_, nullptr);
   }
 
-  // Adds the least gap between two times, if the gap falls before it and rises behind it, and the gap of a pair that
-  // touches when the motion begins. Returns whether it still falls at the end, or is still zero.
+  // Adds the least gap between two times, if the gap falls before it and rises behind it, and gaps of a pair that
+  // touches without a force. Returns whether the gap still falls at the end, or is still zero.
   bool AddLeastGap(const Start& start, const Pair& pair, double from, double to) {
     const Gap before = GapAt(start, pair, from);
     const double touching = kTouching * scene_.bodies[pair.a].radius;
     if (before.value <= touching) {
-      const double first = GapAt({0, motion_.State(0), {}, {}}, pair, 0).value;
-      if (start.time > 0 || before.value < -touching || std::abs(first) > touching) return false;
-      if (k_ == 0) AddGap(start, pair, from, nullptr);
+      if (start.time > 0 || before.value < -touching) return false;
       const auto [i, j] = pair.discs();
       const double speed = std::max(Velocity(start, i, to).norm(), Velocity(start, j, to).norm());
-      return GapAt(start, pair, to).rate <= kAtRest * speed;
+      const bool stays = GapAt(start, pair, to).rate <= kAtRest * speed;
+      // Disturbances of the process come at the ends of intervals, so the first interval of a motion has none.
+      const bool begins = k_ == 1 || (k_ > 1 && Touches(motion_.touches(k_ - 1), pair));
+      const auto touched = [&] { return GapAt({0, motion_.State(k_ - 1), {}, {}}, pair, 0).value <= touching; };
+      if (k_ == 0 || (!stays && !begins && touched())) AddGap(start, pair, from, nullptr);
+      if (stays && begins) AddGap(start, pair, to, nullptr);
+      return stays;
     }
     if (GapAt(start, pair, to).rate < 0) return true;
     if (before.rate >= 0) return false;

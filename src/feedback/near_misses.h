@@ -3,9 +3,10 @@
 // Between its impacts the acceleration of a disc is constant in an interval. The time t of an event is where the gap g
 // of its pair is zero, dt = -dg / g'. The least gap of a pair that does not touch is where the gap stops falling: at a
 // zero of its rate, at an impact that turns one of the discs aside, or at the end of the motion. The gap of a pair that
-// touches without a force is looked at when the motion begins, and where the pair separates. To first order a least gap
-// changes as the positions there do, as the rate is zero; at an impact, the change of its time is added. Between two
-// impacts of the same disc in an interval gaps are not looked at.
+// touches without a force is looked at when the motion begins, where disturbances act on this contact first, and where
+// the pair separates or the motion ends: with disturbances in several intervals it may fall below zero in any of them.
+// To first order a least gap changes as the positions there do, as the rate is zero; at an impact, the change of its
+// time is added. Between two impacts of the same disc in an interval gaps are not looked at.
 #pragma once
 
 #include <span>

@@ -22,6 +22,8 @@ constexpr double kShare = 0.04;
 constexpr double kMostMeanSquare = 2.5;
 // The degrees of freedom that a stated sigma is worth.
 constexpr double kStated = 20;
+// The answers of either kind from which on the number of runs is about normal.
+constexpr int kNormal = 10;
 // The least eigenvalue of information, over the largest, of full rank.
 constexpr double kRank = 1e-14;
 
@@ -178,19 +180,33 @@ struct RunCounter {
     ++(answer ? yes : no);
   }
 };
+Runs RunsOf(const RunCounter& at) {
+  const double n = at.yes + at.no, product = 2.0 * at.yes * at.no;
+  const double variance = n > 1 ? product * (product - n) / (n * n * (n - 1)) : 0;
+  return {at.runs, at.yes + at.no, 1 + product / n, std::sqrt(variance)};
+}
+
+// Returns the sum; or one of the counts, if the sum hides that it is systematic beside so many others.
 template <typename Key>
 Runs SumOf(const std::map<Key, RunCounter>& all) {
-  Runs runs;
+  Runs sum;
   double variance = 0;
   for (const auto& [key, at] : all) {
-    const double n = at.yes + at.no, product = 2.0 * at.yes * at.no;
-    runs.found += at.runs;
-    runs.signs += static_cast<int>(n);
-    runs.expected += 1 + product / n;
-    if (n > 1) variance += product * (product - n) / (n * n * (n - 1));
+    const Runs one = RunsOf(at);
+    sum.found += one.found;
+    sum.signs += one.signs;
+    sum.expected += one.expected;
+    variance += one.deviation * one.deviation;
   }
-  runs.deviation = std::sqrt(variance);
-  return runs;
+  sum.deviation = std::sqrt(variance);
+  if (sum.Systematic()) return sum;
+  // The probability of more than d deviations is about exp(-d^2 / 2).
+  const double most = std::sqrt(kSystematic * kSystematic + 2 * std::log(std::max<std::size_t>(1, all.size())));
+  for (const auto& [key, at] : all) {
+    const Runs one = RunsOf(at);
+    if (std::min(at.yes, at.no) >= kNormal && one.found < one.expected - most * one.deviation) return one;
+  }
+  return sum;
 }
 
 }  // namespace

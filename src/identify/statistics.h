@@ -30,13 +30,17 @@ double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
 // and that of the fit the smaller one, as samples have outliers.
 double ExtentOf(const FitProblem& problem, const FitResult& fit);
 
+// The standard deviations below the expected number of runs from which on errors are systematic.
+constexpr double kSystematic = 3;
+
 // Runs of samples in time that are alike, beside the number that independent errors have (Wald and Wolfowitz 1940).
 struct Runs {
   int found = 0, signs = 0;
   double expected = 0, deviation = 0;  // mean, standard deviation
-  bool Systematic() const { return found < expected - 3 * deviation; }
+  bool Systematic() const { return found < expected - kSystematic * deviation; }
 };
-// Runs of residuals of one sign, by disc and coordinate, without outliers.
+// Runs of residuals of one sign, by disc and coordinate, without outliers: of all, or of one of these that is
+// systematic.
 Runs CountRuns(const FitProblem& problem, const FitResult& fit);
 // Runs of outliers and of other samples, by disc, through all recordings.
 Runs CountOutlierRuns(const FitProblem& problem, const FitResult& fit);

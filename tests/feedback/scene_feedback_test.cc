@@ -230,7 +230,9 @@ TEST(SceneFeedback, ImpactsThatFollowFromEachOther) {
   initial.diagonal().head(4).setConstant(1e-8);
   EXPECT_LT(Propagate(planned.linear, {.initial = initial}).change_probability, 1e-6);
   const Covariance of_all = Propagate(planned.linear, {.initial = 1e-8 * MatrixXd::Identity(12, 12)});
-  EXPECT_NEAR(of_all.change_probability, 0.5, 1e-6);
+  // The gap of the row is negative at the start, or when the row is struck: two normal numbers with this correlation.
+  const double struck = 0.35, correlation = 1 / std::sqrt(1 + struck * struck);
+  EXPECT_GE(of_all.change_probability, 0.5 + std::acos(correlation) / (2 * std::numbers::pi));
   EXPECT_NE(of_all.Warning().find("the gap of a and b falls below zero"), std::string::npos) << of_all.Warning();
 }
 
