@@ -1119,10 +1119,6 @@ class HybridBatch(Closed):
             fourth one, initial states, parameters, and the duration.
         num_variables: n.
         failures: the reasons why points of the last call have no loss or gradient, by their numbers.
-
-    Methods:
-        loss(points): the losses (P,) at points (P, n). A control may have its shape, (P, K, m).
-        loss_and_gradient(points): the losses, and the gradients in the shape of the points.
     """
 
     _attributes = ("problem", "optimize", "threads", "variables", "num_variables", "failures")
@@ -1147,9 +1143,11 @@ class HybridBatch(Closed):
         return losses, gradients
 
     def loss(self, points: ArrayLike) -> Any:
+        """Returns the losses (P,) at points (P, n). A control may have its shape, (P, K, m)."""
         return self._losses(points, False)[0]
 
     def loss_and_gradient(self, points: ArrayLike) -> tuple[Any, Any]:
+        """Returns the losses, and the gradients in the shape of the points."""
         losses, gradients = self._losses(points, True)
         return losses, gradients.reshape(np.shape(points))
 
