@@ -556,9 +556,6 @@ class Problem {
     }
     computation.Run([&] {
       report = saltus::Solve(solver, problem, options);
-      if (report.termination == Termination::kConverged && !report.certificate) {
-        report.certificate = Certify(problem, SolutionOf(problem, report));
-      }
       if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
     });
     if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);

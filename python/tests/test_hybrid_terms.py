@@ -1,5 +1,6 @@
 """Terms of hybrid problems: regions, conditions, given times, start and end, data; and pages."""
 
+import itertools
 import json
 import math
 import pickle
@@ -265,6 +266,55 @@ def test_a_run_that_converged_has_a_certificate(solver):
     assert run.termination == "converged"
     assert_allclose(run.control, np.full((8, 1), 4 / 3), rtol=1e-6)
     assert run.certificate["verdict"] == "stationary"
+
+
+FRICTION = 3.0
+
+
+def block_with_contact():
+    return saltus.MechanicalSystem(
+        coordinates=["x", "y"], controls=["u"], mass=lambda q: [[1.0, 0], [0, 1.0]], force=lambda u: [u[0], -10.0],
+        contacts={"floor": saltus.Contact(gap=lambda q: q[1], slide=lambda q: q[0], friction=FRICTION / 10, restitution=0.0)})
+
+
+def valve_with_dead_zone():
+    return saltus.HybridSystem(
+        states={"m": ["x", "v"]}, controls=["u"],
+        flow={"m": lambda x, u: [x[1], saltus.where(abs(u[0]) < FRICTION, 0.0, u[0] - FRICTION * np.sign(u[0]))]})
+
+
+def pushed(system, effort=0.001, target=0.5, control=0.0, intervals=10):
+    """From rest to the target within 1 s, and to rest there."""
+    mode = {} if isinstance(system, saltus.MechanicalSystem) else {"mode": next(iter(system.states))}
+    speed = 1 if mode else 2
+    problem = saltus.HybridProblem(system, initial=[0] * (2 * speed), duration=1.0, control=np.zeros((intervals, 1)), **mode)
+    problem.control[1:] = control
+    problem.costs = [saltus.effort(effort), saltus.residuals(lambda x: [x[0] - target, x[speed]])]
+    return problem
+
+
+@pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs"])
+@pytest.mark.parametrize("system", [block_with_contact, valve_with_dead_zone])
+def test_no_run_has_converged_beside_a_certificate_that_says_otherwise(system, solver):
+    for intervals, target, control in itertools.product((4, 10), (0.2, 1.0), (4.0, -10.0)):
+        problem = pushed(system(), target=target, control=control, intervals=intervals)
+        run = saltus.solve(problem, solver=solver, optimize=["control"], iterations=200)
+        if run.termination == "converged":
+            assert run.certificate["verdict"] != "not_stationary", run.reason
+
+
+def test_a_solve_that_goes_on_with_more_steps_does_not_speak_of_its_guess():
+    """The catalyst mixing problem of the COPS set, whose optimum is 0.0480557 and on 20 intervals a little less."""
+    if "ipopt" not in saltus.hybrid_solvers():
+        pytest.skip("ipopt is not built")
+    system = saltus.HybridSystem(
+        states={"m": ["a", "b"]}, controls=["u"],
+        flow={"m": lambda x, u: [u[0] * (10 * x[1] - x[0]), u[0] * (x[0] - 10 * x[1]) - (1 - u[0]) * x[1]]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[1.0, 0.0], duration=1.0, control=np.zeros((20, 1)))
+    problem.costs = [saltus.cost(lambda x: x[0] + x[1] - 1)]
+    run = saltus.solve(problem, optimize=["control"], bounds={"u": (0, 1)})
+    assert run.termination == "converged" and -0.0480557 < run.loss < -0.04804
+    assert "the guess is an optimum" not in run.reason
 
 
 def test_an_audit_reads_the_start_and_single_intervals():

@@ -58,6 +58,8 @@ SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptio
     from.guess_states.clear();
     SolveReport more = solve(from, chain.Next());
     if (more.losses.empty()) return report;
+    const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
+    if (more.iterations == 0 && converged(report) && converged(more)) more.reason = report.reason;  // not of a guess
     chain.Add(more);
     report = chain.Finish(std::move(more));
   }

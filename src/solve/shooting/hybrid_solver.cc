@@ -259,8 +259,11 @@ void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
       "apply";
 }
 
-// Returns whether the loss depends on something that the variables do not change.
+// Certifies a run that has converged, and takes back what its certificate contradicts. Returns whether the loss depends
+// on something that the variables do not change.
 bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
+  if (report->termination != Termination::kConverged) return false;
+  if (!report->certificate) report->certificate = Certify(problem, SolutionOf(problem, *report));
   JudgeSquaresOfZero(problem, report);
   JudgeByCertificate(report);
   if (report->termination != Termination::kConverged) return false;
@@ -338,9 +341,6 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     report.reason = entry.why_not(problem);
     if (!report.reason.empty()) return report;
     report = entry.solve(problem, of_solve);
-    if (!report.certificate && report.termination == Termination::kConverged) {
-      report.certificate = Certify(problem, SolutionOf(problem, report));
-    }
     const bool searches = system.functions().CreatesModes() && name != "mode_search";
     if (JudgeSolution(problem, &report) && searches) report.termination = Termination::kNoProgress;
     return report;
