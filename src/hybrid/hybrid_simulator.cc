@@ -42,7 +42,10 @@ constexpr int kMostWithoutEnd = 1 << 14;    // likewise, after which an error th
 constexpr int kHopeless = 6;                // doublings without convergence until then
 constexpr double kFirstOrder = 4e-3;  // of an error before as many doublings: it falls hardly faster than the step
 constexpr double kBegins = 0.1;       // of the final difference of two motions: where they begin to differ
-constexpr int kScanned = 128;         // points in a step
+constexpr int kSlowDoublings = 4;     // of the steps, in which errors fall like a low power of the step
+constexpr double kLeastFall = 1.2, kMostFall = 7;  // factors by which they fall in each
+constexpr double kMargin = 4;                      // of the number of steps that such a fall leads to
+constexpr int kScanned = 128;                      // points in a step
 constexpr int kBisections = 46;
 constexpr double kJump = 1e-6;           // of a slope, relative
 constexpr double kPole = 1e6;            // of the slopes at the ends of the step: beside a pole
@@ -149,9 +152,8 @@ class HybridSimulator::Impl {
     return *error;
   }
 
-  // Looks for a jump of the flow in the step with which a motion and one of twice as many steps begin to differ:
-  // bisects between the points of the step between which the slope changes most. Empty if there is none.
-  std::string FindJump(const RolloutRun& coarse, const RolloutRun& fine, double difference) const {
+  // Returns the step with which a motion and one of twice as many steps begin to differ; null if they do not.
+  const TapeEntry* FirstToDiffer(const RolloutRun& coarse, const RolloutRun& fine, double difference) const {
     const MotionTape &a = coarse.tape(), &b = fine.tape();
     const double same_time = 1e-9 * input.duration;
     const TapeEntry* culprit = nullptr;
@@ -170,6 +172,34 @@ class HybridSimulator::Impl {
       if (culprit != nullptr && apart > kBegins * difference * largest) break;
       culprit = &entry;
     }
+    return culprit;
+  }
+
+  // Says why the tolerance is out of reach: errors of the last doublings fall like a low power of the step, as they do
+  // where the flow is not smooth. Empty if they do not. `errors`: of each number of steps up to `num_steps`.
+  std::string WhySlow(const std::vector<double>& errors, double num_steps, const RolloutRun& coarse,
+                      const RolloutRun& fine) const {
+    if (num_steps < kMostWithoutEnd || errors.size() <= kSlowDoublings) return "";
+    const double now = errors.back(), before = errors[errors.size() - 1 - kSlowDoublings];
+    for (auto next = errors.end() - kSlowDoublings; next != errors.end(); ++next) {
+      if (!(next[-1] > kLeastFall * next[0] && next[-1] < kMostFall * next[0])) return "";
+    }
+    const double fall = std::pow(before / now, 1.0 / kSlowDoublings);
+    const double needed = num_steps * std::exp2(std::log(now / options.tolerance) / std::log(fall));
+    const TapeEntry* culprit = FirstToDiffer(coarse, fine, now);
+    if (!(needed > kMargin * kMostSteps) || culprit == nullptr) return "";
+    return "the steps do not reach the tolerance: twice as many lower the error only by a factor of " +
+           ToText(fall, 2) + ", to " + ToText(now, 2) + " with " + ToText(num_steps, 10) +
+           ". The flow is not smooth in mode '" + system.ModeName(culprit->mode) + "' at t = " + ToText(culprit->t, 6) +
+           ", as sqrt(v) is not at v = 0: begin beside that place, make the flow smooth there, "
+           "or choose a larger tolerance";
+  }
+
+  // Looks for a jump of the flow in the step with which a motion and one of twice as many steps begin to differ:
+  // bisects between the points of the step between which the slope changes most. Empty if there is none.
+  std::string FindJump(const RolloutRun& coarse, const RolloutRun& fine, double difference) const {
+    const MotionTape& a = coarse.tape();
+    const TapeEntry* culprit = FirstToDiffer(coarse, fine, difference);
     if (culprit == nullptr) return "";
     const int n = system.state_size(culprit->mode);
     const double* u = input.control.data() + culprit->interval * system.num_controls();
@@ -256,7 +286,8 @@ class HybridSimulator::Impl {
     std::unique_ptr<RolloutRun> best, finer;
     double least = std::numeric_limits<double>::infinity(), reference = least, last = least, last_failure = least,
            scatter = 0;
-    std::vector<double> slow;  // differences, of steps that do not resolve the guards
+    std::vector<double> slow;    // differences, of steps that do not resolve the guards
+    std::vector<double> errors;  // of those that do
     int same_failures = 0;
     why.clear();
     RolloutEnd end = run->Run(input, n);
@@ -348,6 +379,8 @@ class HybridSimulator::Impl {
           scatter = std::max(scatter, ErrorOfCutSteps(*run));
           return Accept(std::move(run), scatter, *finer);
         }
+        errors.push_back(now);
+        if (why.empty()) why = WhySlow(errors, 2.0 * n * input.num_intervals, coarse, *finer);
         if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
           if (!run) run = std::move(best);
@@ -601,7 +634,7 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
     for (const int guard : tie.guards) {
       names += (names.empty() ? "'" : ", '") + system.GuardName(tie.mode, guard) + "'";
     }
-    remarks.push_back({std::to_string(tie.guards.size()) + " guards reach zero",
+    remarks.push_back({CountGuards(functions, tie) + " reach zero",
                        std::to_string(tie.time),
                        ", and the order of their events matters: " + names});
   }

@@ -42,10 +42,13 @@ int RecordedSwitches::Add(const Node& node) {
   }
   std::pair<int, int> decides{-1, 0};
   if (moves && (node.operation == kLess || node.operation == kLessEqual)) {
-    const int number = Compare(node.a, node.b, &decides.second);
-    decides.first = SwitchOf(number, false);
-  } else if (moves && (node.operation == kAbs || node.operation == kSign || node.operation == kFloor)) {
-    decides = {SwitchOf(node.a, node.operation == kFloor), 1};
+    int sign = 1;
+    const int number = Compare(node.a, node.b, &sign);
+    decides = SignOf(number, sign);
+  } else if (moves && node.operation == kFloor) {
+    decides = {SwitchOf(node.a, true), 1};
+  } else if (moves && (node.operation == kAbs || node.operation == kSign)) {
+    decides = SignOf(node.a, 1);
   }
   const int index = static_cast<int>(nodes_.size());
   nodes_.push_back(node);
@@ -59,6 +62,36 @@ int RecordedSwitches::SwitchOf(int node, bool is_floor) {
   const auto [known, is_new] = known_switches_.try_emplace({node, is_floor}, count());
   if (is_new) switches_.push_back({node, is_floor});
   return known->second;
+}
+
+// Multiples, odd powers and the like of one number have its sign and zeros.
+std::pair<int, int> RecordedSwitches::SignOf(int number, int sign) {
+  using enum Operation;
+  for (;;) {
+    const Node& node = nodes_[number];
+    const auto constant = [&](int operand) {
+      return operand >= 0 && nodes_[operand].operation == kConstant ? nodes_[operand].value : 0.0;
+    };
+    const double a = constant(node.a), b = constant(node.b);
+    int inner = -1;
+    if (node.operation == kNegate) {
+      inner = node.a;
+      sign = -sign;
+    } else if ((node.operation == kMultiply || node.operation == kDivide) && b != 0 && std::isfinite(b)) {
+      inner = node.a;
+      sign = b > 0 ? sign : -sign;
+    } else if (node.operation == kMultiply && a != 0 && std::isfinite(a)) {
+      inner = node.b;
+      sign = a > 0 ? sign : -sign;
+    } else if (node.operation == kPower && b > 0 && std::fmod(b, 2) == 1) {
+      inner = node.a;
+    } else if (node.operation == kSinh || node.operation == kTanh || node.operation == kAsinh ||
+               node.operation == kAtan || node.operation == kErf) {
+      inner = node.a;
+    }
+    if (inner < 0) return {SwitchOf(number, false), sign};
+    number = inner;
+  }
 }
 
 int RecordedSwitches::Compare(int a, int b, int* sign) {
@@ -115,9 +148,18 @@ class RecordedSwitches::Piece {
       Use(number);
       const int side = sides_[number];
       if (from.operation == kFloor) return to_[node] = Push({kInput, all_.FloorInput(number), -1, -1, 0});
-      if (from.operation == kSign || side == 0) return to_[node] = Constant(side);
+      if (from.operation == kSign || side == 0) return to_[node] = Constant(sign * side);
       const int inner = Needed(from.a);  // of abs
-      return to_[node] = side > 0 ? inner : Push({kNegate, inner, -1, -1, 0});
+      return to_[node] = sign * side > 0 ? inner : Push({kNegate, inner, -1, -1, 0});
+    }
+    // A root or a power of a number that is not negative has no values beyond the piece.
+    if (from.operation == kSqrt || (from.operation == kPower && !IsWhole(from.b))) {
+      const Node& base = all_.nodes_[from.a];
+      if (base.operation == kAbs && all_.of_node_[from.a].first >= 0) {
+        Use(all_.of_node_[from.a].first);
+        const int inner = Push({kAbs, Needed(base.a), -1, -1, 0});
+        return to_[node] = Push({from.operation, inner, from.b < 0 ? -1 : Needed(from.b), -1, 0});
+      }
     }
     Node copy = from;
     const int operands = NumOperands(from.operation);
@@ -137,6 +179,11 @@ class RecordedSwitches::Piece {
 
  private:
   static constexpr int kUnknown = -1;
+
+  bool IsWhole(int node) const {
+    const Node& exponent = all_.nodes_[node];
+    return exponent.operation == Operation::kConstant && exponent.value == std::round(exponent.value);
+  }
 
   void Use(int number) {
     if (!is_used_[number]) used.push_back(number);
@@ -235,8 +282,8 @@ std::vector<double> RecordedSwitches::ValuesOf(std::span<const double> inputs, S
     }
     values[i] = node.operation == kLess        ? sign * side > 0
                 : node.operation == kLessEqual ? sign * side >= 0
-                : node.operation == kAbs       ? side * at(node.a)
-                                               : side;
+                : node.operation == kAbs       ? sign * side * at(node.a)
+                                               : sign * side;
   }
   return values;
 }

@@ -66,6 +66,8 @@ class RecordedSwitches {
   using Node = ExpressionGraph::Node;
   int Add(const Node& node);
   int SwitchOf(int node, bool is_floor);
+  // Returns the switch of a number, and the sign with which this has that of the switch.
+  std::pair<int, int> SignOf(int node, int sign);
   // Returns the switch of a comparison of a and b, whose number times *sign is b - a.
   int Compare(int a, int b, int* sign);
   bool IsZero(int node) const { return nodes_[node].operation == Operation::kConstant && nodes_[node].value == 0; }

@@ -29,8 +29,6 @@ constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose a
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
 constexpr const char *kSinks = " falls from zero", *kAtRateZero = ", with a rate of zero";
-constexpr const char* kNameAMode =
-    "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ OnAccumulation)";
 
 std::string Text(double value) { return ToText(value, 10); }
 
@@ -50,6 +48,13 @@ std::string JoinRemarks(const std::vector<TimedRemark>& remarks) {
     text += first->where;
   }
   return text;
+}
+
+std::string CountGuards(const HybridFunctions& functions, const HybridTie& tie) {
+  const auto all = std::ssize(tie.guards);
+  const auto switches =
+      std::ranges::count_if(tie.guards, [&](int guard) { return functions.IsSwitch(tie.mode, guard); });
+  return std::to_string(all) + (switches == 0 ? " guards" : switches == all ? " switches" : " guards and switches");
 }
 
 int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin) {
@@ -87,6 +92,15 @@ std::string RolloutRun::Where() const { return "mode '" + system_.ModeName(at_.m
 
 std::string RolloutRun::Named(int mode, int guard) const {
   return (functions_.IsSwitch(mode, guard) ? "switch '" : "guard '") + system_.GuardName(mode, guard) + "'";
+}
+
+// Says what to do where events of a guard may not end.
+std::string RolloutRun::WaysOn(int mode, int guard) const {
+  if (functions_.IsSwitch(mode, guard)) {
+    return "; if they do not end, make the change of the flow gradual, or end the motion before";
+  }
+  return "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ "
+         "OnAccumulation)";
 }
 
 bool RolloutRun::Refuse(const std::string& what) {
@@ -518,7 +532,7 @@ bool RolloutRun::Enter(Entry entry) {
       if (entry == Entry::kControlJump && at_.at_zero[guard] == 0 && !jumps) continue;
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value)) {
-        return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
+        return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
       }
       const Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value, elapsed);
       at_.armed[guard] = standing == Standing::kArmed;
@@ -600,8 +614,8 @@ std::string RolloutRun::WhyRepeats(int guard, EventSearch::Standing standing) co
 // event notes for the derivatives; otherwise such a step is on the tape, or the reset is part of the one before.
 bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
   if (static_cast<int>(events_.size()) >= options_.most_events) {
-    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where() + ", of guard '" +
-                  system_.GuardName(at_.mode, guard) + "': raise most_events if the motion has as many" + kNameAMode);
+    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where() + ", of " +
+                  Named(at_.mode, guard) + ": raise most_events if the motion has as many" + WaysOn(at_.mode, guard));
   }
   const int mode = at_.mode;
   const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
@@ -617,6 +631,11 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
   const int next = functions_.Reset(here, guard, next_state_.data());
   if (next < 0 || next >= system_.num_modes()) {
     befores_.pop_back();
+    if (functions_.IsSwitch(mode, guard)) {
+      return Refuse("the motion meets " + Named(mode, guard) + " in " + Where() +
+                    " while it slides along another switch, on whose sides other conditions decide: Filippov's "
+                    "convention does not determine how it goes on");
+    }
     if (const std::string why = functions_.WhyNoMode(here, guard); !why.empty()) {
       Refuse(what() + "leads to no mode: " + why);
       if (next < -1 && tape_.num_nodes < kShortSteps) end_ = RolloutEnd::kNotFinite;
@@ -653,7 +672,7 @@ bool RolloutRun::StepTo(int node) {
     functions_.GuardRates(end, next_slope_.data(), next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
       if (std::isfinite(next_guards_[guard].value)) continue;
-      return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is not a finite number in " + Where());
+      return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
     }
     if (compare_guards_) CompareGuards(step);
     Due due = EarliestEvent(step, next_guards_);
@@ -747,8 +766,8 @@ void RolloutRun::CompareGuards(const FlowStep& step) {
     if (least > kHides * off || most < -kHides * off || off <= kRoundingOfGuard * search_.Scale(within, guard))
       continue;
     if (unresolved_.steps++ > 0) return;
-    unresolved_.what = "guard '" + system_.GuardName(step.mode, guard) +
-                       "' changes faster than the steps resolve, in " + Where() + ": its events may be missed";
+    unresolved_.what = Named(step.mode, guard) + " changes faster than the steps resolve, in " + Where() +
+                       ": its events may be missed";
     return;
   }
 }
@@ -858,7 +877,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     std::string names;
     for (const int guard : tie.guards)
       names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
-    coincidence.remark = {std::to_string(tie.guards.size()) + " guards reach zero",
+    coincidence.remark = {CountGuards(functions_, tie) + " reach zero",
                           std::to_string(at_.t),
                           ", and the derivatives depend on the order of their events: " + names};
   }
@@ -912,7 +931,7 @@ bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const s
   accumulations_at_once_ = accumulation_ == time ? accumulations_at_once_ + 1 : 0;
   accumulation_ = time;
   const int next = functions_.OnAccumulation(mode, guard);
-  if (next < 0) return Refuse(why + kNameAMode);
+  if (next < 0) return Refuse(why + WaysOn(mode, guard));
   if (accumulations_at_once_ > system_.num_modes()) {
     return Refuse(why + "; the modes that OnAccumulation names lead to such events again. Name a mode without them");
   }

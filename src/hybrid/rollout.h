@@ -23,6 +23,9 @@ enum class RolloutEnd {
   kRefused,    // what the user's functions return, or where the motion leads
 };
 
+// Returns how many guards and switches reach zero together: "2 guards".
+std::string CountGuards(const HybridFunctions& functions, const HybridTie& tie);
+
 // The control interval k > 0 that begins within `margin` of its length of `time`, if the control jumps there; -1 if
 // none does.
 int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin);
@@ -112,6 +115,7 @@ class RolloutRun {
   bool FailAt(const FlowStep& step);
   std::string Where() const;
   std::string Named(int mode, int guard) const;
+  std::string WaysOn(int mode, int guard) const;
   void Remark(const std::string& what, const std::string& where = "");
   AtStart DependenceOf(int guard) const;
   void RemarkOnStart(const std::vector<int>& guards, bool first);
