@@ -271,10 +271,30 @@ def test_a_run_that_converged_has_a_certificate(solver):
 FRICTION = 3.0
 
 
+def block_with_guards():
+    """A block that sticks until the force is larger than the friction."""
+    return saltus.HybridSystem(
+        states={mode: ["x", "v"] for mode in ("stick", "right", "left")}, controls=["u"],
+        flow={"stick": lambda x: [0 * x[0], 0 * x[1]],
+              "right": lambda x, u: [x[1], u[0] - FRICTION],
+              "left": lambda x, u: [x[1], u[0] + FRICTION]},
+        guards={"stick": {"push": lambda u: FRICTION - u[0], "pull": lambda u: FRICTION + u[0]},
+                "right": {"stop": lambda x: x[1]}, "left": {"stop": lambda x: -x[1]}},
+        resets={"stick": {"push": lambda x: ("right", [x[0], 0.0]), "pull": lambda x: ("left", [x[0], 0.0])},
+                "right": {"stop": lambda x: ("stick", [x[0], 0.0])},
+                "left": {"stop": lambda x: ("stick", [x[0], 0.0])}})
+
+
 def block_with_contact():
     return saltus.MechanicalSystem(
         coordinates=["x", "y"], controls=["u"], mass=lambda q: [[1.0, 0], [0, 1.0]], force=lambda u: [u[0], -10.0],
         contacts={"floor": saltus.Contact(gap=lambda q: q[1], slide=lambda q: q[0], friction=FRICTION / 10, restitution=0.0)})
+
+
+def block_along_switch():
+    """The motion along the switch at v = 0 is that of a block that sticks."""
+    return saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], sliding="filippov",
+                               flow={"m": lambda x, u: [x[1], u[0] - FRICTION * np.sign(x[1])]})
 
 
 def valve_with_dead_zone():
@@ -291,6 +311,44 @@ def pushed(system, effort=0.001, target=0.5, control=0.0, intervals=10):
     problem.control[1:] = control
     problem.costs = [saltus.effort(effort), saltus.residuals(lambda x: [x[0] - target, x[speed]])]
     return problem
+
+
+@pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs", "auto"])
+@pytest.mark.parametrize("system", [block_with_guards, block_along_switch, valve_with_dead_zone])
+def test_a_guess_that_no_small_force_moves_is_no_optimum(system, solver):
+    """Without a force the loss is 0.25, a local minimum, as small forces cost an effort and move nothing."""
+    run = saltus.solve(pushed(system()), solver=solver, optimize=["control"])
+    assert run.termination == "no_progress" and run.loss == 0.25
+    assert "no small change of the control changes the motion, as where all contacts stick" in run.reason
+
+
+@pytest.mark.parametrize("system", [block_with_guards, valve_with_dead_zone])
+def test_a_constraint_that_no_small_force_changes_is_not_met(system):
+    problem = pushed(system())
+    problem.costs[1] = saltus.residuals(lambda x: [x[0] - 0.5, x[1]], role="equality")
+    run = saltus.solve(problem, optimize=["control"])
+    assert run.termination == "no_progress", run.reason
+
+
+def test_phases_of_a_flow_with_a_kink_and_a_control():
+    """Drag -0.3 v |v|, whose switch does not depend on the control; the motion turns, and ceres_lm finds the same."""
+    system = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"],
+                                 flow={"m": lambda x, u: [x[1], u[0] - 0.3 * abs(x[1]) * x[1]]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0.0, 0.5], duration=2.0, control=np.zeros((10, 1)))
+    for target in (1.0, -0.5):
+        problem.costs = [saltus.effort(0.1), saltus.residuals(lambda x, target=target: [x[0] - target, x[1]])]
+        phases, shooting = (saltus.solve(problem, solver=s, optimize=["control"]) for s in ("ceres_phases", "ceres_lm"))
+        assert phases.termination == shooting.termination == "converged"
+        # Where the motion turns, the intervals of the two phases have different lengths.
+        assert_allclose(phases.loss, shooting.loss, rtol=1e-9 if target > 0 else 1e-4)
+
+
+def test_phases_along_a_switch_that_depend_on_the_control():
+    """How long the block slides along the switch depends on the force, which all rows of its phase read."""
+    problem = pushed(block_along_switch(), control=5.0)
+    problem.control[0] = 6.0
+    run = saltus.solve(problem, solver="mode_search", optimize=["control"])
+    assert run.loss <= run.initial_loss and run.reason
 
 
 @pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs"])

@@ -690,7 +690,10 @@ void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* output
 }
 
 RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, bool slides)
-    : HybridFunctions(std::move(layout)), modes_(std::move(modes)), slides_(slides) {
+    : HybridFunctions(std::move(layout)),
+      modes_(std::move(modes)),
+      slides_(slides),
+      no_control_(this->layout().num_controls, 0.0) {
   const std::vector<int>& sizes = this->layout().state_sizes;
   CHECK_EQ(modes_.size(), sizes.size());
   for (std::size_t mode = 0; mode < modes_.size(); ++mode) {
@@ -936,6 +939,7 @@ bool RecordedSystem::ReadsControl(int mode, int guard) const {
   const Evaluated& piece = at(mode);
   const int first = num_guards(mode) - num_switches(mode), first_control = size(mode) + 1 + num_parameters();
   if (guard < first) return transition(mode, guard).guard.num_inputs() > first_control;
+  if (piece.switches[guard - first].slides) return true;  // the share of a side is that of its flow
   return switches_[piece.base]->ReadsInputsFrom(first_control, piece.switches[guard - first].number);
 }
 
@@ -947,12 +951,13 @@ void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jac
   this->at(at.mode).flow->Linearize(InputsAt(at), num_columns(at.mode), xdot, jacobian);
 }
 
+// A guard that does not read the control may be evaluated without one, though its recording has it among its inputs.
 RecordedSystem::Inputs RecordedSystem::InputsAt(const ModePoint& at) const {
   const std::vector<double>& floors = this->at(at.mode).floors;
   return {{{at.x, size(at.mode)},
            {&at.t, 1},
            {at.p, num_parameters()},
-           {at.u, layout().num_controls},
+           {at.u != nullptr ? at.u : no_control_.data(), layout().num_controls},
            {floors.data(), static_cast<int>(floors.size())}}};
 }
 

@@ -273,6 +273,7 @@ class RecordedSystem final : public HybridFunctions {
   const bool slides_;
   std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
   int most_guards_ = 0;
+  std::vector<double> no_control_;  // zeros
   static constexpr int kBlocks = 24;
   mutable std::array<std::atomic<Evaluated*>, kBlocks> blocks_{};
   mutable std::atomic<int> num_modes_ = 0;

@@ -183,7 +183,8 @@ bool HasNoEvents(const HybridSystem& system) {
   return true;
 }
 
-// The parts of a motion that no small change of the variables changes, though the loss depends on them.
+// The parts of a motion that no small change of the variables changes, though the loss, or a constraint that is
+// violated, depends on them.
 struct OutOfReach {
   bool motion = false;              // all of it, as where contacts stick, or where a switch is never reached
   std::vector<std::string> states;  // at the end, if the control alone is free
@@ -191,21 +192,25 @@ struct OutOfReach {
 OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input) {
   OutOfReach found;
   const HybridFree& free = problem.free;
-  if (free.control && HasNoEvents(problem.system)) return found;
   HybridShooting shooting(problem);
   HybridShooting::Outcome outcome;
   std::vector<HybridShooting::TermAt> terms;
   if (!shooting.Simulate(input, &outcome) || !shooting.EvaluateTerms(&terms)) return found;
   HybridSimulator& simulator = shooting.simulator();
-  std::vector<double> at_end(simulator.final_state().size(), 0.0);  // slopes of the loss
+  std::vector<double> at_end(simulator.final_state().size(), 0.0);  // slopes of the loss and of violated constraints
   double steepest = 0;
+  const auto slope_of = [](const HybridTerm& term, double residual) {
+    if (term.IsCost()) return term.SlopeOf(residual);
+    const bool holds = residual <= kFeasible && (term.role == HybridTerm::Role::kInequality || residual >= -kFeasible);
+    return holds ? 0 : 2 * residual;
+  };
   for (const HybridShooting::TermAt& at : terms) {
-    if (!at.term->IsCost() || !at.term->with_state) continue;
+    if (!at.term->with_state) continue;
     const std::size_t size = at.blocks[0].size();
     for (std::size_t i = 0; i < size; ++i) {
       double slope = 0;
       for (std::size_t row = 0; row < at.residuals.size(); ++row) {
-        slope += at.term->SlopeOf(at.residuals[row]) * at.jacobians[0][row * size + i];
+        slope += slope_of(*at.term, at.residuals[row]) * at.jacobians[0][row * size + i];
       }
       steepest = std::max(steepest, std::abs(slope));
       if (at.term->at == HybridTerm::At::kEnd) at_end[i] += slope;
@@ -233,7 +238,7 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input
     all.event_times.push_back(1);
   }
   found.motion = !changes(all);
-  if (!free.control || !free.initial.empty() || !free.parameters.empty()) return found;
+  if (!free.control || !free.initial.empty() || !free.parameters.empty() || HasNoEvents(problem.system)) return found;
   for (std::size_t i = 0; i < at_end.size(); ++i) {
     HybridCotangent one;
     one.final_state.assign(at_end.size(), 0.0);
@@ -269,7 +274,8 @@ bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
   if (report->termination != Termination::kConverged) return false;
   const OutOfReach out = FindOutOfReach(problem, SolutionOf(problem, *report));
   if (out.states.empty() && !out.motion) return false;
-  const std::string larger = ": start from a control that does, or use mode_search, which tries larger ones";
+  const std::string larger = std::string(": start from a control that does") +
+                             (report->solver == "mode_search" ? "" : ", or use mode_search, which tries larger ones");
   std::string names;
   for (const std::string& name : out.states) names += (names.empty() ? "" : ", ") + name;
   if (out.motion) report->termination = Termination::kNoProgress;
