@@ -511,3 +511,40 @@ def test_a_dict_of_bodies_with_a_control_has_its_names_and_bounds():
     assert np.abs(np.asarray(run.control)[:, :2]).max() <= 30
     with pytest.raises(saltus.SceneError, match=r"scene: bodies\[0\].mass: .*expected a mass above zero"):
         saltus.load_bodies({**data, "bodies": [{**data["bodies"][0], "mass": -1}]})
+
+
+def two_boxes(lower, upper, **scene):
+    return {"name": "two", "bodies": [{"name": "a", "mass": 1, **lower}, {"name": "b", "mass": 1, **upper}],
+            "objective": {"terminal": []}, "optimize": "none", **scene}
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-3, 0.05, 0.3])
+@pytest.mark.parametrize("width, shift", [(0.2, 0.0), (0.2, 1e-9), (0.2, 1e-4), (0.15, 0.05), (0.3, 0.1)])
+def test_boxes_with_sides_in_one_line_do_not_pass_through_each_other(width, shift, gap):
+    """The upper box falls on one of equal width, or of another one with a side in the same line, and stays on it."""
+    problem = saltus.load_bodies(two_boxes(
+        {"box": [0.2, 0.1], "position": [0, 0.1]}, {"box": [width, 0.1], "position": [shift, 0.3 + gap]},
+        gravity=[0, -9.81], planes=[{"point": [0, 0], "normal": [0, 1]}], duration=0.5, contact={"restitution": 0, "friction": 0.3}))
+    motion = saltus.rollout(problem)
+    assert_allclose(motion.final[[1, 4]], [0.1, 0.3], atol=1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-7, 0.05])
+def test_boxes_that_meet_head_on_rebound(shift):
+    """Closed form: at half of the speed from t = 0.2 on; a shift turns them, and keeps their momentum."""
+    problem = saltus.load_bodies(two_boxes(
+        {"box": [0.1, 0.1], "position": [-0.3, 1], "velocity": [1, 0]},
+        {"box": [0.1, 0.1], "position": [0.3, 1 + shift], "velocity": [-1, 0]}, duration=0.5, contact={"restitution": 0.5, "friction": 0}))
+    motion = saltus.rollout(problem)
+    assert abs(motion.events[0][0] - 0.2) < 1e-12
+    assert_allclose(motion.final[6] + motion.final[9], 0, atol=1e-12)
+    if shift < 1e-6:
+        assert_allclose(motion.final[[6, 9]], [-0.5, 0.5], atol=1e-5)
+
+
+@pytest.mark.parametrize("overlap", [1e-6, 0.01, 0.1])
+@pytest.mark.parametrize("shift", [0.0, 1e-3])
+def test_equal_boxes_that_overlap_at_the_start_are_refused(overlap, shift):
+    with pytest.raises(ValueError, match="penetrates, its gap is -"):
+        saltus.rollout(saltus.load_bodies(two_boxes(
+            {"box": [0.2, 0.1], "position": [0, 0.1]}, {"box": [0.2, 0.1], "position": [shift, 0.3 - overlap]}, duration=0.1)))

@@ -321,16 +321,21 @@ class RigidBodies2D {
         const T own_x = a_c * n_x + a_s * n_y, own_y = a_c * n_y - a_s * n_x;
         const auto vertices = static_cast<int>(body.polygon.size());
         const auto along = [&](int vertex) {
-          return own_x * (body.polygon[of.vertex][0] - body.polygon[vertex % vertices][0]) +
-                 own_y * (body.polygon[of.vertex][1] - body.polygon[vertex % vertices][1]);
+          return own_x * (body.polygon[of.vertex][0] - body.polygon[vertex][0]) +
+                 own_y * (body.polygon[of.vertex][1] - body.polygon[vertex][1]);
         };
-        const T next = along(of.vertex + 1), last = along(of.vertex + vertices - 1);
-        return next > last ? next : last;
+        T most = along((of.vertex + 1) % vertices);
+        for (int vertex = 0; vertex < vertices; ++vertex) {
+          if (vertex == of.vertex) continue;
+          if (const T here = along(vertex); here > most) most = here;
+        }
+        return most;
       };
       // The gap is the distance from the line of the edge where the vertex is above the edge, no other vertex is nearer
       // to the line, and the vertex is not above another edge of which that holds, too: bodies that touch at a corner
-      // are apart as long as they are apart along one normal. Elsewhere the gap is larger. Bodies that lie flush on
-      // each other are not moved by rounding.
+      // are apart as long as they are apart along one normal. Elsewhere the gap is larger. Where the vertex is beside
+      // no edge, that is the distance of its body from the other edge, so that a gap stays below zero in bodies that
+      // overlap. Bodies that lie flush on each other are not moved by rounding.
       const double flush = kFlush * (size_of_[of.a] + size_of_[of.b]);
       const T distance = beyond(of.edge);
       T nearest = beyond((of.edge + 1) % edges), excess = nearer(of.edge) - flush;
@@ -339,7 +344,11 @@ class RigidBodies2D {
         const T beside = beyond(edge);
         if (beside > nearest) nearest = beside;
         T apart = beside - distance + flush;
-        if (apart > excess && nearer(edge) > T(flush)) apart -= T(2.0 * flush);
+        if (apart > excess) {
+          const T more = nearer(edge);
+          if (more > T(flush)) apart -= T(2.0 * flush);
+          if (more > T(flush) && !(beside > T(flush))) apart -= more;
+        }
         if (apart > excess) excess = apart;
       }
       at.from_line = distance;
