@@ -865,6 +865,8 @@ class HybridProblem(Closed):
         """What is free: control, components of the initial state, parameters, duration."""
         if isinstance(optimize, str):
             optimize = [optimize]
+        if isinstance(optimize, Mapping) or not isinstance(optimize, Iterable):
+            raise TypeError(f"optimize: found {optimize!r}, expected a list of names; bounds are given by bounds={{name: (min, max)}}")
         states, parameters = self.system._states_of(self.mode), self.system.parameters
         initial: list[int] = []
         free: list[int] = []

@@ -488,3 +488,10 @@ class TestPages:
             motion.save_page(tmp_path, draw=lambda w, x: [])
         with pytest.raises(TypeError, match="draw: found int, expected a callable"):
             motion.save_page(tmp_path, draw=3)
+
+
+@pytest.mark.parametrize("optimize", [{"e": (0.5, 0.9)}, 3])
+def test_what_is_optimized_is_a_list_of_names(optimize):
+    """The bounds of a dict would be lost."""
+    with pytest.raises(TypeError, match=r"optimize: found .*, expected a list of names; bounds are given by bounds="):
+        saltus.solve(ball(), optimize=optimize)
