@@ -18,6 +18,8 @@
 #include <iterator>
 #include <thread>
 
+#include "folders.h"
+
 namespace saltus {
 namespace {
 
@@ -27,9 +29,7 @@ using testing::HasSubstr;
 // A folder of its own for each test.
 class WriteFileTest : public testing::Test {
  protected:
-  WriteFileTest()
-      : folder_(testing::TempDir() + "write_file_" + std::to_string(getpid()) + "_" +
-                testing::UnitTest::GetInstance()->current_test_info()->name()) {
+  WriteFileTest() : folder_(TempFile("write_file")) {
     fs::remove_all(folder_);
     fs::create_directories(folder_);
   }
@@ -59,7 +59,7 @@ std::string Text(std::size_t size) {
 }
 
 TEST(FileTest, RoundTripsBytesAndReplaces) {
-  const std::string path = testing::TempDir() + "file_test.bin";
+  const std::string path = TempFile("file_test.bin");
   const std::string bytes("a\0\r\n\xff", 5);
   ASSERT_TRUE(WriteFile(path, "something longer that is replaced").ok());
   ASSERT_TRUE(WriteFile(path, bytes).ok());
@@ -69,7 +69,7 @@ TEST(FileTest, RoundTripsBytesAndReplaces) {
 }
 
 TEST(FileTest, LeavesNoTemporaryBehind) {
-  const std::filesystem::path folder = testing::TempDir() + "file_test_folder";
+  const std::filesystem::path folder = TempFile("file_test_folder");
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder / "taken");
   ASSERT_TRUE(WriteFile(folder / "written", "x").ok());
@@ -96,7 +96,7 @@ TEST(FileTest, FoldersAndEndlessDevicesAreErrors) {
   const StatusOr<std::string> endless = ReadFile("/dev/zero", 1000);
   ASSERT_FALSE(endless.ok());
   EXPECT_THAT(endless.status().message(), HasSubstr("/dev/zero: has more than 1000 bytes"));
-  const std::string path = testing::TempDir() + "file_test_limit";
+  const std::string path = TempFile("file_test_limit");
   ASSERT_TRUE(WriteFile(path, "12345").ok());
   EXPECT_TRUE(ReadFile(path, 5).ok());
   EXPECT_FALSE(ReadFile(path, 4).ok());

@@ -371,7 +371,7 @@ std::vector<pid_t> ProcessesIn(const std::string& file) {
 
 TEST(BlackBox, NothingIsLeftOfACommand) {
   const Scene scene = ProblemScene("two_balls");
-  const std::string file = testing::TempDir() + "/processes";
+  const std::string file = TempFile("processes");
   {
     CommandBox box({"lasting", "sleep 1000 & echo $$ $! >" + file + "; read a; echo '{}'; read a; wait", 1, 60});
     EXPECT_EQ(box.Describe(scene).error, "");
@@ -385,7 +385,7 @@ TEST(BlackBox, NothingIsLeftOfACommand) {
 TEST(BlackBox, AnInterruptOrAKillLeavesNoChildBehind) {
   const std::pair<std::string, std::string> cases[] = {{"INT", "echo '{}'"}, {"INT", "true"}, {"KILL", "echo '{}'"}};
   for (const auto& [signal_name, greeting] : cases) {
-    const std::string file = testing::TempDir() + "/children_" + signal_name;
+    const std::string file = TempFile("children_" + std::string(signal_name));
     std::remove(file.c_str());
     const std::string box =
         TempFileWith("box.sh", "echo $$ >>" + file + "\nread a\n" + greeting + "\nread a\nsleep 1000\n");

@@ -9,6 +9,7 @@
 #include <regex>
 
 #include "base/file.h"
+#include "folders.h"
 
 namespace saltus {
 namespace {
@@ -215,7 +216,7 @@ TEST(FigureTest, PngHasTwiceTheSize) {
 }
 
 TEST(FigureTest, WritesBothFiles) {
-  const std::string path = testing::TempDir() + "figure test";
+  const std::string path = TempFile("figure test");
   const Status status = WriteFigure(WaveFigure(), path);
   ASSERT_TRUE(status.ok()) << status.message();
   EXPECT_THAT(*ReadFile(path + ".svg"), HasSubstr("</svg>"));

@@ -3,11 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <limits>
 #include <numbers>
 #include <utility>
 
 #include "base/file.h"
+#include "folders.h"
 
 namespace saltus {
 namespace {
@@ -116,7 +118,8 @@ TEST(NpyTest, RefusesWhatItCannotRead) {
 
 class NpzTest : public testing::Test {
  protected:
-  std::string path_ = testing::TempDir() + "npz_test.npz";
+  ~NpzTest() override { std::remove(path_.c_str()); }
+  std::string path_ = TempFile("npz_test.npz");
 };
 
 // Neither as much memory as a header asks for nor as much stack as it is long.

@@ -6,6 +6,7 @@
 #include <regex>
 
 #include "base/file.h"
+#include "folders.h"
 
 namespace saltus {
 namespace {
@@ -91,7 +92,7 @@ TEST(PageTest, LongListsOfResultsAreThinned) {
 }
 
 TEST(PageTest, WritesTheFile) {
-  const std::string path = testing::TempDir() + "page_test.html";
+  const std::string path = TempFile("page_test.html");
   EXPECT_TRUE(Page("t").Write(path).ok());
   EXPECT_EQ(*ReadFile(path), Page("t").Render());
   EXPECT_THAT(Page("t").Write("/no/such/page.html").message(), HasSubstr("/no/such/page.html"));

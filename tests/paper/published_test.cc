@@ -3,7 +3,6 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <unistd.h>
 
 #include <filesystem>
 #include <map>
@@ -124,7 +123,7 @@ TEST_F(Published, NotesOfTablesAreNumbered) {
 
 // The names that the authors' notebooks open.
 TEST_F(Published, NotebooksFindTheirFiles) {
-  const std::string directory = testing::TempDir() + "/notebooks_" + std::to_string(getpid());
+  const std::string directory = TempFile("notebooks");
   WriteNotebookFiles(*experiments_, directory);
   std::vector<std::string> names;
   for (const auto& entry : std::filesystem::directory_iterator(directory + "/results")) {

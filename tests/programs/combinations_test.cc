@@ -322,7 +322,7 @@ void CheckJson(const std::string& text) {
 class Combinations : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    folder_ = testing::TempDir() + "combinations_" + std::to_string(getpid());
+    folder_ = TempFile("combinations");
     fs::create_directories(folder_);
     const auto write = [&](const std::string& name, const std::string& text) {
       std::ofstream(folder_ + "/" + name) << text;

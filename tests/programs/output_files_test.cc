@@ -40,7 +40,7 @@ bool IsOfStore(const std::string& name) { return name == "sweep.csv" || name == 
 
 class OutputFiles : public testing::TestWithParam<std::string> {
  protected:
-  OutputFiles() : folder_(testing::TempDir() + "output_files_" + std::to_string(getpid())) {
+  OutputFiles() : folder_(TempFile("output_files")) {
     fs::remove_all(folder_);
     fs::create_directories(folder_);
   }
@@ -151,7 +151,7 @@ INSTANTIATE_TEST_SUITE_P(Programs, OutputFiles,
 
 // Rows are appended to a file that is read again, so it is a regular one.
 TEST(Store, WhatIsNoRegularFileIsRefused) {
-  const std::string folder = testing::TempDir() + "output_files_store_" + std::to_string(getpid());
+  const std::string folder = TempFile("output_files_store");
   for (const std::string name : {"sweep.csv", "sweep.study.json"}) {
     fs::remove_all(folder);
     fs::create_directories(folder);
@@ -168,7 +168,7 @@ TEST(Store, WhatIsNoRegularFileIsRefused) {
 
 class ReplayProgram : public testing::Test {
  protected:
-  ReplayProgram() : folder_(testing::TempDir() + "output_files_replay_" + std::to_string(getpid())) {
+  ReplayProgram() : folder_(TempFile("output_files_replay")) {
     fs::remove_all(folder_);
     fs::create_directories(folder_);
     std::ofstream(folder_ / "motion.json")

@@ -20,12 +20,7 @@ inline std::string ContentsOf(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// The path of a file that no other process has.
-inline std::string TempFile(const std::string& name) {
-  return testing::TempDir() + "/" + std::to_string(getpid()) + "_" + name;
-}
-
-// The path of such a file with that text.
+// The path of a temporary file with that text.
 inline std::string TempFileWith(const std::string& name, const std::string& text) {
   std::ofstream(TempFile(name)) << text;
   return TempFile(name);

@@ -1,13 +1,13 @@
 // Files that users hand to the programs beside scenes: what is wrong with them is said in words of the file, with its
 // key or line. And the table of runs, whose refusals are said once.
 #include <gmock/gmock.h>
-#include <unistd.h>
 
 #include <fstream>
 #include <functional>
 #include <string>
 #include <vector>
 
+#include "folders.h"
 #include "programs/given_gradient.h"
 #include "programs/program.h"
 #include "programs/replay_file.h"
@@ -53,7 +53,7 @@ class WrongFiles : public testing::Test {
   }
 
   const Scene scene_ = ProblemScene("two_balls");
-  const std::string path_ = testing::TempDir() + "/wrong_" + std::to_string(getpid());
+  const std::string path_ = TempFile("wrong");
 };
 
 TEST_F(WrongFiles, EmptyOnesAndThoseThatAreNoJsonAreSaidToBe) {

@@ -516,7 +516,7 @@ TEST(LoadSceneFile, SaysThatItCannotRead) {
 }
 
 TEST(LoadSceneFile, NamesTheFileInErrors) {
-  const std::string path = testing::TempDir() + "/saltus_bad_scene.yaml";
+  const std::string path = TempFile("saltus_bad_scene.yaml");
   std::ofstream(path) << Replaced(kEverything, "mass: 1.5", "mass: 0");
   const auto result = LoadSceneFile(path);
   std::filesystem::remove(path);

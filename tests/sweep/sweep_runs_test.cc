@@ -173,7 +173,7 @@ class SweepRunsTest : public testing::Test {
   }
 
   static std::string undisturbed_;
-  std::string directory_ = testing::TempDir() + "/sweep_runs_" + std::to_string(getpid());
+  std::string directory_ = TempFile("sweep_runs");
   std::string scratch_ = directory_ + "_scratch", gates_;
   int num_commands_ = 0;
   std::mt19937 random_{20'230'305};

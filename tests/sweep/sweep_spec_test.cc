@@ -64,7 +64,7 @@ TEST(SweepSpec, ContactModelsHaveOptions) {
 }
 
 TEST(SweepSpec, ExplicitPointsFromAFile) {
-  const std::string path = testing::TempDir() + "/sweep_points.csv";
+  const std::string path = TempFile("sweep_points.csv");
   std::ofstream(path) << "stiffness,precision\n100,float\n200,double\n";
   const std::vector<SweepBlock> blocks = ParseSweep("@" + path + "; damping=1", TwoBalls());
   ASSERT_EQ(blocks.size(), 2u);
@@ -72,9 +72,9 @@ TEST(SweepSpec, ExplicitPointsFromAFile) {
 }
 
 TEST(SweepSpec, ErrorsNamePlaceAndExpectation) {
-  const std::string wrong_value = testing::TempDir() + "/sweep_wrong_value.csv";
+  const std::string wrong_value = TempFile("sweep_wrong_value.csv");
   std::ofstream(wrong_value) << "stiffness,damping\n1,2\n3,4x\n";
-  const std::string wrong_header = testing::TempDir() + "/sweep_wrong_header.csv";
+  const std::string wrong_header = TempFile("sweep_wrong_header.csv");
   std::ofstream(wrong_header) << "stiffnes\n1\n";
   const struct {
     std::string text, place, expectation;

@@ -60,7 +60,7 @@ class SweepStoreTest : public testing::Test {
     return "none";
   }
 
-  std::string directory_ = testing::TempDir() + "/sweep_store_" + std::to_string(getpid());
+  std::string directory_ = TempFile("sweep_store");
 };
 
 TEST_F(SweepStoreTest, GivesBackWhatItWasGivenAfterReopening) {
