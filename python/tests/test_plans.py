@@ -138,6 +138,43 @@ def test_hybrid_problem_from_a_run():
         other.start_from({})
 
 
+def test_a_point_goal_that_becomes_a_region():
+    """From the optimum of a point goal, the optimum of a region around it is found; few iterations do not claim it."""
+    restitution, striker, puck, reach = 0.9, 0.3, 0.1, 0.13
+
+    def hit(t, x, p):
+        n = np.array([x[4] - x[0], x[5] - x[1]]) / np.sqrt((x[4] - x[0]) ** 2 + (x[5] - x[1]) ** 2)
+        j = -(1 + restitution) * (n[0] * (x[6] - x[2]) + n[1] * (x[7] - x[3])) / (1 / striker + 1 / puck)
+        return "play", [x[0], x[1], x[2] - j * n[0] / striker, x[3] - j * n[1] / striker,
+                        x[4], x[5], x[6] + j * n[0] / puck, x[7] + j * n[1] / puck]
+
+    system = saltus.HybridSystem(
+        states={"play": ["sx", "sy", "svx", "svy", "px", "py", "pvx", "pvy"]}, controls=["fx", "fy"],
+        flow={"play": lambda t, x, u, p: [x[2], x[3], u[0] / striker, u[1] / striker, x[6], x[7], 0, 0]},
+        guards={"play": {"hit": lambda t, x, p: (x[4] - x[0]) ** 2 + (x[5] - x[1]) ** 2 - reach**2,
+                         "top": lambda t, x, p: 0.45 - x[5]}},
+        resets={"play": {"hit": hit, "top": lambda t, x, p: ("play", [*x[:7], -restitution * x[7]])}})
+    problem = saltus.HybridProblem(system, mode="play", initial=[0.3, -0.2, 0, 0, 0.9, 0.1, -0.3, -0.1], duration=0.9,
+                                   control=np.tile([1.0, 0.5], (40, 1)))
+
+    def solve(goal, role, **options):
+        problem.costs = [saltus.effort(0.01), saltus.final_time(1.0), saltus.residuals(goal, role=role, name="goal"),
+                         saltus.residuals(lambda x: [x[2] ** 2 + x[3] ** 2 - 0.09], role="inequality", name="slow")]
+        return saltus.solve(problem, solver="ceres_phases", optimize=["control", "duration"],
+                            bounds={"fx": (-4, 4), "fy": (-4, 4), "duration": (0.3, 3)}, **options)
+
+    edge = solve(lambda x: [2 - x[4], x[5] - 0.15], "equality")
+    middle = solve(lambda x: [2 - x[4], x[5]], "equality")
+    assert middle.loss > edge.loss + 0.01
+    problem.start_from(middle)
+    region = lambda x: [2 - x[4], x[5] - 0.15, -0.15 - x[5]]
+    assert solve(region, "inequality", iterations=2).termination == "iteration_limit"
+    run = solve(region, "inequality")
+    assert run.termination == "converged" and run.certificate.verdict == "stationary"
+    assert_allclose(run.loss, edge.loss, rtol=1e-6)
+    assert_allclose(run.final[4:6], [2, 0.15], atol=1e-6)
+
+
 def test_a_free_duration_of_a_hybrid_run():
     problem = ball(costs=[saltus.terminal([1, 0], weight=100), saltus.effort(1 / 32), saltus.final_time(0.1)])
     run = saltus.solve(problem, solver="ceres_phases", optimize=["control", "duration"])

@@ -6,6 +6,7 @@
 #include <Eigen/SparseCore>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "solve/phases/interior_point.h"
@@ -15,22 +16,24 @@
 namespace saltus {
 namespace {
 
-constexpr double kGrowth = 10;        // of the weights, from solve to solve
-constexpr double kStalled = 0.5;      // of the violation that the solve before has left
-constexpr double kHopeless = 0.1;     // of a row after kManyIterations, where a motion is one of many
-constexpr int kManyIterations = 50;   // of all solves together
-constexpr int kMostStalled = 2;       // solves one after the other, where a motion is one of many
-constexpr double kNearlyMet = 1e-3;   // a larger violation stalls where constraints cannot be met, not for multipliers
-constexpr int kMostEstimates = 3;     // of multipliers, where solves stall: each may cost as much as a solve
-constexpr int kShortPhase = 332;      // steps
-constexpr double kLeastGain = 0.01;   // of the costs
-constexpr double kLeastCost = 0.025;  // of those of the start: smaller ones ahead count as these
-constexpr double kPredictingWeight = 1e7;  // of linearized equalities that a step meets
+constexpr double kGrowth = 10;       // of the weights, from solve to solve
+constexpr double kStalled = 0.5;     // of the violation that the solve before has left
+constexpr double kHopeless = 0.1;    // of a row after kManyIterations, where a motion is one of many
+constexpr int kManyIterations = 50;  // of all solves together
+constexpr int kMostStalled = 2;      // solves one after the other, where a motion is one of many
+constexpr double kNearlyMet = 1e-3;  // a larger violation stalls where constraints cannot be met, not for multipliers
+constexpr int kMostEstimates = 3;    // of multipliers, where solves stall: each may cost as much as a solve
+constexpr double kShareOfInequalities = 0.01;  // of the weight of equalities that follows the costs
+constexpr int kShortPhase = 332;               // steps
+constexpr double kLeastGain = 0.01;            // of the costs
+constexpr double kLeastCost = 0.025;           // of those of the start: smaller ones ahead count as these
+constexpr double kPredictingWeight = 1e7;      // of linearized equalities that a step meets
 constexpr double kNoWeight = 1e-300;
 // A weight times the rounding of a row is an error of its multiplier: weights grow to this multiple of the largest
 // multiplier, and where that is small they need no more to dominate the costs.
 constexpr double kLargestWeight = 1e7;
 constexpr double kNearlySameCost = 1e-5;  // so near to an optimum steps need no damping
+constexpr double kExactGain = 0.1;        // of the gain that ends solves: with multipliers from the conditions
 constexpr double kSameCost = 1e-10;       // relative change of the cost from solve to solve
 constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares that become zero change by all they are
 // The first solve is nearly linear, and damping would only slow it down.
@@ -125,21 +128,22 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     return largest;
   }
 
-  // Moves the multipliers on, and adds the cost rows' squares to *cost. Returns the largest violation.
-  double Update(const std::vector<double*>& blocks, double* cost) {
+  // Moves the multipliers on, adds the cost rows' squares to *cost, and raises *change to the largest change of a
+  // multiplier. Returns the largest violation.
+  double Update(const std::vector<double*>& blocks, double* cost, double* change) {
     std::vector<double> rows(num_residuals());
     if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
     double violation = 0;
     for (int row = 0; row < num_residuals(); ++row) {
-      if (row < roles_.equalities) {
-        multipliers_[row] += weights_->equality * rows[row];
-        violation = std::max(violation, std::abs(rows[row]));
-      } else if (row < num_constraints()) {
-        multipliers_[row] = std::max(0.0, multipliers_[row] + weights_->inequality * rows[row]);
-        violation = std::max(violation, rows[row]);
-      } else {
+      if (row >= num_constraints()) {
         *cost += CostOf(row, rows[row]);
+        continue;
       }
+      const bool equality = row < roles_.equalities;
+      const double before = multipliers_[row];
+      SetMultiplier(row, before + (equality ? weights_->equality : weights_->inequality) * rows[row]);
+      *change = std::max(*change, std::abs(multipliers_[row] - before));
+      violation = std::max(violation, equality ? std::abs(rows[row]) : rows[row]);
     }
     return violation;
   }
@@ -182,16 +186,16 @@ void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, con
   problem_.AddResidualBlock(weighted.release(), nullptr, blocks);
 }
 
-// Sets the multipliers to those that leave least of the gradient of the costs along equalities and violated
-// inequalities.
-void AugmentedLagrangian::EstimateMultipliers() {
-  for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
+// Sets the multipliers to those that leave least of the gradient of the costs along equalities and those inequalities
+// that are violated or have a multiplier. Multipliers of inequalities that come out negative become zero if `clips`;
+// otherwise nothing is changed then. Returns whether multipliers have been set.
+bool AugmentedLagrangian::EstimateMultipliers(bool clips) {
   const Weights weights = std::exchange(weights_, {1, 1});  // rows are those of the functions
   std::vector<double> rows, gradient;
   ceres::CRSMatrix jacobian;
   const bool evaluated = problem_.Evaluate({}, nullptr, &rows, nullptr, &jacobian);
   weights_ = weights;
-  if (!evaluated) return;
+  if (!evaluated) return false;
   Eigen::VectorXd by_costs = Eigen::VectorXd::Zero(jacobian.num_cols);
   std::vector<Eigen::Triplet<double>> entries;
   std::vector<std::pair<Weighted*, int>> constrained;  // rows of functions
@@ -211,10 +215,19 @@ void AugmentedLagrangian::EstimateMultipliers() {
                                                            jacobian.num_cols);
   constraints.setFromTriplets(entries.begin(), entries.end());
   const Eigen::VectorXd multipliers = LeastMultipliers(constraints, by_costs);
+  const auto is_negative = [&](Eigen::Index i) {
+    const auto& [function, of_row] = constrained[static_cast<size_t>(i)];
+    return of_row >= function->num_equalities() && multipliers[i] < 0;
+  };
+  for (Eigen::Index i = 0; !clips && i < multipliers.size(); ++i) {
+    if (is_negative(i)) return false;
+  }
+  for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
   for (Eigen::Index i = 0; i < multipliers.size(); ++i) {
     const auto& [function, of_row] = constrained[static_cast<size_t>(i)];
     function->SetMultiplier(of_row, multipliers[i]);
   }
+  return true;
 }
 
 std::vector<double> AugmentedLagrangian::Values() const {
@@ -242,17 +255,23 @@ double AugmentedLagrangian::Cost() const {
   return cost;
 }
 
-double AugmentedLagrangian::UpdateMultipliers(double* cost) {
+double AugmentedLagrangian::UpdateMultipliers(double* cost, double* change) {
   double violation = 0;
-  *cost = 0;
-  for (const auto& [function, blocks] : functions_) violation = std::max(violation, function->Update(blocks, cost));
+  *cost = *change = 0;
+  for (const auto& [function, blocks] : functions_) {
+    violation = std::max(violation, function->Update(blocks, cost, change));
+  }
   return violation;
 }
 
-double AugmentedLagrangian::LargestWeight() const {
+double AugmentedLagrangian::LargestMultiplier() const {
   double multiplier = 0;
   for (const auto& [function, blocks] : functions_) multiplier = std::max(multiplier, function->LargestMultiplier());
-  return kLargestWeight * std::clamp(multiplier, 1 / kLargestWeight, 1.0);
+  return multiplier;
+}
+
+double AugmentedLagrangian::LargestWeight() const {
+  return kLargestWeight * std::clamp(LargestMultiplier(), 1 / kLargestWeight, 1.0);
 }
 
 AugmentedLagrangian::Summary AugmentedLagrangian::Minimize(const Options& options) {
@@ -296,6 +315,7 @@ void AugmentedLagrangian::WeighByCosts(double factor) {
     ahead = std::clamp(ahead, kLeastCost * size, size);
   }
   if (ahead > 0 && std::isfinite(ahead)) weights_.equality = factor * ahead / gain;
+  weights_.inequality = kShareOfInequalities * weights_.equality;
 }
 
 AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Options& options) {
@@ -319,10 +339,16 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.callbacks = {&watch};
   const double least_change = kNoCost * std::abs(Cost());
   bool estimated = false, near = false, nearly_settled = false;
-  int estimates = 0, stalls = 0;  // where solves stall
+  struct Converged {
+    std::vector<double> values;
+    double change, cost, violation;
+  };
+  std::optional<Converged> first_optimum;  // before the multipliers are those of the conditions of first order
+  int estimates = 0, stalls = 0;           // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     const bool crawls = options.one_of_many && result.violation > kNearlyMet;
     ceres_options.function_tolerance = crawls ? kFirstGains[0] : round < kLast ? kFirstGains[round] : options.gain;
+    if (first_optimum) ceres_options.function_tolerance = kExactGain * options.gain;
     // Damping is in proportion to the weights, and would leave unchanged what changes the cost by no more than
     // rounding.
     ceres_options.initial_trust_region_radius = nearly_settled ? kLastRadius
@@ -336,20 +362,25 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     if (summary.termination_type == ceres::FAILURE) break;
     result.usable = true;
     const double before = result.cost, open_before = result.violation;
-    result.violation = UpdateMultipliers(&result.cost);
+    double change_of_multipliers = 0;
+    result.violation = UpdateMultipliers(&result.cost, &change_of_multipliers);
     // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
     near = near || (round == 0 && !estimated && result.iterations == 0);
     if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
       estimated = true;
       SetValues(start);
-      EstimateMultipliers();
+      for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
+      EstimateMultipliers(true);
       if (!result.interrupted && result.iterations < options.iterations) {
         --round;
         continue;
       }
     }
     if (options.after_round) options.after_round();
-    if (result.interrupted || result.iterations >= options.iterations) break;
+    if (result.interrupted || result.iterations >= options.iterations) {
+      if (first_optimum) SetValues(first_optimum->values);
+      break;
+    }
     if (options.one_of_many && result.violation > kNearlyMet) {
       stalls = round > 0 && result.violation > kStalled * open_before ? stalls + 1 : 0;
       if (stalls == kMostStalled || (result.iterations > kManyIterations && result.violation > kHopeless)) break;
@@ -360,13 +391,27 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     const double change = std::abs(result.cost - before);
     nearly_settled = options.weight_of_costs > 0 && change <= kNearlySameCost * std::abs(result.cost);
     result.converged = result.violation <= options.tolerance && round >= earliest && change <= same;
-    if (result.converged) break;
+    if (first_optimum) {  // the solve with multipliers from the conditions of first order
+      if (result.converged && change_of_multipliers < first_optimum->change) break;
+      SetValues(first_optimum->values);
+      result.converged = true;
+      result.cost = first_optimum->cost;
+      result.violation = first_optimum->violation;
+      break;
+    }
+    // Multipliers that still change follow from the conditions of first order sooner than from further solves.
+    const bool settled = change_of_multipliers <= options.change_of_multipliers * LargestMultiplier();
+    if (result.converged) {
+      if (settled || !EstimateMultipliers(false)) break;
+      first_optimum = {Values(), change_of_multipliers, result.cost, result.violation};
+      continue;
+    }
     const double most = LargestWeight();
     // Two inequalities that are nearly the same, as at a touch on the node between two steps, end with the multiplier
     // of both on one of them. Each solve would move it there by their difference times the weight only.
     const bool nearly = result.violation > options.tolerance && result.violation <= kNearlyMet;
     const bool stalled = weights_.inequality >= most && result.violation > kStalled * open_before;
-    if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers();
+    if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers(false);
     weights_.equality = std::min(most, kGrowth * weights_.equality);
     weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }

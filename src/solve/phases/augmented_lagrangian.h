@@ -61,6 +61,9 @@ class AugmentedLagrangian {
     // The relative change of the cost that ends the third solve and later ones, which leaves conditions of first order
     // open by its root.
     double gain = 3e-14;
+    // If the last solve changes a multiplier by more than this part of the largest, the multipliers that leave least of
+    // the gradient take their place, for one more solve.
+    double change_of_multipliers = INFINITY;
     // If the first solve leaves a row open by more than this, or gains nothing, it is repeated from the start, with
     // those multipliers of equalities in the place of zero that leave least of the gradient there: costates, if the
     // start meets the equalities.
@@ -104,11 +107,12 @@ class AugmentedLagrangian {
 
   Summary MinimizeLeastSquares(const Options& options);
   std::vector<ConstrainedFunction> Functions() const;
-  void EstimateMultipliers();
+  bool EstimateMultipliers(bool clips);
   void WeighByCosts(double factor);
   double Cost() const;
   double LargestWeight() const;
-  double UpdateMultipliers(double* cost);
+  double UpdateMultipliers(double* cost, double* change);
+  double LargestMultiplier() const;
   std::vector<double> Values() const;
   void SetValues(const std::vector<double>& values);
 

@@ -13,7 +13,8 @@ namespace {
 
 using Matrix = RungeKutta::Matrix;
 
-constexpr double kGain = 1e-14;            // of the last solve: certificates ask for conditions of first order to 1e-6
+constexpr double kGain = 1e-14;  // of the last solve: certificates ask for conditions of first order to 1e-6
+constexpr double kChangeOfMultipliers = 1e-7;
 constexpr double kLeastLength = 1e-6;      // of a control interval of mean length, below which its costs do not change
 constexpr double kWeightOfCosts = 400;     // of the first solve
 constexpr double kMostOpen = 0.005;        // of a row after the first solve, if costs do not outweigh the motion
@@ -714,6 +715,7 @@ AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::
   options.weight_of_costs = kWeightOfCosts;
   options.most_open = kMostOpen;
   options.gain = kGain;
+  options.change_of_multipliers = kChangeOfMultipliers;
   options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };
