@@ -19,7 +19,8 @@ constexpr double kNoiseOfForces = 4e-12;  // of the flow of closed contacts, who
 constexpr double kStateRounding = 64 * std::numeric_limits<double>::epsilon();  // of states, after many steps
 constexpr double kTimeRounding = 8 * std::numeric_limits<double>::epsilon();    // of time, parameters and controls
 constexpr double kSoon = 1.0 / 64;                                              // of a step
-constexpr double kInside = 0.3819660112501051;                                  // of a step, not a rational part
+constexpr double kBehind[] = {1.5, 1.1, 1.01};  // of the time in which a guard returns: it may have a kink soon behind
+constexpr double kInside = 0.3819660112501051;  // of a step, not a rational part
 constexpr int kMostIterations = 100;
 
 // The size of the term of a derivative: an infinite derivative by what is zero, or none, tells of no rounding.
@@ -266,6 +267,33 @@ bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& b
          functions_.WaitsBehind(step.mode, guard);
 }
 
+// Finds where a guard that falls at the beginning of a step and rises at its end, but not smoothly, falls below zero. A
+// guard with a kink is lowest where the lines along both ends meet, as that of a corner that passes a corner. Where
+// these meet near an end, the guard is curved at the other, and a point on the way from there replaces it.
+EventSearch::Found EventSearch::FindBelowKink(const FlowStep& step, const double* slope, int guard,
+                                              const GuardValue& begin, const GuardValue& end) {
+  constexpr double kBeside = 0.1;  // of the length between the ends
+  constexpr int kMostPoints = 20;
+  double from = 0, to = step.h;
+  GuardValue falls = begin, rises = end;
+  for (int i = 0; i < kMostPoints && rises.rate > falls.rate; ++i) {
+    const double length = to - from;
+    const double lower = std::min(falls.value, rises.value);
+    if (lower > std::max(-falls.rate, rises.rate) * length) break;  // with these rates it cannot reach zero
+    const double kink = (falls.value - rises.value + rises.rate * length) / (rises.rate - falls.rate);
+    const double s = std::clamp(kink, kBeside * length, (1 - kBeside) * length);
+    const bool near_zero = falls.value + falls.rate * kink <= kNearZero * lower;
+    if (s == kink && !near_zero) break;
+    const GuardValue there = After(step, slope, guard, from + s);
+    if (there.value < 0) {
+      return Locate(step, slope, guard, from, from + s, from - falls.value / falls.rate, /*curvature=*/-1);
+    }
+    (there.rate < 0 ? from : to) = from + s;
+    (there.rate < 0 ? falls : rises) = there;
+  }
+  return {};
+}
+
 EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
                                      const GuardValue& begin, const GuardValue& end) {
   const double h = step.h;
@@ -276,11 +304,13 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     const GuardValue soon = After(step, slope, guard, kSoon * h);
     const double second = (soon.rate - begin.rate) / (kSoon * h);
     const double back = second < 0 ? -2 * begin.rate / second : h;
-    double below = kSoon * h;
-    if (soon.value > 0 && 1.5 * back < h) below = std::max(below, 1.5 * back);
-    double above = 0;
-    if (After(step, slope, guard, below).value < 0 && FindAbove(step, slope, guard, below, &above)) {
-      return Locate(step, slope, guard, above, below, back, /*curvature=*/-1);
+    for (const double part : kBehind) {
+      double below = kSoon * h;
+      if (soon.value > 0 && part * back < h) below = std::max(below, part * back);
+      double above = 0;
+      if (After(step, slope, guard, below).value < 0 && FindAbove(step, slope, guard, below, &above)) {
+        return Locate(step, slope, guard, above, below, back, /*curvature=*/-1);
+      }
     }
   }
   if (armed && end.value > 0) {
@@ -288,7 +318,9 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     if (!(begin.rate <= 0 && end.rate >= 0) || begin.rate == end.rate) return {};
     const GapPolynomial cubic = Hermite(begin, end, h);
     double s = MinimumOf(cubic, h);
-    if (cubic(s) > kNearZero * std::min(begin.value, end.value)) return {};
+    if (cubic(s) > kNearZero * std::min(begin.value, end.value)) {
+      return FindBelowKink(step, slope, guard, begin, end);
+    }
     const double noise = kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
     double low = 0, high = h;  // the rate is negative at low, positive at high
     GuardValue at;

@@ -81,6 +81,8 @@ class EventSearch {
   double ErrorBy(const FlowStep& step, Terms terms, double rate, double elapsed, double of_states) const;
   Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
                double curvature);
+  Found FindBelowKink(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
+                      const GuardValue& end);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
 

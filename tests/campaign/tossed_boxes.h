@@ -2,10 +2,13 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_simulator.h"
@@ -13,6 +16,44 @@
 #include "saltus/hybrid/rigid_bodies.h"
 
 namespace saltus {
+
+inline std::vector<Point2D> CornersOf(const RigidBodies2D& bodies, int body, const double* x) {
+  const std::array<double, 3> pose = bodies.PoseOf(body, x);
+  const double c = std::cos(pose[2]), s = std::sin(pose[2]);
+  std::vector<Point2D> corners;
+  for (const Point2D& at : bodies.scene().bodies[body].polygon) {
+    corners.push_back({pose[0] + c * at[0] - s * at[1], pose[1] + s * at[0] + c * at[1]});
+  }
+  return corners;
+}
+
+// The largest distance between two polygons along a normal of an edge of either: below zero where they overlap.
+inline double SeparationOf(const RigidBodies2D& bodies, int one, int other, const double* x) {
+  double largest = -std::numeric_limits<double>::infinity();
+  for (const auto& [of_edges, of_corners] : {std::pair{one, other}, {other, one}}) {
+    const std::vector<Point2D> edges = CornersOf(bodies, of_edges, x), corners = CornersOf(bodies, of_corners, x);
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      const Point2D &from = edges[i], &to = edges[(i + 1) % edges.size()];
+      const double along_x = to[0] - from[0], along_y = to[1] - from[1], length = std::hypot(along_x, along_y);
+      double nearest = std::numeric_limits<double>::infinity();
+      for (const Point2D& at : corners) {
+        nearest = std::min(nearest, (along_y * (at[0] - from[0]) - along_x * (at[1] - from[1])) / length);
+      }
+      largest = std::max(largest, nearest);
+    }
+  }
+  return largest;
+}
+
+// The smallest distance of bodies above the ground y = 0 and from each other, from their corners alone.
+inline double LowestGapOf(const RigidBodies2D& bodies, const double* x) {
+  double lowest = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < std::ssize(bodies.scene().bodies); ++i) {
+    for (const Point2D& corner : CornersOf(bodies, i, x)) lowest = std::min(lowest, corner[1]);
+    for (int j = 0; j < i; ++j) lowest = std::min(lowest, SeparationOf(bodies, i, j, x));
+  }
+  return lowest;
+}
 
 class TossedBoxes {
  public:
@@ -45,7 +86,6 @@ class TossedBoxes {
     result.gains = static_cast<int>(report.energy_gains.size());
     // Energy, which impacts of Newton's law may raise by what the report says, and gaps.
     const double* p = input.parameters.data();
-    const int contacts = system_.functions().layout().num_contacts;
     const double size = std::abs(scene_.EnergyOf(input.initial.data(), p)) + 1;
     double bound = scene_.EnergyOf(input.initial.data(), p);
     std::size_t impact = 0;
@@ -60,9 +100,7 @@ class TossedBoxes {
       }
       result.energy = std::max(result.energy, (now - bound) / size);
       bound = std::min(bound, now);
-      for (int i = 0; i < contacts; ++i) {
-        result.lowest_gap = std::min(result.lowest_gap, system_.functions().Gap(i, x, p));
-      }
+      result.lowest_gap = std::min(result.lowest_gap, LowestGapOf(scene_, x));
     }
     char text[160];
     if (result.lowest_gap < -kPenetration) {

@@ -267,8 +267,9 @@ TEST(RigidBodies, AGapBelowZeroByRoundingIsNotMissed) {
 
 TEST(RigidBodies, RandomTosses) {
   int simulated = 0, with_gradient = 0;
-  // 340: closed contacts come to the end of an edge. 887: a corner falls back while another one leaves its edge.
-  for (const int seed : {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 340, 887}) {
+  // 8, 38, 49, 515: a corner cuts a corner within a step. 340: closed contacts come to the end of an edge. 887: a
+  // corner falls back while another one leaves its edge.
+  for (const int seed : {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 38, 49, 340, 515, 887}) {
     const TossedBoxes::Result result = TossedBoxes(seed).Run(/*with_gradient=*/seed <= 6);
     EXPECT_EQ(result.wrong, "") << "seed " << seed;
     simulated += result.refused.empty() ? 1 : 0;
@@ -276,6 +277,52 @@ TEST(RigidBodies, RandomTosses) {
   }
   EXPECT_GT(simulated, 8);
   EXPECT_GT(with_gradient, 1);
+}
+
+// A box flies past a corner of another and cuts it, or not, for less than a step of the integration: the hit is where
+// no normal separates the boxes any more.
+TEST(RigidBodies, ACornerThatCutsACornerHits) {
+  int hits = 0, misses = 0;
+  for (int k = 0; k < 60; ++k) {
+    SCOPED_TRACE(k);
+    const RigidBodies2D bodies({.bodies = {{.name = "table", .polygon = BoxPolygon(0.5, 0.5)},
+                                           {.name = "box",
+                                            .polygon = BoxPolygon(0.5, 0.5),
+                                            .position = {-1.6, -0.7 + 0.02 * k},
+                                            .velocity = {2, 2},
+                                            .angle = 0.5}},
+                                .gravity = {0, 0}});
+    std::vector<double> x = bodies.InitialState();
+    const double start_x = x[3], start_y = x[4];
+    const auto separation = [&](double time) {
+      x[3] = start_x + 2 * time;
+      x[4] = start_y + 2 * time;
+      return SeparationOf(bodies, 0, 1, x.data());
+    };
+    constexpr double kDuration = 0.7;
+    double least = 1, above = 0, below = 0;
+    for (int i = 0; i <= 7000; ++i) {
+      const double time = kDuration * i / 7000, now = separation(time);
+      least = std::min(least, now);
+      if (now < 0 && below == 0) below = time;
+    }
+    if (std::abs(least) < 1e-3) continue;
+    for (int i = 0; i < 60; ++i) {
+      const double middle = 0.5 * (above + below);
+      (separation(middle) < 0 ? below : above) = middle;
+    }
+    const MechanicalSystem system(bodies);
+    HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 12});
+    const HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = kDuration};
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_EQ(simulator.events().empty(), least > 0);
+    (least > 0 ? misses : hits) += 1;
+    if (least < 0) {
+      EXPECT_NEAR(simulator.events()[0].time, below, 1e-12);
+    }
+  }
+  EXPECT_GT(hits, 10);
+  EXPECT_GT(misses, 10);
 }
 
 }  // namespace
