@@ -14,6 +14,7 @@ namespace {
 constexpr double kNear = 1e-6;         // of the duration: guards that are examined for a tie
 constexpr double kAccumulated = 1e-9;  // of the duration: intervals between events that shrink to a point
 constexpr int kShrinking = 8;          // intervals that tell
+constexpr double kShrinks = 0.9999;    // largest ratio of such intervals, and of changes of the state
 constexpr double kSmallChange = 1e-3;  // of the state: a change of it within a step that is short enough
 constexpr double kAtJump = 1e-9;       // of a control interval: an event so near to its end is at it
 constexpr int kShortSteps = 1 << 13;   // of a motion: what depends on longer ones is refused with these
@@ -777,6 +778,12 @@ bool RolloutRun::ResolvesGuards() const {
   return unresolved_.steps == 0 || (tape_.num_nodes >= most && unresolved_.steps * kPlaces <= tape_.num_nodes);
 }
 
+// Whether the last grazing that was noted is that of this guard, about this time.
+bool RolloutRun::IsLastGrazing(int mode, int guard, double time) const {
+  return !grazings_.empty() && grazings_.back().guard == guard && grazings_.back().mode == mode &&
+         time - grazings_.back().time <= 1e-6 * input_->duration;
+}
+
 // Returns the earliest event of the armed guards in a step; guards that graze are noted, and disarmed if they end at 0.
 RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
   Due earliest;
@@ -796,11 +803,12 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
     if (found.what == EventSearch::Found::What::kEvent) {
       if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s, sinks};
     } else if (found.what == EventSearch::Found::What::kGrazing) {
-      if (end[guard].value <= 0) at_.armed[guard] = false;
+      if (end[guard].value <= 0) {  // the next step tells whether it returns
+        at_.armed[guard] = false;
+        at_.at_zero[guard] = true;
+      }
       const double time = step.t + found.s;
-      const bool known = !grazings_.empty() && grazings_.back().guard == guard && grazings_.back().mode == step.mode &&
-                         time - grazings_.back().time <= 1e-6 * input_->duration;
-      if (!known) grazings_.push_back({time, step.mode, guard});
+      if (!IsLastGrazing(step.mode, guard, time)) grazings_.push_back({time, step.mode, guard});
     }
   }
   // A guard with a kink, or behind a change of mode, may fall below zero and return: where it is below at the event of
@@ -881,7 +889,10 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
                           std::to_string(at_.t),
                           ", and the derivatives depend on the order of their events: " + names};
   }
-  if (due.sinks) Remark(name + kSinks, kAtRateZero);
+  if (due.sinks) {
+    Remark(name + kSinks, kAtRateZero);
+    if (IsLastGrazing(step.mode, due.guard, at_.t)) grazings_.pop_back();
+  }
   const double remaining = input_->begin + input_->duration - at_.t;
   coincidence.jump = ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump);
   const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
@@ -923,7 +934,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   } else {
     tape_.coincidences[number].end = tape_.entries.size();
   }
-  return accumulates || !Accumulates();
+  return accumulates || !Accumulates(step.t + step.h);
 }
 
 // Goes on in the mode that the system names where the events of a guard accumulate; refuses without one.
@@ -943,10 +954,23 @@ bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const s
   return Enter(Entry::kAfterReset);
 }
 
+// Moves from the last event to where events accumulate: components of the state that converge go on to their limit.
+void RolloutRun::MoveToAccumulation(int period, double time) {
+  const int last = static_cast<int>(events_.size()) - 1;
+  const auto after = [&](int back) { return &tape_.numbers[afters_[last - back * period]]; };
+  const auto mode_after = [&](int back) { return events_[last - back * period].next_mode; };
+  if (mode_after(1) != mode_after(0) || mode_after(2) != mode_after(0)) return;
+  for (int i = 0; i < system_.state_size(at_.mode); ++i) {
+    const double change = after(0)[i] - after(1)[i], before = after(1)[i] - after(2)[i];
+    if (std::abs(change) < kShrinks * std::abs(before)) at_.x[i] -= change * change / (change - before);
+  }
+  at_.t = std::max(at_.t, time);
+}
+
 // Whether the motion ends because events accumulate at a point before its end: the intervals between them, or those
 // over two, have become tiny and shrink geometrically. The point is Aitken's extrapolation, exact for a geometric
-// sequence.
-bool RolloutRun::Accumulates() {
+// sequence. The motion goes on from there, at `until` at the latest, where the step that has these events ends.
+bool RolloutRun::Accumulates(double until) {
   if (functions_.EndsAccumulations()) return false;
   const auto count = static_cast<int>(events_.size());
   for (int period = 1; period <= 2; ++period) {
@@ -957,11 +981,12 @@ bool RolloutRun::Accumulates() {
     };
     if (!(interval(0) <= kAccumulated * input_->duration)) continue;
     bool shrinks = true;
-    for (int back = 0; back < kShrinking && shrinks; ++back) shrinks = interval(back) < 0.9999 * interval(back + 1);
+    for (int back = 0; back < kShrinking && shrinks; ++back) shrinks = interval(back) < kShrinks * interval(back + 1);
     if (!shrinks) continue;
     const double ratio = interval(0) / interval(1);
     const double point = at_.t + interval(0) * ratio / (1 - ratio);
     if (!(point < input_->begin + input_->duration)) continue;
+    MoveToAccumulation(period, std::min(point, until));
     const HybridEvent& last = events_.back();
     return !GoOnAfterAccumulation(point,
                                   last.mode,

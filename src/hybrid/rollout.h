@@ -99,11 +99,13 @@ class RolloutRun {
   bool StaysOnEquations();
   bool Enter(Entry entry);
   bool Fire(int guard, bool with_step, bool at_once);
+  bool IsLastGrazing(int mode, int guard, double time) const;
   Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool Happen(const Due& due, const FlowStep& step);
   std::vector<int> TiedWith(const Due& due, int* first);
   void CompareGuards(const FlowStep& step);
-  bool Accumulates();
+  bool Accumulates(double until);
+  void MoveToAccumulation(int period, double time);
   std::string WhyRepeats(int guard, EventSearch::Standing standing) const;
   bool GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why);
   bool UpdateSlope();

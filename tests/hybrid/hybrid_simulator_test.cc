@@ -143,6 +143,49 @@ TEST(HybridSimulator, AccumulatingEventsAreReported) {
   }
 }
 
+// A clock x = t whose guard has a zero of the order of its power at t = 0.5, behind which y grows.
+struct FlatCrossing {
+  static constexpr int kNumControls = 0, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2, 2};
+  static constexpr std::array kNumGuards = {1, 0};
+  int power = 3;
+
+  template <typename T>
+  void Flow(int mode, const T&, const T*, const T*, const T*, T* xdot) const {
+    xdot[0] = T(1.0);
+    xdot[1] = T(mode == 0 ? 0.0 : 1.0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    T value(1.0);
+    for (int i = 0; i < power; ++i) value *= T(0.5) - x[0];
+    return value * (T(1.0) + x[0] * x[0]);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = x[0];
+    x_plus[1] = x[1];
+    return 1;
+  }
+};
+
+// A guard that is flat where it falls through zero has an event there, also on a node of the steps; one that returns
+// has none.
+TEST(HybridSimulator, AGuardThatFallsThroughAFlatZeroHasAnEvent) {
+  for (const int power : {2, 3, 4, 5}) {
+    for (const int steps : {0, 1, 7, 8, 10, 100}) {
+      SCOPED_TRACE(testing::Message() << "power " << power << ", " << steps << " steps");
+      HybridSimulator simulator(HybridSystem(FlatCrossing{power}), {.steps_per_interval = steps});
+      ASSERT_TRUE(simulator.Rollout({.initial = {0, 0}, .duration = 1})) << simulator.WhyFailed();
+      const bool crosses = power % 2 == 1;
+      ASSERT_EQ(simulator.events().size(), crosses ? 1u : 0u);
+      EXPECT_NEAR(simulator.final_state()[1], crosses ? 0.5 : 0.0, 1e-9);
+      const std::string remark = simulator.WhyNotDifferentiable();
+      EXPECT_EQ(remark.find("returns") != std::string::npos, !crosses) << remark;
+    }
+  }
+}
+
 // A ball that moves to the right as it bounces, and on the ground with a quarter of that speed.
 struct BallThatComesToRest {
   static constexpr int kNumControls = 0;
@@ -180,11 +223,18 @@ TEST(HybridSimulator, AMotionGoesOnWhereEventsAccumulateIfTheSystemSaysHow) {
   EXPECT_NEAR(*simulator.accumulation(), kAccumulated, 1e-14);
   EXPECT_EQ(simulator.final_mode(), 1);
   EXPECT_EQ(simulator.events().back().next_mode, 1);
-  ExpectNumbers(simulator.final_state(), {0, 0, kAccumulated + 0.25 * (2 - kAccumulated)}, 1e-8);
+  ExpectNumbers(simulator.final_state(), {0, 0, kAccumulated + 0.25 * (2 - kAccumulated)}, 1e-13);
   // The time of accumulation, by the initial height, gravity and restitution.
   const HybridGradient by = simulator.Adjoint(std::vector<double>{0, 0, 1});
   EXPECT_NEAR(by.initial[0], 0.75 * 0.67763092717893843, 1e-8);
   ExpectNumbers(by.parameters, {0.75 * -0.069146012977442697, 0.75 * 3.614031611621005}, 1e-7);
+
+  // Long after bounces that fade slowly, without a trace of the speed at the last of them.
+  for (const double restitution : {0.8, 0.95, 0.99}) {
+    const double falls = std::sqrt(2 / 9.8), rest = falls * (1 + 2 * restitution / (1 - restitution));
+    ASSERT_TRUE(simulator.Rollout({.initial = {1, 0, 0}, .parameters = {9.8, restitution}, .duration = 400}));
+    ExpectNumbers(simulator.final_state(), {0, 0, rest + 0.25 * (400 - rest)}, 1e-10);
+  }
 
   HybridSimulator other{HybridSystem(BallThatComesToRest{.mode_at_rest = 2})};
   EXPECT_FALSE(other.Rollout(input));
