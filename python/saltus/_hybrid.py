@@ -500,8 +500,8 @@ def maximise(function: Callable[..., Any], **options: Any) -> Cost:
     """The negative of `cost`, with the same arguments: the loss loses the value of a function."""
 
     @functools.wraps(function)
-    def negative(*arguments: Any) -> Any:
-        values = function(*arguments)
+    def negative(*arguments: Any, **named: Any) -> Any:
+        values = function(*arguments, **named)
         return [-value for value in values] if np.ndim(values) > 0 else -values
 
     return cost(negative, **options)

@@ -64,6 +64,16 @@ def test_a_goal_region_is_reached_at_its_edge(solver):
     assert run.certificate["verdict"] == "stationary"
 
 
+def test_the_largest_value_is_reached_at_the_bounds():
+    """From x = 0 with |u| <= 1 the farthest place after 1 s is x = 1, less the effort, which is the mean of u^2."""
+    bounds = {"u0": (-1, 1), "u1": (-1, 1)}
+    for function in (lambda x: 3 * x[0] - 4 * x[1], lambda t, x: [3 * x[0], -4 * x[1]]):
+        run = saltus.solve(integrator(2, costs=[saltus.maximise(function)]), bounds=bounds)
+        assert run.termination == "converged"
+        assert_allclose(run.loss, -7 + 2, rtol=1e-7)
+        assert_allclose(run.final, [1, -1], atol=1e-6)
+
+
 def test_a_region_that_holds_the_free_motion_changes_nothing():
     run = saltus.solve(integrator(costs=[saltus.terminal(min=[-1], max=[1])]), solver="ceres_phases")
     assert abs(run.final[0]) < 1e-4 and run.loss < 1e-8
