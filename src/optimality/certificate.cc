@@ -169,9 +169,14 @@ Certificate WithImpactsOf(const ControlledMotion& motion) {
 }
 
 void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact) {
+  constexpr double kFar = 1e9;
   const double kink = early - late;
-  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) return;
   const auto counts = [&](double change) { return change * impact->time > kCertificateTolerance * scale; };
+  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) {
+    // Without a kink the multiplier of a minimum is that of both sides, and no other is between them.
+    if (counts(std::abs(multiplier - late))) impact->theta = multiplier > late ? kFar : -kFar;
+    return;
+  }
   const double theta = (multiplier - late) / kink, between = std::clamp(theta, 0.0, 1.0);
   impact->theta = counts(std::abs((theta - between) * kink)) ? theta : between;
   impact->concave = counts(kink);

@@ -104,7 +104,9 @@ class HybridConditions {
       result.reason = "the loss is zero within rounding, and a sum of squares is not less";
       return result;
     }
+    loss_ = outcome.loss;
     ReadMotion();
+    FindSizes();
     FindVariables();
     FindMultipliers();
     if (num_multipliers() > kMostMultipliers) {
@@ -589,6 +591,12 @@ class HybridConditions {
     }
     return to;
   }
+  // Returns the size over the motion of the component that a variable is; 1 if it is zero.
+  double UnitOf(const FreeVariable& variable) const {
+    const double size =
+        variable.kind == Kind::kInitial ? state_sizes_[input_.mode][variable.index] : parameter_sizes_[variable.index];
+    return size > 0 ? size : 1.0;
+  }
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return control_sizes_[variable.index % width()];
     return std::abs(variable.In(input_));
@@ -622,7 +630,6 @@ class HybridConditions {
 
   std::optional<Curvature> FindCurvature(bool moving, double loss) {
     constexpr double kRounding = 1e-8;  // of central differences
-    FindStateSizes();
     QuadraticForm form;
     const Directions to = DirectionsOf(moving, &form);
     if (to.variables.empty()) return std::nullopt;
@@ -691,7 +698,7 @@ class HybridConditions {
   }
 
   // Finds the sizes of states by mode, of controls and of parameters over the motion.
-  void FindStateSizes() {
+  void FindSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
       state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
     }
@@ -943,13 +950,14 @@ class HybridConditions {
     for (const auto& [variable, sign] : variables_) {
       const bool of_control = variable.kind == Kind::kControl, of_duration = variable.kind == Kind::kDuration;
       const double length = of_control ? LengthOf(variable.index / width()) : 1;
-      const double size = SizeOf([&, &variable = variable](const Sweep& s) {
+      double size = SizeOf([&, &variable = variable](const Sweep& s) {
         // Where a component has no effect its terms are errors of the solution, which do not cancel.
         return of_control ? std::max(s.control_size[variable.index % width()], kSmallTerms * s.control_size.maxCoeff())
                : variable.kind == Kind::kInitial   ? s.initial_size[variable.index]
                : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
                                                    : s.hamiltonian_size;
       });
+      if (!of_control && !of_duration) size = std::max(size, std::abs(loss_) / UnitOf(variable));
       Add([&, &variable = variable](const Sweep& s) { return DerivativeByVariable(s, variable, moving) / length; },
           size,
           sign,
@@ -1017,37 +1025,53 @@ class HybridConditions {
   }
 
   void StationarityOnFixedGrid(Certificate* result) {
+    // Behind an event at the final time the motion has none, and the loss another one-sided derivative.
+    const double near_end = times_.back() - kAtNode * LengthOf(input_.num_intervals - 1);
+    if (!events().empty() && events().back().time >= near_end) return;
     // Multipliers of events inside intervals are those that the saltation matrix has; of those at the ends of intervals
-    // any between the one-sided ones.
+    // any between the one-sided ones: the loss rises as the event becomes early, and late.
     ConeConditions conditions(num_multipliers());
     Kinds kinds;
     AddVariables(false, &conditions, &kinds);
     for (int k = 0; k < num_events(); ++k) {
-      if (on_node_[k]) continue;
-      Add([&](const Sweep& s) { return s.event_late[k]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
+      if (on_node_[k] && !FallsOnBothSides(k)) continue;
+      const int sign = on_node_[k] ? 1 : 0;
+      if (sign != 0) {
+        Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), -sign, &conditions, &kinds.events);
+      }
+      Add([&](const Sweep& s) { return s.event_late[k]; }, HamiltonianSize(), sign, &conditions, &kinds.events);
     }
     conditions.Solve();
     result->gradient = std::max({Largest(conditions, kinds.controls),
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
-    const VectorXd& theta = theta_ = conditions.theta();
+    theta_ = conditions.theta();
+    PlaceMultipliers(result);
+  }
+
+  // Whether a guard falls with the control before its event, and with that after it.
+  bool FallsOnBothSides(int k) const { return sweeps_[k + 1].event_early[k] < 0 && sweeps_[k + 1].event_late[k] < 0; }
+
+  // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
+  // before, or after, the node.
+  void PlaceMultipliers(Certificate* result) const {
     const auto combined = [&](const auto& of) {
       double sum = of(sweeps_[0]);
-      for (int j = 0; j < num_multipliers(); ++j) sum += theta[j] * of(sweeps_[j + 1]);
+      for (int j = 0; j < num_multipliers(); ++j) sum += theta_[j] * of(sweeps_[j + 1]);
       return sum;
     };
     for (int k = 0; k < num_events(); ++k) {
-      if (!on_node_[k]) continue;
-      // nu enters these as nu (guard rate); they vanish at the one-sided multipliers.
+      ImpactCertificate& impact = result->impacts[k];
+      impact.theta.reset();
+      impact.concave = false;
+      if (!on_node_[k] || !FallsOnBothSides(k)) continue;
+      // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
+      const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });
       const double late = combined([&](const Sweep& s) { return s.event_late[k]; });
-      const double slope_early = sweeps_[k + 1].event_early[k], slope_late = sweeps_[k + 1].event_late[k];
-      const double nu = theta[k], nu_early = nu - early / slope_early, nu_late = nu - late / slope_late;
-      const double kink = nu_early - nu_late;
-      if (std::abs(kink) > 1e-9 * (std::abs(nu_early) + std::abs(nu_late))) {
-        result->impacts[k].theta = (nu - nu_late) / kink;
-      }
+      const double nu = -rate_early * theta_[k];  // in the unit of the Hamiltonian
+      SetTheta(nu + early, nu + late * rate_early / rate_late, nu, HamiltonianSize() * impact.time, &impact);
     }
   }
 
@@ -1071,6 +1095,7 @@ class HybridConditions {
   std::vector<VectorXd> state_sizes_;         // by mode
   VectorXd control_sizes_, parameter_sizes_;  // largest values
   size_t num_conditions_ = 0;
+  double loss_ = 0;
 };
 
 }  // namespace

@@ -42,8 +42,9 @@ NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candid
 std::string WhyNotConstrainedConditions(const Scene& scene, const Flight& flight);
 
 // Sets the theta of an impact on a node, by its multiplier and the one-sided ones: 0 at the late one, 1 at the early
-// one; and whether the kink is concave. There is none if these two are the same. What changes the conditions of forces
-// until the impact by less than their tolerance, in parts of `scale`, the largest costate of a velocity, is rounding.
+// one; and whether the kink is concave. There is none if these two are the same, and the multiplier too. What changes
+// the conditions of forces until the impact by less than their tolerance, in parts of `scale`, the largest costate of a
+// velocity, is rounding.
 void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact);
 
 // Computes the curvature. Returns std::nullopt if the matrices would be too large.

@@ -358,7 +358,7 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
   Attempt attempt = SolveFrom(run.guess(), sequence, &run);
   for (int saddles = 0; saddles < kMostSaddles && attempt.termination == Termination::kConverged; ++saddles) {
     if (!attempt.certificate->IsSaddle()) break;
-    const std::vector<Trial> aside = LeaveSaddle(scene, attempt.trial, *attempt.certificate->curvature);
+    const std::vector<Trial> aside = StepAside(scene, attempt.trial, attempt.certificate->curvature->direction);
     if (aside.empty()) break;
     Attempt next;
     next.trial = aside.front();

@@ -410,11 +410,17 @@ const Certificate& HybridPhaseRun::Certify(const HybridMotion& motion) {
   return certified_->certificate;
 }
 
-std::vector<HybridMotion> HybridPhaseRun::LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const {
+size_t HybridPhaseRun::DirectionSize(const HybridMotion& motion) const {
+  const HybridFree& free = problem_.free;
+  return motion.control.size() + free.initial.size() + free.parameters.size() + (free.duration ? 1 : 0);
+}
+
+std::vector<HybridMotion> HybridPhaseRun::StepAside(const HybridMotion& motion,
+                                                    const std::vector<double>& direction) const {
   double size = 1;
   for (const double u : motion.control) size = std::max(size, std::abs(u));
-  return StepsFromSaddle(motion, size, [&](double length, HybridMotion* moved) {
-    auto next = curvature.direction.begin();
+  return StepsToBothSides(motion, size, [&](double length, HybridMotion* moved) {
+    auto next = direction.begin();
     for (double& u : moved->control) u += length * *next++;
     for (const int i : problem_.free.initial) moved->initial[i] += length * *next++;
     for (const int i : problem_.free.parameters) moved->parameters[i] += length * *next++;

@@ -80,7 +80,10 @@ class HybridPhaseRun final : public SequenceRun {
 
   bool HasCertificate() const { return true; }
   const Certificate& Certify(const HybridMotion& motion);
-  std::vector<HybridMotion> LeaveSaddle(const HybridMotion& motion, const Curvature& curvature) const;
+  // Directions have the control, and then the free components of the initial state, the free parameters and the
+  // duration if it is free.
+  size_t DirectionSize(const HybridMotion& motion) const;
+  std::vector<HybridMotion> StepAside(const HybridMotion& motion, const std::vector<double>& direction) const;
 
   // Returns the reason why a motion, or a term at it, has no finite derivative; empty if it has, or without a motion.
   std::string WhyNoDerivative(const HybridMotion& motion) const;

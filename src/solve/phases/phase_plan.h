@@ -131,17 +131,17 @@ bool HasEvents(const Exact& exact, const std::vector<Event>& sequence, const std
   return true;
 }
 
-// Leaves a saddle: steps of many lengths, that of the largest in proportion to `size`, to both sides along a direction
-// of negative curvature. move(length, &motion) takes one and simulates it. Of the motions that are better by more than
-// rounding, the best with each sequence of events, best first.
+// Leaves a motion that is no optimum: takes steps of many lengths, that of the largest in proportion to `size`, to both
+// sides along a direction. move(length, &motion) takes one and simulates it. Returns, of the motions that are better by
+// more than rounding, the best with each sequence of events, best first.
 template <typename Motion, typename Move>
-std::vector<Motion> StepsFromSaddle(const Motion& saddle, double size, const Move& move) {
+std::vector<Motion> StepsToBothSides(const Motion& start, double size, const Move& move) {
   constexpr int kLargest = 4, kLengths = 24;  // powers of two
   std::vector<Motion> better;
-  const double least = saddle.exact.loss - 1e-12 * std::abs(saddle.exact.loss);
+  const double least = start.exact.loss - 1e-12 * std::abs(start.exact.loss);
   for (int power = kLargest; power > kLargest - kLengths; --power) {
     for (const double sign : {1.0, -1.0}) {
-      Motion moved = saddle;
+      Motion moved = start;
       move(sign * std::ldexp(size, power), &moved);
       if (moved.exact.ok && moved.exact.loss < least) better.push_back(std::move(moved));
     }

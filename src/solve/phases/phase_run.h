@@ -87,8 +87,10 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   bool HasCertificate() const;
   // The certificate of the last control is kept: an optimum is certified by its solve, for saddles, and in the end.
   const Certificate& Certify(const Trial& trial);
-  std::vector<Trial> LeaveSaddle(const Trial& trial, const Curvature& curvature) const {
-    return saltus::LeaveSaddle(scene_, trial, curvature);
+  // Directions have the shape of the control.
+  size_t DirectionSize(const Trial& trial) const { return trial.control.size(); }
+  std::vector<Trial> StepAside(const Trial& trial, const std::vector<double>& direction) const {
+    return saltus::StepAside(scene_, trial, direction);
   }
 
   // Returns the reason why a motion has no finite derivative; motions of discs have one.

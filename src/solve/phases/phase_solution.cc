@@ -213,7 +213,7 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
   return Certify(scene, InitialState(scene), trial.control, trial.durations);
 }
 
-std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature) {
+std::vector<Trial> StepAside(const Scene& scene, const Trial& trial, const std::vector<double>& direction) {
   // The size of the control, in the mean over time; at least a force that moves a disc by its radius.
   double size = 0;
   const size_t width = scene.control_width();
@@ -225,8 +225,8 @@ std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Cur
     const Body& disc = scene.bodies[body];
     size = std::max(size, disc.mass * disc.radius * std::pow(scene.duration, -1.5));
   }
-  return StepsFromSaddle(trial, size, [&](double length, Trial* moved) {
-    for (size_t i = 0; i < moved->control.size(); ++i) moved->control[i] += length * curvature.direction[i];
+  return StepsToBothSides(trial, size, [&](double length, Trial* moved) {
+    for (size_t i = 0; i < moved->control.size(); ++i) moved->control[i] += length * direction[i];
     MoveWithinBounds(scene, moved->control);
     Simulate(scene, {}, moved);
   });

@@ -81,8 +81,8 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
 
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
-// Returns better motions on both sides of a saddle (StepsFromSaddle).
-std::vector<Trial> LeaveSaddle(const Scene& scene, const Trial& trial, const Curvature& curvature);
+// Returns better motions on both sides of a motion along a direction of its control (StepsToBothSides).
+std::vector<Trial> StepAside(const Scene& scene, const Trial& trial, const std::vector<double>& direction);
 
 // For a person: where the exact run departs from the sequence.
 std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);

@@ -16,6 +16,10 @@
 // stands looks for a better real motion, whatever the sequence that it has: solves go on from there, each from a lower
 // loss.
 //
+// An optimum at which the loss has a kink, as the gap of an event just closes there or two events are at the same time,
+// is proved by no condition of first order. Steps along random directions look for better motions beside it, and solves
+// go on from those.
+//
 // It knows nothing of discs, modes or guards: see phase_plan.h for what it asks of a problem.
 #pragma once
 
@@ -27,6 +31,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/normal_stream.h"
 #include "solve/phases/phase_plan.h"
 
 namespace saltus {
@@ -40,6 +45,9 @@ inline constexpr double kVanished = 1e-3;     // of the horizon: a phase so shor
 inline constexpr double kActive = 1e-6;       // ... or is none, at an optimum
 inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one sequence
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
+inline constexpr int kMostKinks = 5;          // left one after the other
+inline constexpr int kDirections = 4;         // of steps from a kink
+inline constexpr double kLeavesKink = 1e-4;   // relative, by which such a step lowers the loss
 inline constexpr double kGrazes = 1e-4;       // of the scale of speeds, at which an event wants to be none
 
 // The order in which tasks are tried.
@@ -65,6 +73,7 @@ class SequenceUpdate {
          ++attempts) {
       if (HasOptimum() && idle_ >= mending::kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
+      if (tasks_.empty() && mends) LeaveKinkOfBest();
       if (tasks_.empty() && !best_) Restore();
       if (tasks_.empty()) break;
       const Task task = TakeNext();
@@ -98,10 +107,15 @@ class SequenceUpdate {
 
   double Merit(const Trial& trial) const { return run_.MeritOf(trial); }
 
-  // A motion that meets the constraints is better than one that does not, whatever their losses.
+  // A motion along the sequence that the options ask for is better than any other, and of two such motions one that
+  // meets the constraints, whatever their losses.
   void Meet(const Trial& trial) {
-    const bool meets = MeetsConstraints(trial), met = MeetsConstraints(lowest_);
-    if (meets == met ? Merit(trial) < Merit(lowest_) : meets) lowest_ = trial;
+    const auto rank = [&](const Trial& of) { return std::pair(IsAsked(of), MeetsConstraints(of)); };
+    const auto now = rank(trial), before = rank(lowest_);
+    if (now == before ? Merit(trial) < Merit(lowest_) : now > before) lowest_ = trial;
+  }
+  bool IsAsked(const Trial& trial) const {
+    return !run_.given_sequence() || trial.exact.contacts == *run_.given_sequence();
   }
 
   // ------------------------------------------------------------------------------------------------------------ tasks
@@ -325,12 +339,42 @@ class SequenceUpdate {
     const Certificate certificate = run_.Certify(best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
-    const std::vector<Trial> aside = run_.LeaveSaddle(best_->trial, *certificate.curvature);
+    GoOnFrom(run_.StepAside(best_->trial, certificate.curvature->direction));
+  }
+
+  // Whether the best optimum is held where the loss has a kink, and no certificate speaks for it.
+  bool IsAtKink() {
+    const bool kinks = best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty();
+    return kinks && !(run_.HasCertificate() && run_.Certify(best_->trial).IsStationary());
+  }
+
+  // A motion that keeps a gap open by a margin is better with a smaller one, and one whose node is at an event may be
+  // so with the event beside it, but by little.
+  void LeaveKinkOfBest() {
+    if (!HasOptimum() || kinks_ >= mending::kMostKinks || !IsAtKink()) return;
+    ++kinks_;
+    std::vector<Trial> better;
+    NormalStream random(static_cast<std::uint64_t>(kinks_));
+    const double least = Merit(best_->trial) - mending::kLeavesKink * std::abs(Merit(best_->trial));
+    for (int i = 0; i < mending::kDirections; ++i) {
+      std::vector<double> direction(run_.DirectionSize(best_->trial));
+      for (double& entry : direction) entry = random.Next() / std::sqrt(static_cast<double>(direction.size()));
+      for (Trial& aside : run_.StepAside(best_->trial, direction)) {
+        if (MeetsConstraints(aside) && Merit(aside) < least) better.push_back(std::move(aside));
+      }
+    }
+    std::ranges::stable_sort(better, {}, [&](const Trial& aside) { return Merit(aside); });
+    if (better.size() > mending::kDirections) better.resize(mending::kDirections);
+    GoOnFrom(better);
+  }
+
+  // Adds the tasks along the sequences of better motions, best first.
+  void GoOnFrom(const std::vector<Trial>& better) {
     idle_ = 0;
-    for (size_t i = aside.size(); i-- > 0;) {
-      Meet(aside[i]);
-      if (!aside[i].exact.only_impacts) continue;
-      tasks_.push_back(TaskAlong(aside[i].exact.contacts, aside[i]));
+    for (size_t i = better.size(); i-- > 0;) {
+      Meet(better[i]);
+      if (!better[i].exact.only_impacts) continue;
+      tasks_.push_back(TaskAlong(better[i].exact.contacts, better[i]));
       tasks_.back().rank = Rank::kBetterMotion;
     }
   }
@@ -437,8 +481,7 @@ class SequenceUpdate {
   void Certify() {
     if (!run_.HasCertificate()) return;
     Certificate certificate = run_.Certify(best_->trial);
-    const bool kinks = best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty();
-    if (kinks && !certificate.IsStationary()) {
+    if (IsAtKink()) {
       certificate = {};
       certificate.reason =
           run_.KinksOf(best_plan_) + ", where the loss has a kink: the certificate checks conditions of a smooth loss";
@@ -459,8 +502,8 @@ class SequenceUpdate {
   std::vector<PhasePlan> passed_;
   std::optional<PlanAttempt> best_, last_;
   PhasePlan best_plan_, last_plan_;
-  Trial lowest_;  // the best of all motions met
-  int saddles_ = 0;
+  Trial lowest_;                 // the best of all motions met
+  int saddles_ = 0, kinks_ = 0;  // that were left
   bool restored_ = false;
   int idle_ = 0;  // attempts since something better was found
   bool interrupted_ = false;

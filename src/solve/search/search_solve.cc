@@ -23,7 +23,7 @@ constexpr double kShareGain = 1e-7;   // relative: of the loss, for which interv
 void Certify(const Scene& scene, SearchFinding* finding) {
   if (!finding->certificate) finding->certificate = CertifyTrial(scene, finding->trial);
   if (!finding->certificate->IsSaddle()) return;
-  finding->aside = LeaveSaddle(scene, finding->trial, *finding->certificate->curvature);
+  finding->aside = StepAside(scene, finding->trial, finding->certificate->curvature->direction);
   finding->optimal = finding->aside.empty();
 }
 

@@ -318,7 +318,8 @@ class PlainRun {
     certificate.verdict = stationary ? Certificate::Verdict::kStationary : Certificate::Verdict::kNotStationary;
     return certificate;
   }
-  std::vector<Motion> LeaveSaddle(const Motion&, const Curvature&) const { return {}; }
+  size_t DirectionSize(const Motion&) const { return 1; }
+  std::vector<Motion> StepAside(const Motion&, const std::vector<double>&) const { return {}; }
   std::string NameOf(const std::vector<Event>&) const { return ""; }
   std::string NameOf(const Plan&) const { return ""; }
   std::string NamesOf(const std::vector<Plan>&) const { return ""; }

@@ -1,0 +1,76 @@
+"""Optima where solvers meet a kink of the loss, or take a smooth place for one: compared with other solvers and steps."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import saltus
+
+
+def tank(height, target, intervals):
+    """A tank that overflows above h = 1: its flow is continuous, and so is the slope of the loss."""
+    outflow = lambda x, u, p: u[0] - p[0] * np.sqrt(x[0])
+    system = saltus.HybridSystem(
+        states={"low": ["h", "q"], "high": ["h", "q"]}, controls=["u"], parameters=["c"],
+        flow={"low": lambda x, u, p: [outflow(x, u, p), x[0]],
+              "high": lambda x, u, p: [outflow(x, u, p) - 2 * (x[0] - 1), x[0]]},
+        guards={"low": {"up": lambda x: 1 - x[0]}, "high": {"down": lambda x: x[0] - 1}},
+        resets={"low": {"up": lambda x: ("high", x)}, "high": {"down": lambda x: ("low", x)}})
+    return saltus.HybridProblem(system, mode="low", initial=[height, 0], parameters=[0.5], duration=2.0,
+                                control=np.full((intervals, 1), 1.2),
+                                costs=[saltus.terminal(target, weight=[4, 4]), saltus.effort(0.05)])
+
+
+@pytest.mark.parametrize("case", [(0.33, [0.6, 2.8], 7), (0.52, [0.7, 1.9], 12), (0.87, [0.9, 2.1], 8)])
+def test_a_guard_that_just_reaches_zero_is_left_where_the_loss_is_smooth(case):
+    problem = tank(*case)
+    found, other = saltus.solve(problem), saltus.solve(problem, solver="ceres_lm")
+    assert found.termination == other.termination == "converged"
+    # The intervals move with the events in one of them only.
+    assert found.loss < 1.05 * other.loss
+
+
+def test_impacts_at_the_same_time_that_share_nothing_are_left():
+    """Two discs reach a wall at the same time at an optimum of the sequence that the guess has."""
+    bodies = [{"name": "a", "radius": 0.1, "mass": 1.0, "position": [-1.0, -0.3], "velocity": [1.98, 0.5]},
+              {"name": "b", "radius": 0.12, "mass": 0.7, "position": [0, 0.1], "velocity": [0, 0]}]
+    scene = saltus.Scene({
+        "name": "s", "duration": 1.0, "steps": 24, "gravity": [0, 0], "contact": {"restitution": 0.8},
+        "planes": [{"name": "w", "point": [0.8, 0], "normal": [-1, 0]}], "bodies": bodies,
+        "control": {"bodies": ["a"], "initial": [[1.05, 0.3]]}, "optimize": "control",
+        "objective": {"terminal": [{"body": "b", "quantity": "position", "target": [-0.2, 0.6], "weight": 5.0}], "effort": 0.02}})
+    run = saltus.solve(scene, "event", "ceres_phases")
+    assert run.termination == "converged"
+    # The optimum with both impacts at the same time has 1.53; an interior point method finds one with 0.0506.
+    assert run.exact_loss < 0.0507
+
+
+def test_a_free_start_whose_own_cost_is_met_exactly_is_stationary():
+    """x can reach its target, y and v cannot reach both of theirs: the costate of x is zero all along."""
+    system = saltus.HybridSystem(states={"m": ["x", "y", "v"]},
+                                 flow={"m": lambda x: [1 + 0.1 * np.sin(x[0]), x[2], -np.sin(x[1])]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0.3, 0.2, 1.0], duration=2.0, optimize=["x", "y"],
+                                   costs=[saltus.terminal([3.0, 1.0, 2.0])])
+    for solver in ("ceres_phases", "ceres_lm", "ceres_lbfgs"):
+        run = saltus.solve(problem, solver=solver)
+        assert (run.termination, run.certificate.verdict) == ("converged", "stationary"), (solver, run.reason)
+        for step in ([1e-3, 0, 0], [-1e-3, 0, 0], [0, 1e-3, 0], [0, -1e-3, 0]):
+            beside = saltus.HybridProblem(system, mode="m", initial=np.add(run.initial, step), duration=2.0, costs=problem.costs)
+            assert saltus.loss_and_gradient(beside).loss > run.loss
+
+
+@pytest.mark.parametrize("force", [0.0, 5.0, 9.8])
+def test_the_sequence_that_is_asked_for_is_that_of_the_result(force):
+    """A ball that must not touch the ground, from guesses in which it does, and one in which it hovers."""
+    system = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["f"], flow={"flight": lambda x, u: [x[1], u[0] - 9.8]},
+        guards={"flight": {"ground": lambda x: x[0]}}, resets={"flight": {"ground": lambda x: ("flight", [0, -0.7 * x[1]])}})
+    problem = saltus.HybridProblem(system, mode="flight", initial=[1.0, 0], duration=1.0, control=np.full((6, 1), force),
+                                   costs=[saltus.terminal([1, 0]), saltus.effort(0.1)])
+    run = saltus.solve(problem, sequence=[])
+    assert run.termination == "converged" and len(run.events) == 0
+    # Without the ground the problem is linear in the force and the loss a square.
+    free = saltus.HybridSystem(states={"m": ["y", "v"]}, controls=["f"], flow={"m": lambda x, u: [x[1], u[0] - 9.8]})
+    best = saltus.solve(saltus.HybridProblem(free, mode="m", initial=[1.0, 0], duration=1.0, control=np.zeros((6, 1)),
+                                             costs=problem.costs), solver="ceres_lm")
+    assert_allclose(run.loss, best.loss, rtol=1e-7)
