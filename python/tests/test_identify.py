@@ -1,5 +1,6 @@
 """Parameters from recordings: what was put in comes out, as from the program, and what is wrong is refused."""
 
+import math
 import os
 import pathlib
 import signal
@@ -261,3 +262,82 @@ def test_ctrl_c_keeps_what_it_has(scene):
         saltus.identify(scene.replace(steps=30_000), recording, ["restitution", "gravity"], "ncp", starts=1000)
     timer.join()
     assert caught.value.fit["verdict"] == "interrupted"
+
+
+class TestOutliersThatFollowEachOther:
+    """A disc of radius 5 cm that slides at its first impact with the floor and loses its tangential speed at the second.
+
+    Positions are those of free flight between impacts at times in closed form.
+    """
+
+    RESTITUTION, FRICTION, G = 0.8, 0.15, 9.81
+
+    def scene(self, restitution=0.6, friction=0.1):
+        return saltus.Scene({
+            "name": "sliding_bounce",
+            "optimize": "none",
+            "duration": 1.5,
+            "steps": 150,
+            "gravity": [0, -self.G],
+            "contact": {"restitution": restitution, "friction": friction},
+            "planes": [{"name": "floor", "point": [0, 0], "normal": [0, 1]}],
+            "bodies": [{"name": "disc", "radius": 0.05, "mass": 1, "position": [0, 0.8], "velocity": [1.6, 0.3]}],
+            "objective": {"terminal": []},
+        })
+
+    def recording(self, count=80, seed=1, noise=1e-3, sigma=None, friction=FRICTION):
+        time = np.linspace(0.01, 1.49, count)
+        x, height, across, up = 0.02, 0.78, 1.7, 0.2  # height of the lowest point of the disc
+        first = (up + math.sqrt(up**2 + 2 * self.G * height)) / self.G
+        position, begin = np.empty((count, 2)), 0.0
+        for end in (first, first + 2 * self.RESTITUTION * (self.G * first - up) / self.G, math.inf):
+            t = time[(time >= begin) & (time < end)] - begin
+            position[(time >= begin) & (time < end)] = np.stack(
+                [x + across * t, 0.05 + height + up * t - self.G / 2 * t**2], axis=1
+            )
+            if math.isinf(end):
+                break
+            down = self.G * (end - begin) - up
+            x, height, up = x + across * (end - begin), 0.0, self.RESTITUTION * down
+            across = max(0.0, across - friction * (1 + self.RESTITUTION) * down)
+            begin = end
+        position += noise * np.random.default_rng(seed).standard_normal((count, 2))
+        stated = {} if sigma is None else {"sigma": np.full(count, sigma)}
+        return {"time": time, "body": np.zeros(count, int), "position": position, **stated}
+
+    @pytest.mark.parametrize("segment", [0.49, 0.5, 0.51, 0.52])
+    @pytest.mark.parametrize("start", [(0.6, 0.1), (0.8, 0.15)])
+    def test_a_fit_does_not_end_where_friction_has_no_effect(self, segment, start):
+        """Fits of the first samples of each segment bring friction to values at which every impact stops the disc."""
+        fit = saltus.identify(self.scene(*start), self.recording(), "restitution,friction", segment=segment)
+        assert fit.verdict == "fits"
+        assert fit.estimates["restitution"] == pytest.approx(self.RESTITUTION, abs=0.008)
+        assert fit.estimates["friction"] == pytest.approx(self.FRICTION, abs=0.006)
+        assert not fit.outliers
+
+    @pytest.mark.parametrize("sigma, verdict", [(1e-3, "contradicted"), (None, "not judged")])
+    def test_a_wrong_restitution_that_is_held_does_not_fit(self, sigma, verdict):
+        fit = saltus.identify(self.scene(0.6, 0.15), self.recording(sigma=sigma), "friction", segment=0.5)
+        assert fit.verdict == verdict
+        assert "outliers that follow each other" in fit.reason
+        if sigma is not None:
+            assert "let these be unknown too: restitution (0.6)" in fit.reason
+
+    @pytest.mark.parametrize("count", [80, 40, 20])
+    @pytest.mark.parametrize("sigma", [3e-4, 1e-4, 1e-5])
+    def test_a_sigma_that_is_far_too_small_is_contradicted(self, count, sigma):
+        recording = self.recording(count, noise=2e-3, sigma=sigma)
+        fit = saltus.identify(self.scene(), recording, "restitution,friction")
+        assert fit.verdict == "contradicted"
+        assert "check sigma" in fit.reason
+        assert 0.4 < fit.misfit * sigma / 2e-3 < 1.6
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_outliers_at_any_time_still_fit(self, seed):
+        recording = self.recording(seed=seed, sigma=1e-3)
+        random = np.random.default_rng(100 + seed)
+        wrong = random.choice(80, size=5, replace=False)
+        recording["position"][wrong] += random.uniform(-0.1, 0.1, (5, 2))
+        fit = saltus.identify(self.scene(), recording, "restitution,friction")
+        assert fit.verdict == "fits"
+        assert fit.estimates["friction"] == pytest.approx(self.FRICTION, abs=0.006)

@@ -34,6 +34,7 @@ constexpr double kFewestBesideOutliers = 6;  // the same, where it is open too w
 constexpr double kFewestWithoutSigma = 8;    // the same, where an outlier may pass for noise of an estimated sigma
 constexpr double kFewOutliers = 0.12;        // share of samples, of a motion that is found
 constexpr double kMostOutliers = 1.0 / 3;    // that noise and slips of the pen do not make
+constexpr double kTooMany = 0.5;             // from which on the other samples are no better
 constexpr double kMostScatter = 0.1;         // estimated sigma, of the extent of the motion, of a fit that is judged
 constexpr double kMostWaves = 0.01;          // the same, if residuals are systematic
 constexpr double kAsWell = 2;   // squares of the interval's quantile by which a motion explains samples as well
@@ -567,7 +568,8 @@ class Identification {
       if (!best.ok || fit.cost < best.cost) best = std::move(fit);
       // Without a stated sigma, or with many outliers, a fit must be found again, from another start.
       const bool again = same && known && IsClose(best);
-      if (!few && (again || (states_sigma_ && IsFound(best)))) break;
+      const bool enough = again || (states_sigma_ && IsFound(best));
+      if (!few && enough && !FindOutlierRuns(problem_, best).follow_each_other) break;
     }
     report_.sequences = static_cast<int>(sequences.size());
     return best;
@@ -579,6 +581,11 @@ class Identification {
     return states_sigma_ ? misfit < kFits : problem_.sigma * misfit < kMostWaves * ExtentOf(problem_, fit);
   }
   bool IsFound(const FitResult& fit) const { return IsClose(fit) && OutlierShareOf(problem_, fit) < kFewOutliers; }
+
+  // Whether so many of many samples are outliers, by a stated sigma, that this or the model is wrong.
+  bool OutliersAreMost(const FitResult& fit) const {
+    return states_sigma_ && NumbersLeft() >= kFewLeft && OutlierShareOf(problem_, fit) > kTooMany;
+  }
 
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
   // says how much noise they have.
@@ -641,7 +648,9 @@ class Identification {
     fit = EstimateSigma(std::move(fit));
     if (options_.loss != RobustLoss::kNone && NumbersLeft() >= kFewLeft &&
         OutlierShareOf(problem_, fit) >= kFewOutliers) {
-      fit = DropOutliers(std::move(fit));
+      FitResult rest = DropOutliers(fit);
+      problem_.drops_outliers = !OutliersAreMost(rest);
+      if (problem_.drops_outliers) fit = std::move(rest);
     }
     open_ = FindOpenUnknowns(problem_, fit, options_.loss_scale);
     too_few_ = WhyTooFew(fit);  // before unknowns are held, which then take no number of the samples
@@ -664,7 +673,7 @@ class Identification {
   // Returns the reason why the samples are too few to determine the error of a fit; empty if they are not.
   std::string WhyTooFew(const FitResult& fit) const {
     const int left = NumbersLeft();
-    if (!HasResiduals() || left >= kManyLeft) return "";
+    if (!HasResiduals() || left >= kManyLeft || OutliersAreMost(fit)) return "";
     const Confidence confidence = ConfidenceOf(problem_, fit, options_.loss_scale);
     const std::string state = states_sigma_ ? "" : "state sigma, ";
     const std::string remedy = "; " + state + "take more samples, or let fewer parameters be unknown";
@@ -729,10 +738,10 @@ class Identification {
       report_.verdict = FitVerdict::kNotDetermined;
       report_.reason = HasResiduals() ? "the samples do not determine any unknown"
                                       : "the samples have no more numbers than there are unknowns";
-    } else if (outliers >= kFewOutliers && CountOutlierRuns(problem_, fit).Systematic()) {
+    } else if (FindOutlierRuns(problem_, fit).follow_each_other) {
       report_.verdict = FitVerdict::kNotJudged;
       report_.reason =
-          FormatNumbers("%.0f %% of the samples are outliers that follow each other, which slips do not do: ",
+          FormatNumbers("%.3g %% of the samples are outliers that follow each other, which slips do not do: ",
                         100 * outliers) +
           "the model may be wrong there; fit the recordings one by one, or leave these samples out if they are wrong";
     } else if (outliers >= kMostOutliers) {
@@ -767,13 +776,16 @@ class Identification {
                           report_.misfit));
       }
       // Errors of the model are systematic, those of single samples come at any time.
-      const bool scatters = report_.misfit > kContradicts && !confidence_.is_noise;
-      const bool strays =
-          OutlierShareOf(problem_, fit) >= kMostOutliers && CountOutlierRuns(problem_, fit).Systematic();
+      const double share = OutlierShareOf(problem_, fit);
+      const OutlierRuns runs = FindOutlierRuns(problem_, fit);
+      const bool scatters = report_.misfit > kContradicts && (!confidence_.is_noise || OutliersAreMost(fit));
+      const bool strays = runs.follow_each_other && (runs.are_one_sided || share >= kMostOutliers);
       if (!scatters && !strays) return "";
-      return FormatNumbers("samples miss the motion by %.3g times their sigma, %.0f %% are outliers",
+      return FormatNumbers("samples miss the motion by %.3g times their sigma, %.3g %% are outliers",
                            report_.misfit,
-                           100 * OutlierShareOf(problem_, fit));
+                           100 * share) +
+             (strays ? " that follow each other" : "") + "; check sigma, and the sizes, walls and forces of the scene" +
+             HeldParameters();
     }
     const double extent = ExtentOf(problem_, fit), share = problem_.sigma / extent;
     const Runs runs = CountRuns(problem_, fit);

@@ -169,6 +169,23 @@ Eigen::MatrixXd CovarianceOf(const FitProblem& problem, const FitResult& fit, co
   return covariance;
 }
 
+// The probability of outliers that follow each other by chance: that of kSystematic standard deviations.
+constexpr double kByChance = 1.35e-3;
+// The outliers in a row from which on their common sign counts.
+constexpr std::size_t kLongRun = 3;
+
+double LogBinomial(int n, int k) { return std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0); }
+
+// Returns the probability that `some` of `all` samples, in random order, form at most so many runs (Stevens 1939).
+double ProbabilityOfRuns(int some, int all, int most) {
+  double probability = 0;
+  for (int runs = 1; runs <= std::min({most, some, all - some + 1}); ++runs) {
+    probability +=
+        std::exp(LogBinomial(some - 1, runs - 1) + LogBinomial(all - some + 1, runs) - LogBinomial(all, some));
+  }
+  return probability;
+}
+
 // Counts runs of the same answer.
 struct RunCounter {
   int yes = 0, no = 0, runs = 0;
@@ -258,12 +275,36 @@ Runs CountRuns(const FitProblem& problem, const FitResult& fit) {
   return SumOf(all);
 }
 
-Runs CountOutlierRuns(const FitProblem& problem, const FitResult& fit) {
-  std::map<int, RunCounter> all;  // by disc
+OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit) {
+  std::map<int, std::vector<Vec2d>> residuals;  // by disc; zero of samples that are no outliers
   ForEachSample(problem, fit, [&](int, int, const Sample& sample, const Eigen::VectorXd& residual) {
-    all[sample.body].Add(residual.norm() > problem.options->outlier);
+    const bool is_outlier = residual.norm() > problem.options->outlier;
+    residuals[sample.body].push_back(is_outlier ? Vec2d(residual.head<2>()) : Vec2d::Zero());
   });
-  return SumOf(all);
+  std::size_t samples = 0, outliers = 0, runs = 0, one_sided = 0;
+  for (const auto& [body, of_body] : residuals) {
+    samples += of_body.size();
+    for (std::size_t i = 0; i < of_body.size();) {
+      std::size_t end = i;
+      bool above[2] = {true, true}, below[2] = {true, true};
+      for (; end < of_body.size() && !of_body[end].isZero(0); ++end) {
+        for (int j = 0; j < 2; ++j) {
+          above[j] &= of_body[end][j] > 0;
+          below[j] &= of_body[end][j] < 0;
+        }
+      }
+      const std::size_t length = end - i;
+      i = end + 1;
+      if (length == 0) continue;
+      ++runs;
+      outliers += length;
+      if (length >= kLongRun && (above[0] || below[0] || above[1] || below[1])) one_sided += length;
+    }
+  }
+  if (outliers == 0) return {};
+  const double chance =
+      ProbabilityOfRuns(static_cast<int>(outliers), static_cast<int>(samples), static_cast<int>(runs));
+  return {chance<kByChance, 2 * one_sided> outliers};
 }
 
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {

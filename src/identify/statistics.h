@@ -42,8 +42,13 @@ struct Runs {
 // Runs of residuals of one sign, by disc and coordinate, without outliers: of all, or of one of these that is
 // systematic.
 Runs CountRuns(const FitProblem& problem, const FitResult& fit);
-// Runs of outliers and of other samples, by disc, through all recordings.
-Runs CountOutlierRuns(const FitProblem& problem, const FitResult& fit);
+
+// How outliers lie in time, disc by disc through all recordings.
+struct OutlierRuns {
+  bool follow_each_other = false;  // in fewer runs than random outliers form with a probability of 0.13 %
+  bool are_one_sided = false;      // most are in runs of three or more with one sign of a coordinate of the residual
+};
+OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit);
 
 // Which unknowns the data leave open at the minimum: from the information on them, initial states and parameters of a
 // law eliminated, in units of a change that matters. The latter, which have a prior, are never open.
