@@ -138,6 +138,12 @@ py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds
     remarks.append("ended after " + std::to_string(bound.boxes) +
                    " boxes, before the gap was reached; raise boxes or seconds (0 is no limit)");
   }
+  const bool complete = bound.gap() <= gap;
+  if (!bound.interrupted && !complete) {
+    remarks.append("no part that is left can be divided further: " + ToText(bound.lower) +
+                   " is the bound for forces of any shape in time, and a gap of " + ToText(bound.gap(), 2) +
+                   " remains; give the loss of a control on more steps");
+  }
   // A known motion is in one of the parts that are left.
   if (!bound.interrupted && bound.left.empty()) {
     remarks.append("no control has the given loss: all are above it; give the loss of a motion");
@@ -152,7 +158,7 @@ py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds
   result["lower_bound"] = bound.lower;
   result["gap"] = bound.gap();
   result["boxes"] = bound.boxes;
-  result["complete"] = !bound.interrupted;
+  result["complete"] = complete;
   result["remarks"] = remarks;
   result["left"] = BoundsToPython(scene, bound.left);
   result["excluded"] = BoundsToPython(scene, bound.excluded);

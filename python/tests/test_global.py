@@ -61,3 +61,45 @@ def test_what_is_not_supported_is_refused():
     scene["contact"]["friction"] = 0.1
     with pytest.raises(ValueError, match="friction"):
         saltus.bound_globally(scene, 1.0)
+
+
+class TestMotionWithoutImpacts:
+    """A disc whose best control keeps it from the wall: the least loss over forces of any shape has a closed form."""
+
+    MASS, WEIGHT, EFFORT, DURATION = 0.6, 2.0, 0.09, 1.0
+    START, SPEED, TARGET = (-1.5, 0.1), (1.1, 0.0), (-0.9, -0.45)
+
+    def scene(self, steps):
+        return {
+            "name": "short_way", "duration": self.DURATION, "steps": steps, "contact": {"restitution": 0.87},
+            "bodies": [{"name": "disc", "radius": 0.2, "mass": self.MASS, "position": self.START, "velocity": self.SPEED}],
+            "planes": [{"name": "wall", "point": [1.0, 0], "normal": [-1.0, 0.0]}],
+            "control": {"bodies": ["disc"], "initial": [[-0.4, 0.0]]}, "optimize": "control",
+            "objective": {
+                "terminal": [{"body": "disc", "quantity": "position", "target": self.TARGET, "weight": self.WEIGHT}],
+                "effort": self.EFFORT,
+            },
+        }
+
+    def least(self):
+        """The way d costs r |d|^2 / G, G = T^3 / (3 m^2), by the force that falls linearly to 0."""
+        miss = sum((self.TARGET[i] - self.START[i] - self.DURATION * self.SPEED[i]) ** 2 for i in range(2))
+        G = self.DURATION**3 / (3 * self.MASS**2)
+        return miss * self.WEIGHT * self.EFFORT / (self.WEIGHT * G + self.EFFORT)
+
+    def test_verdict_termination_and_gap_agree(self):
+        run = saltus.solve(self.scene(7), "event", "global")
+        assert run.termination == "converged" and run.certificate["verdict"] == "global"
+        assert run.final_loss == pytest.approx(self.least(), rel=1e-6)
+        assert 0 <= run.searched["gap"] <= 1e-6 * run.final_loss
+        assert run.searched["lower_bound"] == pytest.approx(run.final_loss - run.searched["gap"], rel=1e-12)
+
+    def test_a_gap_that_no_box_closes_is_remarked(self):
+        coarse = saltus.solve(self.scene(7), "event", "mode_search").exact_loss
+        assert coarse > 1.001 * self.least()
+        proof = saltus.bound_globally(self.scene(7), coarse)
+        assert proof["lower_bound"] == pytest.approx(self.least(), rel=1e-6)
+        assert proof["gap"] > 1e-6 and not proof["complete"]
+        (remark,) = proof["remarks"]
+        assert "give the loss of a control on more steps" in remark
+        assert saltus.bound_globally(self.scene(7), coarse, gap=0.01)["complete"]

@@ -18,7 +18,8 @@ constexpr double kWorkOfBox = 50;      // as SearchOptions::work
 constexpr int kFineSteps = 4800;       // on which the best control is all but that of any number of intervals
 constexpr double kRelativeGap = 1e-6;  // of the loss
 
-// Solves along the sequence of the solution on more intervals, and takes the result if it is better.
+// Solves along the sequence of the solution on more intervals, and takes the result if it is better, with a bound for
+// controls on as many intervals.
 void Refine(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
   if (request.scene.steps >= kFineSteps || !WhyNotEventPhases(request).empty()) return;
   const ExactRun run =
@@ -30,7 +31,8 @@ void Refine(const SolveRequest& request, const SolverOptions& options, SolveRepo
   along.sequence = run.contacts;
   along.callback = nullptr;
   along.guess = ControlGuess{report->control, report->durations};
-  SolveReport finer = SolveByCeresEvent(fine, along);
+  // Without an impact there are no phases between impacts.
+  SolveReport finer = run.contacts.empty() ? SolveByModeSearch(fine, along) : SolveByCeresEvent(fine, along);
   if (finer.control.empty() || !(finer.final_loss < report->final_loss)) return;
   const ExactRun exact =
       SimulateExactly(request.scene, finer.initial_state, finer.control, finer.durations, options.stop);
@@ -42,6 +44,7 @@ void Refine(const SolveRequest& request, const SolverOptions& options, SolveRepo
   report->control = std::move(finer.control);
   report->durations = std::move(finer.durations);
   report->certificate = std::move(finer.certificate);
+  if (report->searched) report->searched->lower_bound = finer.searched ? finer.searched->lower_bound : 0;
 }
 
 std::string Digits(double number, int digits) {
@@ -67,12 +70,17 @@ std::string Describe(const SolveRequest& request, const std::vector<SequenceBoun
 }
 
 // The bound, the gap, and which sequences of impacts are excluded or left.
-std::string Describe(const SolveRequest& request, const GlobalBound& bound) {
+std::string Describe(const SolveRequest& request, const GlobalBound& bound, double gap) {
   const auto in_si = [&](double loss) { return ConvertLoss(loss, request.scene.units, Units()); };
   std::string text = "no control has a loss below " + Digits(in_si(bound.lower), 12) + ", a gap of " +
                      Digits(in_si(bound.upper) - in_si(bound.lower), 2) + " after " + std::to_string(bound.boxes) +
                      " boxes";
   if (!bound.excluded.empty()) text += "; excluded: " + Describe(request, bound.excluded);
+  if (bound.gap() > gap && !bound.interrupted) {
+    text +=
+        "; this is the bound for forces of any shape, which more work does not raise: a control on more steps may "
+        "have a smaller loss; raise steps";
+  }
   if (bound.interrupted) {
     text += "; left: " + Describe(request, bound.left) + "; allow more with search_work or search_seconds";
   }
@@ -103,23 +111,31 @@ SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& opti
       .memory = limits.memory,
       .stop = options.stop};
   if (options.status) {
-    global.progress = [&](const GlobalBound& bound) { options.status(Describe(request, bound)); };
+    global.progress = [&](const GlobalBound& bound) { options.status(Describe(request, bound, bound.gap())); };
   }
   const GlobalBound bound = BoundGlobally(request.scene, report.final_loss, global);
+  double lower = bound.lower;
   if (report.searched) {
-    report.searched->lower_bound = std::max(report.searched->lower_bound, bound.lower);
-    report.searched->proof = {.gap = report.final_loss - report.searched->lower_bound, .boxes = bound.boxes};
+    lower = std::max(report.searched->lower_bound, lower);
+    report.searched->lower_bound = lower;
+    report.searched->proof = {.gap = report.final_loss - lower, .boxes = bound.boxes};
   }
   if (!report.certificate) {
     report.certificate = Certify(request.scene, report.initial_state, report.control, report.durations, options.stop);
   }
-  const std::string proved = Describe(request, bound);
-  if (bound.gap() <= global.gap) {
+  std::string proved = Describe(request, bound, global.gap);
+  if (lower > bound.lower) {
+    const double in_si = ConvertLoss(lower, request.scene.units, Units());
+    proved = "no control on as many intervals has a loss below " + Digits(in_si, 12) + "; " + proved;
+  }
+  if (report.final_loss - lower <= global.gap) {
     report.termination = Termination::kConverged;
     report.certificate->verdict = Certificate::Verdict::kGlobal;
     report.certificate->reason = proved;
   } else {
-    report.termination = options.stop && options.stop() ? Termination::kInterrupted : Termination::kIterationLimit;
+    report.termination = options.stop && options.stop() ? Termination::kInterrupted
+                         : bound.interrupted            ? Termination::kIterationLimit
+                                                        : Termination::kNoProgress;
     report.reason = proved;
   }
   return report;
