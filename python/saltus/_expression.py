@@ -390,9 +390,16 @@ def _interp(x: Any, xp: Any, fp: Any, *arguments: Any, **keywords: Any) -> Any:
     if not any(isinstance(entry, Expression) for entry in (*symbols.flat, *points.flat, *values.flat)):
         return np.interp(x, xp, fp, *arguments, **keywords)
     if arguments or keywords:
-        raise TypeError("numpy.interp is recorded with x, xp and fp alone")
+        raise TypeError(
+            "numpy.interp is recorded with x, xp and fp alone. For left and right, write "
+            "saltus.where(x < xp[0], left, saltus.where(x > xp[-1], right, np.interp(x, xp, fp))); for a period, let xp cover it and pass "
+            "x % period"
+        )
     if points.dtype == object or points.ndim != 1 or points.shape != values.shape or len(points) == 0 or not np.all(np.diff(points) > 0):
         raise ValueError("numpy.interp: expected xp with increasing numbers, and as many values fp")
+    for name, numbers in (("xp", points), ("fp", values)):
+        if not all(isinstance(entry, Expression) or math.isfinite(entry) for entry in numbers.flat):
+            raise ValueError(f"numpy.interp: found {name} with a number that is not finite, expected finite numbers")
     last = len(points) - 1
 
     def at(v: Any) -> Any:

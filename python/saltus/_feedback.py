@@ -12,7 +12,7 @@ from ._hybrid import HybridProblem, HybridRun, HybridSystem
 from ._own import as_contact
 from ._results import Result, Run
 from ._scene import SceneLike, as_scene, of_run
-from ._types import Floats, Remade, expect
+from ._types import Floats, Remade, expect, expect_int
 
 
 class Regulator(Result):
@@ -176,7 +176,10 @@ def noisy_runs(
     Covariance matrices, ``regulator``, ``plan`` and ``durations`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
     0 is one for each core; results do not depend on it.
     """
-    expect("a whole number", samples=samples, seed=seed, threads=threads)
+    expect_int(samples=samples, threads=threads)
+    expect("a whole number", seed=seed)
+    if not 0 <= seed < 2**64:
+        raise ValueError(f"seed: found {seed}, expected a whole number from 0 to {2**64 - 1}")
     matrices = [_matrix(value) for value in (initial, control, process, measurement)]
     mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
         matrices, _gains(regulator), samples, seed, threads

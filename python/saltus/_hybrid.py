@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from . import _saltus
 from ._expression import Condition, Tape, _as_array, call, outputs
 from ._results import KINDS, Result, WrongGradient, on_intervals
-from ._types import Closed, _is_number, asked_for, expect, parameters_of
+from ._types import Closed, _is_number, asked_for, expect, expect_int, parameters_of
 
 # The arguments of terms, in the order of the blocks of C++; there x0 is "i", and xT is "x".
 _READS = "xiupth"
@@ -507,14 +507,40 @@ def maximise(function: Callable[..., Any], **options: Any) -> Cost:
     return cost(negative, **options)
 
 
-def _components(values: Any) -> Any:
-    """Numbers of components, NaN for those that are left out."""
+def _refuse_bools(name: str, values: Any) -> None:
+    """Raises TypeError if numbers have a bool among them, which numpy takes for 0 or 1."""
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "bO":
+        return
+    if any(isinstance(value, (bool, np.bool_)) for value in np.ravel(np.asarray(values, dtype=object))):
+        raise TypeError(f"{name}: found bool, expected real numbers")
+
+
+def _listed_costs(costs: Any) -> list[Any]:
+    """The costs of a problem as a list. Raises TypeError."""
+    expected = "expected a list of saltus.terminal, saltus.effort, ... and functions"
+    if isinstance(costs, (str, Mapping)) or not isinstance(costs, Iterable):
+        raise TypeError(f"costs: found {type(costs).__name__}, {expected}")
+    listed = list(costs)
+    for i, one in enumerate(listed):
+        if not isinstance(one, Cost) and not callable(one):
+            raise TypeError(f"costs[{i}]: found {one!r}, {expected}")
+    return listed
+
+
+def _components(name: str, values: Any) -> Any:
+    """Numbers of components, NaN for those that are left out. Raises TypeError for what is no number."""
     listed = np.ravel(np.asarray(values, dtype=object))
+    for value in listed:
+        if value is not None and not _is_number(value):
+            raise TypeError(f"{name}: found {value!r}, expected numbers, and None for a component that is left out")
     return np.array([np.nan if value is None else value for value in listed], dtype=float)
 
 
 def _spread(name: str, given: ArrayLike, shape: tuple[int, ...], allowed: Mapping[tuple[int, ...], str]) -> Any:
     """Returns a number, or an array of one of the allowed shapes, as an array of `shape`. Raises ValueError."""
+    for value in np.ravel(np.asarray(given, dtype=object)):
+        if not _is_number(value):
+            raise TypeError(f"{name}: found {value!r}, expected numbers")
     array = np.asarray(given, dtype=float)
     if array.ndim and array.shape not in allowed:
         raise ValueError(f"{name}: found shape {array.shape}, expected one number, or {' or '.join(allowed.values())}")
@@ -541,7 +567,7 @@ def terminal(
         if target is not None or hard or np.ndim(weight) > 0 or weight != 1:
             raise ValueError("min and max: found them beside a target, hard or a weight, expected a region alone")
         return _region(min, max, mode)
-    targets = _components(target)
+    targets = _components("target", target)
     if hard and np.any(np.asarray(weight) != 1):
         raise ValueError("weight: found one of a hard target, expected none")
     weights = _spread("weight", weight, targets.shape, {targets.shape: f"{len(targets)}, one for each component of the target"})
@@ -562,9 +588,9 @@ def terminal(
 
 def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
     """The inequalities of a goal region."""
-    size = len(_components(greatest if least is None else least))
-    low = np.full(size, np.nan) if least is None else _components(least)
-    high = np.full(size, np.nan) if greatest is None else _components(greatest)
+    size = len(_components("max", greatest) if least is None else _components("min", least))
+    low = np.full(size, np.nan) if least is None else _components("min", least)
+    high = np.full(size, np.nan) if greatest is None else _components("max", greatest)
     for name, given, bounds in (("min", least, low), ("max", greatest, high)):
         if given is not None and any(value is not None and np.isnan(value) for value in np.ravel(np.asarray(given, dtype=object))):
             raise ValueError(f"{name}: found NaN, expected numbers, and None where there is no bound")
@@ -715,8 +741,10 @@ class HybridProblem(Closed):
     _arrays = ("initial", "parameters", "control", "durations")
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # The caller may write into its array later.
-        super().__setattr__(name, copy.deepcopy(value) if name in self._arrays else value)
+        if name in self._arrays:
+            _refuse_bools(name, value)
+            value = copy.deepcopy(value)  # the caller may write into its array later
+        super().__setattr__(name, _listed_costs(value) if name == "costs" else value)
 
     def __init__(
         self,
@@ -747,15 +775,13 @@ class HybridProblem(Closed):
             if durations is None:
                 raise TypeError("duration: found none and no durations, expected one of them")
             duration = float(np.sum(np.asarray(durations, dtype=float)))
-        expect("a number", duration=duration, tolerance=tolerance)
-        expect("a whole number", steps_per_interval=steps_per_interval, most_events=most_events,
-               most_repeats=most_repeats)
+        expect("a number", duration=duration)
         self.system, self.mode, self.duration = system, mode, duration
         self.durations: Any = durations
         self.initial: Any = initial
         self.parameters: Any = parameters
         self.control: Any = control
-        self.costs: list[Any] = list(costs)
+        self.costs = costs
         self.optimize, self.bounds = optimize, {} if bounds is None else bounds
         self.tolerance, self.steps_per_interval = tolerance, steps_per_interval
         self.wait_behind_guards = wait_behind_guards
@@ -764,6 +790,7 @@ class HybridProblem(Closed):
         self._call("check")
         _check_bounds(self.bounds, {*system.controls, *system._states_of(mode), *system.parameters, "control", "duration"})
         self.bounds = dict(self.bounds)
+        self._free(self.optimize)
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Calls a method of what evaluates it, which is kept as long as only the guess changes."""
@@ -771,6 +798,9 @@ class HybridProblem(Closed):
         expect("a number", duration=self.duration)
         guess = (number, self.initial, self.parameters, float(self.duration),
                  *self._intervals())
+        expect("a number", tolerance=self.tolerance)
+        expect_int(steps_per_interval=self.steps_per_interval, most_events=self.most_events, most_repeats=self.most_repeats)
+        expect("True or False", wait_behind_guards=self.wait_behind_guards)
         limits = (self.tolerance, self.steps_per_interval, self.wait_behind_guards, self.most_events, self.most_repeats)
         nodes = tuple(self._nodes_of(cost) for cost in self.costs if isinstance(cost, Cost) and cost._times)
         rest = (self.system, tuple(self.costs), nodes, *limits)
@@ -1012,7 +1042,7 @@ class HybridGradient(Result):
 
 
 class HybridRun(_Paged):
-    """What a solver found: ``loss``, ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
+    """What a solver found: ``loss``, None without a solution, which a run that failed does not have; ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
     ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
     ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of a run that converged, and of solvers that certify
     all they find, otherwise None."""
@@ -1128,7 +1158,7 @@ class HybridBatch(Closed):
     def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0):
         if not isinstance(problem, HybridProblem):
             raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
-        expect("a whole number", threads=threads)
+        expect_int(threads=threads)
         self.problem, self.threads = copy.copy(problem), threads
         self.optimize = problem.optimize if optimize is None else optimize
         control, initial, parameters, duration = problem._free(self.optimize)
@@ -1257,7 +1287,7 @@ def solve(
         along
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
-            "remarks": found.get("remarks", [])}
+            "remarks": found.get("remarks", []), "loss": None}
     if "solution" in found:
         solution, motion = found["solution"], found["motion"]
         control = np.array(solution["control"], dtype=float)
@@ -1311,7 +1341,7 @@ _BUDGET = 2e4
 def audit(
     problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str
 ) -> HybridAudit:
-    expect("a whole number", steps=steps)
+    expect_int(steps=steps)
     if simulate is not None and (step is not None or not isinstance(simulate, str)):
         raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
     if simulate is None and not callable(step):

@@ -8,7 +8,7 @@ from typing import Any, Callable, Mapping, Sequence, Union
 from . import _saltus
 from ._results import Fit
 from ._scene import SceneLike, as_scene
-from ._types import expect
+from ._types import expect, expect_int
 
 Recording = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 
@@ -73,7 +73,7 @@ def identify(
         ValueError: a recording, a name or an option is wrong, or the model does not support the scene.
     """
     expect("text", law=law, events=events, loss=loss)
-    expect("a whole number", starts=starts, threads=threads)
+    expect_int(starts=starts, threads=threads)
     expect("a number", loss_scale=loss_scale, segment=segment)
     expect("True or False", known_start=known_start)
     expect("a callable", status=status)

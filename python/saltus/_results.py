@@ -315,8 +315,14 @@ KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradien
 
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
-    with open(path, encoding="utf-8") as file:
-        data = json.load(file)
+    with open(path, "rb") as file:
+        content = file.read()
+    if content.startswith(b"PK"):
+        raise ValueError(f"{os.fspath(path)}: found an NPZ archive, such as programs write; read it with numpy.load")
+    try:
+        data = json.loads(content)
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)}: expected a result that saltus has saved, in JSON: {error}") from error
     if not isinstance(data, dict) or "saltus" not in data:
         raise ValueError(f"{os.fspath(path)}: expected a result that saltus has saved")
     kind = KINDS.get(data.pop("saltus"), Result)

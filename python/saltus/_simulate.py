@@ -13,7 +13,7 @@ from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
-from ._types import Closed, Floats, Remade, expect
+from ._types import Closed, Floats, Remade, expect, expect_int
 
 
 class Simulation(Closed, Remade, _saltus.Simulation):
@@ -92,7 +92,7 @@ class Batch(Closed, Remade, _saltus.Batch):
 
     def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
         expect("text", precision=precision)
-        expect("a whole number", threads=threads)
+        expect_int(threads=threads)
         self._arguments = {"scene": as_scene(scene), "contact": contact, "precision": precision, "threads": threads}
         # Python's exceptions come out of the thread that called.
         super().__init__(

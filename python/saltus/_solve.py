@@ -9,7 +9,7 @@ from ._hybrid import HybridProblem, HybridRun
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene, of_run
-from ._types import expect
+from ._types import expect, expect_int
 
 
 def contact_models() -> dict[str, str]:
@@ -93,7 +93,7 @@ def solve(
     if solver is None:
         solver = "auto" if learning_rate is None and not rate_per_time else "gd"
     expect("text", solver=solver, precision=precision)
-    expect("a whole number", iterations=iterations, threads=threads)
+    expect_int(iterations=iterations, threads=threads)
     expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
     expect("a callable", callback=callback, status=status)
@@ -255,7 +255,7 @@ def audit(
     elif gradient or vjp or jacobian or step:
         raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
     expect("text", precision=precision, name=name)
-    expect("a whole number", threads=threads)
+    expect_int(threads=threads)
     expect("a number", audit_seconds=audit_seconds)
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")

@@ -14,13 +14,15 @@ import numpy as np
 
 from . import _saltus
 from ._scene import Scene, SceneLike, as_scene
-from ._types import expect
+from ._types import expect_int
 
 _LAST = ("reason", "status")  # columns that every table has
 Grid = Union[str, Mapping[Any, Sequence[Any]]]
 
 
 def _text(value: Any) -> str:
+    if not isinstance(value, str) and (isinstance(value, (bool, np.bool_)) or not isinstance(value, (numbers.Real, np.ndarray))):
+        raise TypeError(f"grid: found {value!r}, expected numbers or text as the values of an option of a scene")
     return value if isinstance(value, str) else repr(float(value))
 
 
@@ -186,7 +188,7 @@ def sweep(
         ValueError: an argument or an option is wrong.
         TypeError: the function does not take the options of the grid.
     """
-    expect("a whole number", threads=threads)
+    expect_int(threads=threads)
     if threads < 0:
         raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
     study = None

@@ -44,6 +44,14 @@ def expect(kind: str, **options: Any) -> None:
             raise TypeError(f"{name}: found {type(value).__name__}, expected {kind}")
 
 
+def expect_int(**options: Any) -> None:
+    """Raises TypeError for an option that is no whole number, and ValueError for one beyond the range of int."""
+    expect("a whole number", **options)
+    for name, value in options.items():
+        if not -(2**31) <= value < 2**31:
+            raise ValueError(f"{name}: found {value}, expected a whole number with a magnitude below {2**31}")
+
+
 def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
 

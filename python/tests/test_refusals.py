@@ -254,3 +254,104 @@ def test_a_gradient_that_overflows_names_the_steps():
         saltus.loss_and_gradient(scene, contact="event")
     with pytest.raises(RuntimeError, match=message):
         saltus.Simulation(scene, "event").loss_and_gradient()
+
+
+def drop(**changes):
+    """A ball that falls on the floor, with a force."""
+    system = saltus.HybridSystem(
+        states={"fly": ["height", "speed"]},
+        controls=["force"],
+        parameters=["gravity"],
+        flow={"fly": changes.pop("flow", lambda x, u, p: [x[1], u[0] - p[0]])},
+        guards={"fly": {"hit": lambda x: x[0]}},
+        resets={"fly": {"hit": lambda x: ("fly", [0 * x[0], -0.5 * x[1]])}},
+    )
+    given = dict(mode="fly", initial=[1.0, 0.0], parameters=[9.81], duration=1.0, control=np.zeros((4, 1)),
+                 costs=[saltus.terminal([0.5, 0])])
+    return saltus.HybridProblem(system, **{**given, **changes})
+
+
+class TestHybridProblems:
+    @pytest.mark.parametrize(
+        "wrong, error, words",
+        [
+            ({"costs": None}, TypeError, r"^costs: found NoneType, expected a list"),
+            ({"costs": "effort"}, TypeError, r"^costs: found str, expected a list"),
+            ({"costs": saltus.effort()}, TypeError, r"^costs: found Cost, expected a list"),
+            ({"costs": [saltus.effort(), 3]}, TypeError, r"^costs\[1\]: found 3, expected a list"),
+            ({"steps_per_interval": 10**12}, ValueError, r"^steps_per_interval: found 1000000000000, expected"),
+            ({"most_events": 2**31}, ValueError, r"^most_events: found 2147483648, expected"),
+            ({"most_repeats": -(10**12)}, ValueError, r"^most_repeats: found -1000000000000, expected"),
+            ({"wait_behind_guards": "yes"}, TypeError, r"^wait_behind_guards: found str, expected True or False"),
+            ({"optimize": "contrl"}, ValueError, r"^optimize: found 'contrl', expected some of control, "),
+            ({"optimize": None}, TypeError, r"^optimize: found None"),
+            ({"initial": [True, 0]}, TypeError, r"^initial: found bool, expected real numbers"),
+            ({"parameters": (True,)}, TypeError, r"^parameters: found bool, expected real numbers"),
+        ],
+    )
+    def test_arguments_are_refused_at_once(self, wrong, error, words):
+        with refused(error, words):
+            drop(**wrong)
+
+    @pytest.mark.parametrize("attribute, value", [("costs", None), ("wait_behind_guards", 1), ("most_events", 2**31)])
+    def test_attributes_that_are_set_later(self, attribute, value):
+        problem = drop()
+        with refused((TypeError, ValueError), f"^{attribute}: found"):
+            setattr(problem, attribute, value)
+            saltus.rollout(problem)
+
+    @pytest.mark.parametrize("target", ["ab", ["a", "b"], [True, 0], {"height": 1}, [1j, 0]])
+    def test_targets_that_are_no_numbers(self, target):
+        with refused(TypeError, "^target: found", "expected numbers, and None"):
+            saltus.terminal(target)
+        with refused(TypeError, "^max: found", "expected numbers, and None"):
+            saltus.terminal(max=target)
+        with refused(TypeError, "^weight: found", "expected numbers"):
+            saltus.terminal([1, 2], weight=target)
+
+    @pytest.mark.parametrize(
+        "table, words",
+        [
+            (lambda x: np.interp(x, [0, 1], [1, 2], left=0), r"for left and right, write saltus\.where\(x < xp\[0\], left"),
+            (lambda x: np.interp(x, [0, 1], [1, np.nan]), "found fp with a number that is not finite"),
+            (lambda x: np.interp(x, [0, np.inf], [1, 2]), "found xp with a number that is not finite"),
+        ],
+    )
+    def test_tables(self, table, words):
+        with refused((TypeError, ValueError), "(?i)flow of mode 'fly': numpy.interp", words):
+            drop(flow=lambda x, u, p: [x[1], u[0] - table(x[0])])
+
+    def test_a_table_with_values_on_either_side(self):
+        """The remedy of the message: a constant acceleration of -3 above the table."""
+
+        def pull(x):
+            xp = [0.0, 0.1]
+            return saltus.where(x < xp[0], 0.0, saltus.where(x > xp[-1], 3.0, np.interp(x, xp, [0.0, 1.0])))
+
+        motion = saltus.rollout(drop(flow=lambda x, u, p: [x[1], u[0] - pull(x[0])], duration=0.5))
+        np.testing.assert_allclose(motion.final, [1 - 1.5 * 0.25, -1.5], rtol=1e-9)
+
+    def test_a_run_that_failed_has_no_loss(self):
+        run = saltus.solve(drop(initial=[-1.0, 0.0]))
+        assert run.termination == "failed" and run.loss is None
+        assert run["loss"] is None and "loss" in run.to_dict()
+
+
+@pytest.mark.parametrize("values", [{"steps": [True]}, {"restitution": [0.5, np.True_]}, {("steps", "restitution"): [(True, 0.5)]},
+                                    {"steps": [None]}])
+def test_values_of_a_sweep_that_are_no_numbers(two_balls, values):
+    with refused(TypeError, "^grid: found (np.)?(True|None)", "expected numbers or text"):
+        saltus.sweep(two_balls, values)
+
+
+def test_files_that_are_no_results(tmp_path):
+    path = tmp_path / "solution.npz"
+    np.savez(path, control=np.zeros(3))
+    with refused(ValueError, r"solution\.npz: found an NPZ archive", "read it with numpy.load"):
+        saltus.load_result(path)
+    path.write_text("{")
+    with refused(ValueError, r"solution\.npz: expected a result that saltus has saved"):
+        saltus.load_result(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with refused(ValueError, r"solution\.npz: expected a result that saltus has saved"):
+        saltus.load_result(path)
