@@ -132,9 +132,13 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
   if (samples < 1) throw py::value_error("samples: expected a number of at least 1");
   const int used = ReadThreads(threads);
   MonteCarlo runs;
-  Computation().RunOrThrow([&] {
-    runs = RunMonteCarlo(
-        planned.plan, gains, noise, planned.make_plant, {.samples = samples, .seed = seed, .threads = used});
+  Computation computation;
+  computation.RunOrThrow([&] {
+    runs = RunMonteCarlo(planned.plan,
+                         gains,
+                         noise,
+                         planned.make_plant,
+                         {.samples = samples, .seed = seed, .threads = used, .stop = computation.stop()});
   });
   return py::make_tuple(runs.mean,
                         runs.covariance,

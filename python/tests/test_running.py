@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -212,3 +213,21 @@ def test_pages_show_the_duration_that_was_found(tmp_path):
     (page,) = [file.read_text(encoding="utf-8") for file in tmp_path.glob("*.html")]
     assert '"subtitle":"20 steps over a free duration, given as 1 s"' in page
     assert f'"value":"{duration:.6g} s","label":"duration, by event ceres_phases"' in page
+
+
+def test_ctrl_c_ends_noisy_runs():
+    """So many samples would take minutes."""
+    ball = {"name": "ball", "radius": 0.05, "mass": 1, "position": [0, 0.8], "velocity": [1.6, 0.3]}
+    scene = saltus.Scene(
+        name="ball", bodies=[ball], duration=1.0, steps=10, gravity=[0, -9.81], optimize="none", contact={"restitution": 0.5},
+        planes=[{"name": "floor", "point": [0, 0], "normal": [0, 1]}], objective={"terminal": []},
+    )
+    few = time.monotonic()
+    saltus.noisy_runs(scene, 1e-6 * np.eye(4), samples=20_000)
+    few = time.monotonic() - few
+    timer = interrupt_soon()
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        saltus.noisy_runs(scene, 1e-6 * np.eye(4), samples=4_000_000)
+    timer.join()
+    assert time.monotonic() - begin < 0.5 + 60 * few  # of 200 times as many samples

@@ -436,15 +436,16 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
   const NoiseRoots roots(noise);
   std::vector<std::unique_ptr<Plant>> plants(threads);
   struct Outcome {
-    bool ok = false, as_planned = false;
+    bool done = false, ok = false, as_planned = false;
     double loss = 0;
     Eigen::VectorXd final_state;
   };
   std::vector<Outcome> outcomes(options.samples);
   ParallelFor(threads, options.samples, [&](int thread, int sample) {
+    if (options.stop && options.stop()) return;
     if (!plants[thread]) plants[thread] = make_plant();
     const ClosedLoopRun run = RunWith(plan, gains, roots, SeedOf(options.seed, sample), plants[thread].get());
-    outcomes[sample] = {run.ok, run.as_planned, run.ok && loss ? loss(run) : 0.0, run.final_state};
+    outcomes[sample] = {true, run.ok, run.as_planned, run.ok && loss ? loss(run) : 0.0, run.final_state};
   });
   // The sums are in the order of the samples, so that they do not depend on threads.
   const Eigen::VectorXd& planned = plan.states.back();
@@ -456,7 +457,7 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
   int ran = 0;
   for (const Outcome& outcome : outcomes) {
     if (!outcome.ok) {
-      ++out.failed;
+      out.failed += outcome.done;
       continue;
     }
     ++ran;

@@ -121,6 +121,17 @@ TEST_F(BallInClosedLoop, SamplesDoNotDependOnThreads) {
   EXPECT_GT(one.loss_error, 0);
 }
 
+TEST_F(BallInClosedLoop, NoFurtherSampleBeginsWhenAskedToStop) {
+  const Noise noise{.initial = 1e-4 * MatrixXd::Identity(2, 2)};
+  const auto make = [&] { return Ball(); };
+  int asked = 0;
+  const MonteCarlo some =
+      RunMonteCarlo(plan_, {}, noise, make, {.samples = 100'000, .threads = 1, .stop = [&] { return ++asked > 30; }});
+  EXPECT_EQ(some.counted, 30);
+  EXPECT_EQ(some.failed, 0);
+  EXPECT_EQ(some.covariance, RunMonteCarlo(plan_, {}, noise, make, {.samples = 30}).covariance);
+}
+
 // Balls that start 30 cm too high or too low, so that the impact is in another interval than planned.
 TEST_F(BallInClosedLoop, LateAndEarlyBallsComeBackToThePlan) {
   for (const double offset : {0.3, -0.3}) {

@@ -131,7 +131,8 @@ ClosedLoopRun RunClosedLoop(const Plan& plan, const std::vector<Eigen::MatrixXd>
 struct MonteCarloOptions {
   int samples = 1000;
   std::uint64_t seed = 1;
-  int threads = 0;  // 0: one per core. Results do not depend on it.
+  int threads = 0;             // 0: one per core. Results do not depend on it.
+  StopRequest stop = nullptr;  // once it returns true, no further run begins, and the result has those before
 };
 struct MonteCarlo {
   int failed = 0;                   // runs without a motion, which the others do not count
