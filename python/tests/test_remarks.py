@@ -83,8 +83,7 @@ def compare(scene, path):
     path.write_text(scene.to_yaml(), encoding="utf-8")
     run = run_program("saltus_solve", f"--scene={path}", "--contact=event", "--solver=none")["runs"][0]
     motion = saltus.rollout(scene)
-    assert motion["remarks"] == [{**remark, "text": remark["text"].removeprefix("there is no exact motion: ")}
-                                 for remark in run["remarks"]]
+    assert motion["remarks"] == run["remarks"]
     simulation, batch, end = saltus.Simulation(scene), saltus.Batch(scene), saltus.EndState(scene)
     assert simulation.remarks == []
     simulation.loss_and_gradient()

@@ -21,8 +21,10 @@ void AddTie(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& 
   if (!ambiguous.empty()) remarks->push_back({"ambiguous", "ambiguous: " + DescribeTies(ambiguous, spread)});
 }
 
+// Adds the text of ExactRun::reason.
 void AddFallback(int unresolved_steps, int num_steps, Remarks* remarks) {
-  if (unresolved_steps > 0) remarks->push_back({"fallback", DescribeUnresolved(unresolved_steps, num_steps)});
+  if (unresolved_steps == 0) return;
+  remarks->push_back({"fallback", "there is no exact motion: " + DescribeUnresolved(unresolved_steps, num_steps)});
 }
 
 // Adds how many digits of the loss the rounding of initial state and control takes, if these are many.
