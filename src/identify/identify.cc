@@ -34,6 +34,7 @@ constexpr double kFewestBesideOutliers = 6;  // the same, where it is open too w
 constexpr double kFewestWithoutSigma = 8;    // the same, where an outlier may pass for noise of an estimated sigma
 constexpr double kFewOutliers = 0.12;        // share of samples, of a motion that is found
 constexpr double kMostOutliers = 1.0 / 3;    // that noise and slips of the pen do not make
+constexpr double kFarOff = 10;               // sigmas, that are estimated, beyond which an outlier is no tail of noise
 constexpr double kTooMany = 0.5;             // from which on the other samples are no better
 constexpr double kMostScatter = 0.1;         // estimated sigma, of the extent of the motion, of a fit that is judged
 constexpr double kMostWaves = 0.01;          // the same, if residuals are systematic
@@ -738,7 +739,7 @@ class Identification {
       report_.verdict = FitVerdict::kNotDetermined;
       report_.reason = HasResiduals() ? "the samples do not determine any unknown"
                                       : "the samples have no more numbers than there are unknowns";
-    } else if (FindOutlierRuns(problem_, fit).follow_each_other) {
+    } else if (OutliersAreSystematic(fit)) {
       report_.verdict = FitVerdict::kNotJudged;
       report_.reason =
           FormatNumbers("%.3g %% of the samples are outliers that follow each other, which slips do not do: ",
@@ -755,6 +756,14 @@ class Identification {
       report_.verdict = FitVerdict::kFits;
       report_.reason.clear();
     }
+  }
+
+  // Whether outliers follow each other, and without a stated sigma are many or far off: others may be the largest of
+  // systematic residuals, of which sigma is estimated.
+  bool OutliersAreSystematic(const FitResult& fit) const {
+    const OutlierRuns runs = FindOutlierRuns(problem_, fit);
+    const bool counts = states_sigma_ || OutlierShareOf(problem_, fit) >= kFewOutliers || runs.largest > kFarOff;
+    return runs.follow_each_other && counts;
   }
 
   std::string AtBounds() const {

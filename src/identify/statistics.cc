@@ -282,12 +282,14 @@ OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit) {
     residuals[sample.body].push_back(is_outlier ? Vec2d(residual.head<2>()) : Vec2d::Zero());
   });
   std::size_t samples = 0, outliers = 0, runs = 0, one_sided = 0;
+  double largest = 0;
   for (const auto& [body, of_body] : residuals) {
     samples += of_body.size();
     for (std::size_t i = 0; i < of_body.size();) {
       std::size_t end = i;
       bool above[2] = {true, true}, below[2] = {true, true};
       for (; end < of_body.size() && !of_body[end].isZero(0); ++end) {
+        largest = std::max(largest, of_body[end].norm());
         for (int j = 0; j < 2; ++j) {
           above[j] &= of_body[end][j] > 0;
           below[j] &= of_body[end][j] < 0;
@@ -304,7 +306,8 @@ OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit) {
   if (outliers == 0) return {};
   const double chance =
       ProbabilityOfRuns(static_cast<int>(outliers), static_cast<int>(samples), static_cast<int>(runs));
-  return {chance<kByChance, 2 * one_sided> outliers};
+  const bool are_one_sided = 2 * one_sided > outliers;
+  return {chance < kByChance, largest, are_one_sided};
 }
 
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {

@@ -46,6 +46,7 @@ Runs CountRuns(const FitProblem& problem, const FitResult& fit);
 // How outliers lie in time, disc by disc through all recordings.
 struct OutlierRuns {
   bool follow_each_other = false;  // in fewer runs than random outliers form with a probability of 0.13 %
+  double largest = 0;              // |r| of a position
   bool are_one_sided = false;      // most are in runs of three or more with one sign of a coordinate of the residual
 };
 OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit);
