@@ -187,9 +187,12 @@ void AugmentedLagrangian::Add(std::unique_ptr<ceres::CostFunction> function, con
 }
 
 // Sets the multipliers to those that leave least of the gradient of the costs along equalities and those inequalities
-// that are violated or have a multiplier. Multipliers of inequalities that come out negative become zero if `clips`;
-// otherwise nothing is changed then. Returns whether multipliers have been set.
+// that are violated, where negative ones become zero if `clips`. Otherwise inequalities that have a multiplier count
+// too, and nothing is changed if one of them comes out negative. Returns whether multipliers have been set.
 bool AugmentedLagrangian::EstimateMultipliers(bool clips) {
+  for (const auto& [function, blocks] : functions_) {
+    if (clips) function->ClearMultipliers();
+  }
   const Weights weights = std::exchange(weights_, {1, 1});  // rows are those of the functions
   std::vector<double> rows, gradient;
   ceres::CRSMatrix jacobian;
@@ -369,7 +372,6 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
       estimated = true;
       SetValues(start);
-      for (const auto& [function, blocks] : functions_) function->ClearMultipliers();
       EstimateMultipliers(true);
       if (!result.interrupted && result.iterations < options.iterations) {
         --round;
@@ -411,7 +413,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     // of both on one of them. Each solve would move it there by their difference times the weight only.
     const bool nearly = result.violation > options.tolerance && result.violation <= kNearlyMet;
     const bool stalled = weights_.inequality >= most && result.violation > kStalled * open_before;
-    if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers(false);
+    if (nearly && stalled && ++estimates <= kMostEstimates) EstimateMultipliers(true);
     weights_.equality = std::min(most, kGrowth * weights_.equality);
     weights_.inequality = std::min(most, kGrowth * weights_.inequality);
   }
