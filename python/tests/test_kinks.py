@@ -74,3 +74,20 @@ def test_the_sequence_that_is_asked_for_is_that_of_the_result(force):
     best = saltus.solve(saltus.HybridProblem(free, mode="m", initial=[1.0, 0], duration=1.0, control=np.zeros((6, 1)),
                                              costs=problem.costs), solver="ceres_lm")
     assert_allclose(run.loss, best.loss, rtol=1e-7)
+
+
+def test_a_certificate_says_that_the_loss_falls_as_an_event_leaves_its_node():
+    """A ball with two intervals, of which the solution has the border at the impact."""
+    system = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
+        flow={"flight": lambda x, u, p: [x[1], -p[0] + u[0]]}, guards={"flight": {"ground": lambda x: x[0]}},
+        resets={"flight": {"ground": lambda x, p: ("flight", [0, -p[1] * x[1]])}})
+    problem = saltus.HybridProblem(system, mode="flight", initial=[1.986, 1.83], parameters=[9.8, 0.715], duration=1.0254,
+                                   control=np.zeros((2, 1)),
+                                   costs=[saltus.terminal([1.7376, 1.1459], weight=[5.64, 22.65]), saltus.effort(0.1763)])
+    run = saltus.solve(problem, solver="ceres_phases")
+    assert (run.termination, run.certificate.verdict) == ("converged", "stationary")
+    problem.start_from(run)
+    problem.control = np.asarray(run.control) + 1e-2 * np.array([[0.105], [-0.04]])
+    assert saltus.loss_and_gradient(problem).loss < run.loss
+    assert "the loss falls as the event flight-ground leaves its node" in run.certificate.reason

@@ -141,6 +141,7 @@ class HybridConditions {
       result.curvature = FindCurvature(moving, outcome.loss);
       Judge(&result);
     }
+    if (moving) SayWhatLeavesItsNode(&result);
     return result;
   }
 
@@ -1052,6 +1053,18 @@ class HybridConditions {
 
   // Whether a guard falls with the control before its event, and with that after it.
   bool FallsOnBothSides(int k) const { return sweeps_[k + 1].event_early[k] < 0 && sweeps_[k + 1].event_late[k] < 0; }
+
+  // Says of a motion that is stationary as intervals move with events if it is not with the intervals as they are.
+  void SayWhatLeavesItsNode(Certificate* result) const {
+    PlaceMultipliers(result);
+    for (const ImpactCertificate& event : result->impacts) {
+      if (!event.theta || !(event.concave || *event.theta < 0 || *event.theta > 1) || !result->reason.empty()) continue;
+      result->reason =
+          "stationary if the intervals move with the events; with the intervals as they are, the loss falls "
+          "as the event " +
+          event.a + "-" + event.b + " leaves its node";
+    }
+  }
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
   // before, or after, the node.
