@@ -1042,7 +1042,7 @@ class HybridGradient(Result):
 
 
 class HybridRun(_Paged):
-    """What a solver found: ``loss``, None without a solution, which a run that failed does not have; ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
+    """What a solver found: ``loss``, None of a run that failed; ``control`` (K, m), ``durations`` of the K intervals, ``initial``, ``parameters``,
     ``duration``, ``mode``, ``final`` and ``events`` of its motion; ``termination``, ``reason``, ``losses``,
     ``iterations``, ``integration_error``, ``remarks``; ``certificate`` of a run that converged, and of solvers that certify
     all they find, otherwise None."""

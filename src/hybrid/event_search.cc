@@ -269,7 +269,7 @@ bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& b
 
 // Finds where a guard that falls at the beginning of a step and rises at its end, but not smoothly, falls below zero. A
 // guard with a kink is lowest where the lines along both ends meet, as that of a corner that passes a corner. Where
-// these meet near an end, the guard is curved at the other, and a point on the way from there replaces it.
+// these meet near an end, the guard is curved at the other end, which a point nearer to the first one replaces.
 EventSearch::Found EventSearch::FindBelowKink(const FlowStep& step, const double* slope, int guard,
                                               const GuardValue& begin, const GuardValue& end) {
   constexpr double kBeside = 0.1;  // of the length between the ends

@@ -138,7 +138,7 @@ class HybridConditions {
       Judge(&result);
     }
     if (result.IsStationary()) {
-      result.curvature = FindCurvature(moving, outcome.loss);
+      result.curvature = FindCurvature(moving);
       Judge(&result);
     }
     if (moving) SayWhatLeavesItsNode(&result);
@@ -629,13 +629,13 @@ class HybridConditions {
     return 0.5 * (second + second.transpose());
   }
 
-  std::optional<Curvature> FindCurvature(bool moving, double loss) {
+  std::optional<Curvature> FindCurvature(bool moving) {
     constexpr double kRounding = 1e-8;  // of central differences
     QuadraticForm form;
     const Directions to = DirectionsOf(moving, &form);
     if (to.variables.empty()) return std::nullopt;
     AddSecondDerivatives(to, &form);
-    AddMetric(to, loss, &form);
+    AddMetric(to, &form);
     const Sparse second = form.Form(), equations = form.Equations(), metric = form.Metric();
     if (second.nonZeros() > 0 && !second.coeffs().allFinite()) return std::nullopt;
     CurvatureRange found;
@@ -676,7 +676,7 @@ class HybridConditions {
 
   // The metric of the variables is the second derivative of the costs of the control alone. A variable without such
   // costs has the loss per square of its size, a control over its share of the duration.
-  void AddMetric(const Directions& to, double loss, QuadraticForm* form) const {
+  void AddMetric(const Directions& to, QuadraticForm* form) const {
     VectorXd costs = VectorXd::Zero(static_cast<Eigen::Index>(input_.control.size()));
     for (const HybridShooting::TermAt& at : terms_) {
       if (at.term->role != HybridTerm::Role::kCost || at.interval < 0 || !at.term->with_control) continue;
@@ -687,7 +687,7 @@ class HybridConditions {
       form->AddMetric(second, {to.control.begin() + first, to.control.begin() + first + width()});
       costs.segment(first, width()) += second.diagonal();
     }
-    const double unit = 2 * (loss != 0 ? std::abs(loss) : 1.0);
+    const double unit = 2 * (loss_ != 0 ? std::abs(loss_) : 1.0);
     for (size_t i = 0; i < to.unbound.size(); ++i) {
       const FreeVariable& variable = to.unbound[i];
       const bool of_control = variable.kind == Kind::kControl;
@@ -1054,7 +1054,7 @@ class HybridConditions {
   // Whether a guard falls with the control before its event, and with that after it.
   bool FallsOnBothSides(int k) const { return sweeps_[k + 1].event_early[k] < 0 && sweeps_[k + 1].event_late[k] < 0; }
 
-  // Says of a motion that is stationary as intervals move with events if it is not with the intervals as they are.
+  // Sets the reason of a motion that is stationary as intervals move with events, but not with them as they are.
   void SayWhatLeavesItsNode(Certificate* result) const {
     PlaceMultipliers(result);
     for (const ImpactCertificate& event : result->impacts) {
