@@ -624,7 +624,7 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
     const bool is_switch = functions.IsSwitch(grazing.mode, grazing.guard);
     remarks.push_back(
         {(is_switch ? "switch '" : "guard '") + functions.GuardName(grazing.mode, grazing.guard) + "' grazes zero",
-         std::to_string(grazing.time),
+         grazing.time,
          is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"});
   }
   const std::vector<HybridTie>& ties = impl_->Ties();
@@ -634,9 +634,8 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
     for (const int guard : tie.guards) {
       names += (names.empty() ? "'" : ", '") + system.GuardName(tie.mode, guard) + "'";
     }
-    remarks.push_back({CountGuards(functions, tie) + " reach zero",
-                       std::to_string(tie.time),
-                       ", and the order of their events matters: " + names});
+    remarks.push_back(
+        {CountGuards(functions, tie) + " reach zero", tie.time, ", and the order of their events matters: " + names});
   }
   const std::vector<char>& one_sided = impl_->OneSided();
   for (std::size_t i = 0; i < one_sided.size(); ++i) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,13 +28,14 @@ struct TapeEntry {
 
 // A remark on a place of a motion.
 struct TimedRemark {
-  std::string what;        // empty: there is none
-  std::string time = {};   // empty: it is of no time
-  std::string where = {};  // goes on behind the time
+  std::string what;                 // empty: there is none
+  std::optional<double> time = {};  // none: it is of no time
+  std::string where = {};           // goes on behind the time
 
   bool empty() const { return what.empty(); }
 };
 // Returns all remarks in one text. Those that differ in time only are told once, with the first time and their number.
+// Times have six digits, to which the same optimum agrees from machine to machine.
 std::string JoinRemarks(const std::vector<TimedRemark>& remarks);
 
 // Events that happen at one time, or where the control jumps: the derivative may differ from side to side.

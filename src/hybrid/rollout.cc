@@ -44,8 +44,8 @@ std::string JoinRemarks(const std::vector<TimedRemark>& remarks) {
     if (std::any_of(remarks.begin(), first, same)) continue;
     const auto more = std::count_if(first + 1, remarks.end(), same);
     text += (text.empty() ? "" : "; ") + first->what;
-    if (!first->time.empty()) text += " at t = " + first->time;
-    if (!first->time.empty() && more > 0) text += " and " + std::to_string(more) + " more times";
+    if (first->time) text += " at t = " + ToText(*first->time, 6);
+    if (first->time && more > 0) text += " and " + std::to_string(more) + " more times";
     text += first->where;
   }
   return text;
@@ -114,7 +114,7 @@ bool RolloutRun::Refuse(const std::string& what) {
 
 // Adds a remark on the present time, which stands between `what` and `where`; or on no time, if that is empty.
 void RolloutRun::Remark(const std::string& what, const std::string& where) {
-  if (!what.empty()) remarks_.push_back({what, where.empty() ? "" : Text(at_.t), where});
+  if (!what.empty()) remarks_.push_back({what, where.empty() ? std::optional<double>() : at_.t, where});
 }
 
 FlowStep RolloutRun::StepFrom(double h) const {
@@ -886,7 +886,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     for (const int guard : tie.guards)
       names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
     coincidence.remark = {CountGuards(functions_, tie) + " reach zero",
-                          std::to_string(at_.t),
+                          at_.t,
                           ", and the derivatives depend on the order of their events: " + names};
   }
   if (due.sinks) {
@@ -904,7 +904,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     if (!turns) Remark(name + " has an event at the final time");
     coincidence.jump = -1;
   } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
-    coincidence.remark = {name + " has an event", Text(at_.t), ", where the control jumps"};
+    coincidence.remark = {name + " has an event", at_.t, ", where the control jumps"};
   }
   const std::size_t begin = coincidence.begin, events = events_.size(), number = tape_.coincidences.size();
   const std::optional<double> accumulation = accumulation_;
@@ -923,11 +923,11 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const bool accumulates = accumulation_ != accumulation;
   TimedRemark& remark = tape_.coincidences[number].remark;
   if (remark.empty() && accumulates) {
-    remark = {name + " has events without time passing", Text(at_.t), ", of which the derivative is one-sided"};
+    remark = {name + " has events without time passing", at_.t, ", of which the derivative is one-sided"};
   } else if (remark.empty() && events_.size() > events + 1 && !events_[events + 1].is_switch &&
              tape_.entries[begin + 2].kind == TapeEntry::Kind::kToEvent) {
     const HybridEvent& onto = events_[events + 1];
-    remark = {"the reset", Text(at_.t), " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'"};
+    remark = {"the reset", at_.t, " leads onto guard '" + system_.GuardName(onto.mode, onto.guard) + "'"};
   }
   if (remark.empty()) {
     tape_.coincidences.pop_back();
