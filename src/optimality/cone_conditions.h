@@ -56,7 +56,7 @@ class NormalCone {
 };
 
 // Conditions of optimality that are affine in unknown multipliers theta, each of which must lie in a convex cone. The
-// distances from the cones are convex functions of theta; Newton's method minimises the sum of their squares,
+// distances from the cones are convex functions of theta. The solution minimises the sum of their squares,
 // sum_i dist(value_i + columns_i theta, C_i)^2, which is convex and once continuously differentiable.
 class ConeConditions {
  public:
@@ -71,21 +71,32 @@ class ConeConditions {
     numbers_.push_back({value, columns, allowed});
   }
 
+  // Takes the steps of Newton's method that lower the sum, and shorter ones (Levenberg-Marquardt) where a whole step
+  // crosses so many borders of cones that it does not.
   void Solve() {
-    constexpr int kMostNewtonSteps = 50;
-    for (int step = 0; step < kMostNewtonSteps && theta_.size() > 0; ++step) {
-      Eigen::VectorXd r;
-      Eigen::MatrixXd jacobian;
+    constexpr int kMostSteps = 100;
+    constexpr double kLeastDamping = 1e-9, kMostDamping = 1e6;
+    if (theta_.size() == 0) return;
+    const Eigen::VectorXd sizes = SquaresOfColumns();
+    Eigen::VectorXd r, next;
+    Eigen::MatrixXd jacobian;
+    double damping = kLeastDamping;
+    for (int step = 0; step < kMostSteps; ++step) {
       Evaluate(theta_, &r, &jacobian);
-      const Eigen::VectorXd by = LeastNormSolution(jacobian, -r);
-      double length = 1;
-      Eigen::VectorXd next;
-      for (; length > 1e-4; length *= 0.5) {
-        Evaluate(theta_ + length * by, &next, nullptr);
-        if (next.squaredNorm() < r.squaredNorm()) break;
+      const auto is_lower = [&](const Eigen::VectorXd& by) {
+        Evaluate(theta_ + by, &next, nullptr);
+        return next.squaredNorm() < r.squaredNorm();
+      };
+      Eigen::VectorXd by = LeastNormSolution(jacobian, -r);
+      bool lower = is_lower(by);
+      for (damping = std::max(0.01 * damping, kLeastDamping); !lower && damping < kMostDamping; damping *= 10) {
+        Eigen::MatrixXd normal = jacobian.transpose() * jacobian;
+        normal.diagonal() += damping * sizes;
+        by = normal.ldlt().solve(-jacobian.transpose() * r);
+        lower = is_lower(by);
       }
-      if (!(next.squaredNorm() < r.squaredNorm())) break;
-      theta_ += length * by;
+      if (!lower) break;
+      theta_ += by;
       if (next.squaredNorm() > (1 - 1e-9) * r.squaredNorm()) break;
     }
   }
@@ -117,6 +128,14 @@ class ConeConditions {
     Eigen::RowVectorXd columns;
     int allowed;
   };
+
+  // Returns the sums of squares of the columns of all conditions; 1 for a column of zeros.
+  Eigen::VectorXd SquaresOfColumns() const {
+    Eigen::VectorXd sums = Eigen::VectorXd::Zero(theta_.size());
+    for (const Planar& force : forces_) sums += force.columns.colwise().squaredNorm().transpose();
+    for (const Scalar& number : numbers_) sums += number.columns.cwiseAbs2().transpose();
+    return (sums.array() > 0).select(sums, 1.0);
+  }
 
   static double Left(const Scalar& number, const Eigen::VectorXd& theta) {
     const double value = number.value + number.columns.dot(theta.transpose());
