@@ -1269,12 +1269,6 @@ def solve(
     callback: Any,
     sequence: Any,
 ) -> HybridRun:
-    for cost in problem._costs():
-        if cost._times and cost.role in ("equality", "inequality"):
-            raise ValueError(
-                f"{cost.name}: found a constraint at given times, which no solver takes. Make the time t1 an event: a guard t1 - t, "
-                "whose reset leads to a mode with the same flow and without that guard, and the constraint at this event; or make it a cost"
-            )
     free = problem._free(optimize)
     along = None if sequence is None else _sequence(problem, sequence)
     states = [] if guess_states is None else np.asarray(guess_states, dtype=float)

@@ -146,20 +146,29 @@ def test_values_at_given_times():
         ball(durations=durations, control=np.zeros((3, 0)), costs=[saltus.residuals(lambda x: x, at=[0.3])])
     with pytest.raises(ValueError, match="optimize: found the duration, with which the times of 'cost at given times'"):
         saltus.solve(problem, optimize=["e", "duration"])
-    with pytest.raises(ValueError, match="holds at a given time, and the intervals of phases move.* Take a solver by shooting"):
-        saltus.solve(problem, solver="ceres_phases", optimize=["e"])
+    by_steps, by_shooting = (saltus.solve(problem, solver=solver, optimize=["e"]) for solver in ("ceres_phases", "ceres_lm"))
+    assert by_steps.termination == by_shooting.termination == "converged"
+    assert_allclose([by_steps.loss, *by_steps.parameters], [by_shooting.loss, *by_shooting.parameters], rtol=1e-7)
     with pytest.raises(ValueError, match="at: found .*, expected a list of finite times"):
         saltus.residuals(lambda x: x, at=[-1.0])
     with pytest.raises(ValueError, match="only a term at the end reads the states x0"):
         ball(costs=[saltus.residuals(lambda x0: x0, at="steps")])
 
 
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt", "mode_search", "auto"])
+def test_a_constraint_at_a_given_time(solver):
+    """To be at 1 half-way, at least effort, takes a speed of 2 until then."""
+    there = saltus.residuals(lambda x: [1 - x[0]], at=[0.5], role="inequality")
+    run = saltus.solve(integrator(costs=[there]), solver=solver)
+    assert (run.termination, run.certificate.verdict) == ("converged", "stationary_on_grid")
+    half = len(run.control) // 2
+    assert_allclose(np.ravel(run.control), [2.0] * half + [0.0] * half, atol=1e-7)
+    assert_allclose(run.loss, 2, rtol=1e-7)
+
+
 def test_a_constraint_at_a_given_time_is_one_at_an_event():
-    """The remedy that the refusal names. To be at 1 half-way, at least effort, takes a speed of 2 until then."""
-    effort, misses = saltus.effort(), saltus.residuals(lambda x: [1 - x[0]], at=[0.5], role="inequality")
-    for solver in ("ceres_phases", "ceres_lm", "auto"):
-        with pytest.raises(ValueError, match="found a constraint at given times.* Make the time t1 an event: a guard t1 - t"):
-            saltus.solve(integrator(costs=[misses]), solver=solver)
+    """The clock as a guard. To be at 1 half-way, at least effort, takes a speed of 2 until then."""
+    effort = saltus.effort()
     system = saltus.HybridSystem(
         states={"before": ["x"], "after": ["x"]}, controls=["u"], flow=dict.fromkeys(("before", "after"), lambda u: u),
         guards={"before": {"half-way": lambda t: 0.5 - t}}, resets={"before": {"half-way": lambda x: ("after", x)}})

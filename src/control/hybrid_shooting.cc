@@ -37,6 +37,14 @@ HybridProblem WithAllFree(HybridProblem problem) {
   return problem;
 }
 
+bool IsOnGrid(const HybridProblem& problem) {
+  if (std::ranges::any_of(problem.terms, [](const HybridTerm& term) { return term.interval >= 0; })) return true;
+  const std::span<const double> control(problem.guess.control);
+  const size_t width = problem.system.num_controls();
+  return !problem.free.control && control.size() > width &&
+         !std::ranges::equal(control.subspan(width), control.first(control.size() - width));
+}
+
 HybridShooting::HybridShooting(const HybridProblem& problem)
     : problem_(problem), simulator_(problem.system, problem.integration) {
   CHECK_EQ(WhatIsWrongWith(problem), "");

@@ -18,6 +18,9 @@ namespace saltus {
 // state, the parameters and the duration.
 HybridProblem WithAllFree(HybridProblem problem);
 
+// Whether the control, or terms, are given on the intervals of the guess, which must not move with events.
+bool IsOnGrid(const HybridProblem& problem);
+
 class HybridShooting final : public ShootingFunction {
  public:
   // Precondition: WhatIsWrongWith(problem) is empty.

@@ -202,11 +202,7 @@ void Judge(Certificate* certificate) {
     certificate->reason = std::string("the largest residual is that of ") + name;
     worst = residual;
   }
-  // The multiplier of a minimum is between those of the two one-sided gradients, and the early one is the smaller.
-  const auto leaves_node = [](const ImpactCertificate& impact) {
-    return impact.theta && (impact.concave || *impact.theta < 0 || *impact.theta > 1);
-  };
-  const auto leaving = std::ranges::find_if(certificate->impacts, leaves_node);
+  const auto leaving = std::ranges::find_if(certificate->impacts, &ImpactCertificate::LeavesNode);
   if (leaving == certificate->impacts.end()) {
     if (certificate->verdict == kNotStationary && certificate->gradient &&
         *certificate->gradient <= kCertificateTolerance) {

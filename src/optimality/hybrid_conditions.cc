@@ -131,21 +131,34 @@ class HybridConditions {
     }
     StationarityOnMovingGrid(&result);
     StationarityOnMovingGrid(&result);  // with the sizes that the multipliers give
-    Judge(&result);
+    JudgeControl(&result);
     const bool moving = result.IsStationary();
     if (!moving) {
+      const std::vector<ImpactCertificate> of_moving_grid = result.impacts;
       StationarityOnFixedGrid(&result);
-      Judge(&result);
+      if (!IsStationaryOnGrid(result)) result.impacts = of_moving_grid;
+      JudgeControl(&result);
     }
     if (result.IsStationary()) {
       result.curvature = FindCurvature(moving);
-      Judge(&result);
+      JudgeControl(&result);
     }
-    if (moving) SayWhatLeavesItsNode(&result);
     return result;
   }
 
  private:
+  static bool IsStationaryOnGrid(const Certificate& certificate) {
+    return certificate.gradient && *certificate.gradient <= kCertificateTolerance;
+  }
+  // Judges a control. If the problem gives its intervals, those that move with the events prove nothing.
+  void JudgeControl(Certificate* result) const {
+    Judge(result);
+    if (result->verdict != Certificate::Verdict::kStationary || !IsOnGrid(problem_)) return;
+    const bool on_grid = IsStationaryOnGrid(*result);
+    result->verdict = on_grid ? Certificate::Verdict::kStationaryOnGrid : Certificate::Verdict::kNotStationary;
+    if (!on_grid) result->reason = "the loss falls with the control on the intervals that the problem gives";
+  }
+
   const HybridSimulator& simulator() const { return const_cast<HybridShooting&>(shooting_).simulator(); }
   const std::vector<HybridEvent>& events() const { return simulator().events(); }
   int num_events() const { return static_cast<int>(events().size()); }
@@ -1023,6 +1036,7 @@ class HybridConditions {
       result->impacts[k].multiplier = conditions.theta()[k];
       result->impacts[k].hamiltonian = conditions.Number(kinds.events[k]);
     }
+    PlaceMultipliers(result);
   }
 
   void StationarityOnFixedGrid(Certificate* result) {
@@ -1053,18 +1067,6 @@ class HybridConditions {
 
   // Whether a guard falls with the control before its event, and with that after it.
   bool FallsOnBothSides(int k) const { return sweeps_[k + 1].event_early[k] < 0 && sweeps_[k + 1].event_late[k] < 0; }
-
-  // Sets the reason of a motion that is stationary as intervals move with events, but not with them as they are.
-  void SayWhatLeavesItsNode(Certificate* result) const {
-    PlaceMultipliers(result);
-    for (const ImpactCertificate& event : result->impacts) {
-      if (!event.theta || !(event.concave || *event.theta < 0 || *event.theta > 1) || !result->reason.empty()) continue;
-      result->reason =
-          "stationary if the intervals move with the events; with the intervals as they are, the loss falls "
-          "as the event " +
-          event.a + "-" + event.b + " leaves its node";
-    }
-  }
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
   // before, or after, the node.

@@ -805,11 +805,24 @@ TEST(HybridModeSearch, EndsAtALossOfZero) {
   EXPECT_GT(other.iterations, 1) << other.reason;
 }
 
+// A control that is not free and changes on its grid stays as it is while the event moves, here by more than an
+// interval.
+TEST(HybridPhases, KeepTheGridOfAGivenControl) {
+  HybridProblem problem = ControlledBall(10);
+  problem.free = {.initial = {0}, .parameters = {1}};
+  problem.guess.control = {1, 1, 1, 1, 1, -3, 2, 2, 5, 2};
+  const SolveReport shot = Solve("ceres_lm", problem, {}), report = Solve("ceres_phases", problem, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-9 * shot.final_loss);
+  EXPECT_NEAR(report.parameters[1], shot.parameters[1], 1e-6);
+  EXPECT_NEAR(report.initial_state[0], shot.initial_state[0], 1e-6);
+  EXPECT_EQ(report.control, problem.guess.control);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, kStationaryOnGrid) << report.certificate->reason;
+}
+
 TEST(HybridPhases, SayWhatTheyCannotTake) {
   HybridProblem problem = ControlledBall(10);
-  problem.free = {.parameters = {1}};
-  problem.guess.control = {1, 1, 1, 1, 1, 2, 2, 2, 2, 2};
-  EXPECT_THAT(Solve("ceres_phases", problem, {}).reason, HasSubstr("a control that changes on a given grid"));
   problem.free = {};
   EXPECT_THAT(Solve("mode_search", problem, {}).reason, HasSubstr("nothing to optimize"));
 }

@@ -150,7 +150,7 @@ void MoveEnds(const std::vector<int>& nodes, const std::vector<double>& times, s
 void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, HybridSimulator* simulator) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
-  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
   ASSERT_TRUE(report.certificate->curvature);
   EXPECT_GT(report.certificate->curvature->smallest, 0);
   HybridInput best = problem.guess;
@@ -208,7 +208,8 @@ TEST(ClosedContacts, APushedBoxReachesItsTargetWithACertificate) {
 
 // The foot sticks, takes off where the torques jump, lands and sticks again.
 TEST(ClosedContacts, ALegHopsWithLeastEffortWithACertificate) {
-  const HybridProblem problem = LegHopperProblem();
+  HybridProblem problem = LegHopperProblem();
+  problem.integration.steps_per_interval = 4;  // with 3 the error of the integration hides the gradient
   const SolveReport report = Solve("ceres_phases", problem, {});
   HybridSimulator simulator(problem.system, problem.integration);
   ASSERT_NO_FATAL_FAILURE(ExpectMinimum(problem, report, &simulator));

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <span>
 #include <tuple>
+#include <utility>
 
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
@@ -27,7 +29,7 @@ HybridProblem WithIntervals(HybridProblem problem) {
   HybridInput& guess = problem.guess;
   const int width = problem.system.num_controls();
   if (guess.control.empty()) guess.control.assign(static_cast<size_t>(guess.num_intervals) * width, 0.0);
-  if (!problem.free.control && !of_intervals && guess.num_intervals < kFewestIntervals) {
+  if (!problem.free.control && !of_intervals && guess.num_intervals < kFewestIntervals && !IsOnGrid(problem)) {
     const std::vector<double> row(guess.control.begin(), guess.control.begin() + width);
     guess.control.clear();
     for (int k = 0; k < kFewestIntervals; ++k) guess.control.insert(guess.control.end(), row.begin(), row.end());
@@ -56,6 +58,60 @@ int StepsFromStates(const HybridProblem& problem) {
     if (simulator.Rollout(input)) steps = std::max(steps, simulator.steps_per_interval());
   }
   return steps;
+}
+
+// Moves the end of an interval that is nearest to a time by a part of an interval, later if the part is positive.
+void MoveEndNear(double time, double part, std::vector<double>* durations) {
+  std::vector<double>& lengths = *durations;
+  double end = lengths[0];
+  size_t k = 0;
+  for (; k + 2 < lengths.size() && end + 0.5 * lengths[k + 1] < time; ++k) end += lengths[k + 1];
+  if (k + 1 >= lengths.size()) return;
+  const double by = part * std::min(lengths[k], lengths[k + 1]);
+  lengths[k] += by;
+  lengths[k + 1] -= by;
+}
+
+// Moves times, which rise, with the ends of the intervals in which they are.
+void MoveTimes(const std::vector<double>& from, const std::vector<double>& to, std::vector<double>* times) {
+  double begin = 0, begin_to = 0;
+  size_t k = 0;
+  for (double& time : *times) {
+    for (; k + 1 < from.size() && begin + from[k] < time; ++k) {
+      begin += from[k];
+      begin_to += to[k];
+    }
+    time = begin_to + (time - begin) * to[k] / from[k];
+  }
+}
+
+// Puts the ends of intervals, as instants, between the events of a plan, which are at these times.
+void AddGrid(const std::vector<double>& durations, PlanOf<ModeEvent>* plan, std::vector<double>* times) {
+  plan->on_grid = true;
+  const auto events = std::exchange(plan->cuts, {});
+  const std::vector<double> event_times = std::exchange(*times, {});
+  size_t event = 0;
+  double end = 0;
+  for (const double& length : durations) {
+    end += length;
+    const bool is_last = &length == &durations.back();
+    bool jumps = false;  // to another mode, as the control does at the end of the interval
+    const auto is_before_end = [&] {
+      const double rounding = events[event]->is_switch() ? 1e-9 * length : 0;
+      return is_last || event_times[event] <= end + rounding;
+    };
+    for (; event < events.size() && !jumps && is_before_end(); ++event) {
+      jumps = events[event]->is_switch();
+      plan->cuts.push_back(events[event]);
+      times->push_back(jumps ? end : event_times[event]);
+    }
+    if (is_last) break;
+    if (jumps) continue;
+    plan->cuts.emplace_back(std::nullopt);
+    times->push_back(end);
+  }
+  plan->tied.assign(plan->cuts.size(), false);
+  plan->regimes.resize(plan->cuts.size());
 }
 
 }  // namespace
@@ -118,7 +174,7 @@ class HybridPhaseRun::Transcriber {
   // Moves nodes to the sides of the events where they belong, for systems whose modes depend on the control.
   void DelayNodes(const HybridTranscription& transcription, HybridMotion* motion) const {
     const std::vector<double> times = transcription.CutTimes();
-    if (!run_.problem_.system.functions().CreatesModes()) return;
+    if (!run_.problem_.system.functions().CreatesModes() || plan_.on_grid) return;
     for (size_t j = 0; j < times.size(); ++j) {
       const ModeEvent& event = *plan_.cuts[j];
       const double delay = SideOf(event) * kDelay * DurationOf(*motion);
@@ -336,6 +392,28 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
     k = end;
   }
+  if (IsOnGrid(problem_)) AddGrid(motion.durations, plan, times);
+}
+
+std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansOnGrid(const HybridMotion& motion) {
+  constexpr double kPart = 0.05;  // of an interval, by which an event begins beside its end
+  const std::vector<ImpactCertificate>& impacts = Certify(motion).impacts;
+  std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
+  if (std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
+  for (const double part : {kPart, -kPart}) {
+    HybridMotion moved = motion;  // whose events are those beside the ends of intervals
+    for (const ImpactCertificate& impact : impacts) {
+      if (impact.LeavesNode()) MoveEndNear(impact.time, part, &moved.durations);
+    }
+    Simulate(&moved);
+    if (!moved.exact.ok || !moved.exact.only_impacts) continue;
+    auto& [plan, times] = plans.emplace_back();
+    for (const HybridEvent& event : moved.exact.events) times.push_back(event.time);
+    plan.cuts.assign(moved.exact.contacts.begin(), moved.exact.contacts.end());
+    AddGrid(moved.durations, &plan, &times);
+    MoveTimes(moved.durations, motion.durations, &times);
+  }
+  return plans;
 }
 
 std::string HybridPhaseRun::WhyNoDerivative(const HybridMotion& motion) const {
@@ -366,6 +444,7 @@ std::string HybridPhaseRun::NameOf(const PlanOf<ModeEvent>& plan) const {
   std::string text = NameOf(plan.Sequence());
   if (plan.HasTies()) text += plan.tied.back() ? " (at the final time)" : " (some at the same time)";
   for (const ModeEvent& event : plan.apart) text += ", without another " + NameOf(event);
+  if (plan.on_grid) text += " (with the intervals as they are)";
   return text;
 }
 
@@ -454,22 +533,6 @@ std::string WhyNotHybridPhases(const HybridProblem& problem) {
   if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
     return "the problem leaves nothing to optimize";
   }
-  for (const HybridTerm& term : problem.terms) {
-    if (term.interval >= 0) {
-      return term.name + " holds at a given time, and the intervals of phases move with the events. " +
-             (term.IsCost()
-                  ? "Take a solver by shooting, such as ceres_lm or ceres_lbfgs"
-                  : "Make the time t1 an event: a guard t1 - t, whose reset leads to a mode with the same flow "
-                    "and without that guard, and the constraint at this event; or make it a cost");
-    }
-  }
-  if (free.control || problem.guess.control.empty()) return "";
-  const int width = problem.system.num_controls();
-  for (size_t i = width; i < problem.guess.control.size(); ++i) {
-    if (problem.guess.control[i] != problem.guess.control[i - width]) {
-      return "the problem has a control that changes on a given grid; intervals of phases move with the events";
-    }
-  }
   return "";
 }
 
@@ -488,7 +551,8 @@ using Algorithm = AugmentedLagrangian::Algorithm;
 std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& options) {
   constexpr int kCoarsest = 20;
   std::vector<int> grids = {problem.guess.num_intervals};
-  if (!options.coarse_to_fine || !problem.free.control || !problem.guess.lengths.empty()) return grids;
+  const bool is_given = IsOnGrid(problem) || !problem.guess.lengths.empty();
+  if (!options.coarse_to_fine || !problem.free.control || is_given) return grids;
   while (grids.back() >= 2 * kCoarsest) grids.push_back((grids.back() + 1) / 2);
   std::reverse(grids.begin(), grids.end());
   return grids;

@@ -77,6 +77,10 @@ class HybridPhaseRun final : public SequenceRun {
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {
     return {};
   }
+  // Returns the plans on the grid of a motion, each with the times of its cuts, in which the events that leave the ends
+  // of their intervals for a lower loss, by the certificate, are before them, and behind; none if no event does. Their
+  // sequences are those of the exact motions with these ends moved a little.
+  std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> PlansOnGrid(const HybridMotion& motion);
 
   bool HasCertificate() const { return true; }
   const Certificate& Certify(const HybridMotion& motion);

@@ -327,6 +327,22 @@ class LengthRow final : public Rows {
   double size_;
 };
 
+// (time - part end) / size = 0.
+class PartRow final : public Rows {
+ public:
+  PartRow(double part, double size) : Rows(1, {1, 1}), part_(part), size_(size) {}
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    rows[0] = (blocks[0][0] - part_ * blocks[1][0]) / size_;
+    for (int i = 0; jacobians != nullptr && i < 2; ++i) {
+      if (jacobians[i] != nullptr) jacobians[i][0] = (i == 0 ? 1 : -part_) / size_;
+    }
+    return true;
+  }
+
+ private:
+  double part_, size_;
+};
+
 // Returns the bounds of the components of a block, in the order of the bounds.
 std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const std::vector<double>& min,
                                        const std::vector<double>& max) {
@@ -396,7 +412,7 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
   boundary_ = {0};
   for (size_t j = 0; j < steps.size(); ++j) {
     Phase phase;
-    phase.mode = j == 0 ? problem.guess.mode : plan.cuts[j - 1]->next_mode;
+    phase.mode = j == 0 ? problem.guess.mode : plan.cuts[j - 1] ? plan.cuts[j - 1]->next_mode : phases_.back().mode;
     phase.intervals = steps[j];
     phases_.push_back(phase);
     if (steps[j] > 0) {
@@ -411,6 +427,7 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
   FindScalesOfNewModes();
   AddSteps();
   HoldWhatIsGiven();
+  if (plan.on_grid) HoldGrid();
   AddEvents(overlaps);
   AddGuards(margin);
   AddTerms();
@@ -425,10 +442,11 @@ bool HybridTranscription::Lay(const Start& start) {
     const double begin = *Begin(j), length = *End(j) - begin;
     const int count = phase.intervals * substeps_;
     phase.first_node = static_cast<int>(nodes_.size()) - 1;
-    phase.first_control = static_cast<int>(controls_.size());
+    phase.first_control = static_cast<int>(controls_.size()) - (GoesOn(j) ? 1 : 0);
     for (int k = 0; k < count; ++k) {
-      if (k % substeps_ == 0) {
-        const double middle = begin + (k / substeps_ + 0.5) * length / phase.intervals;
+      if (k % substeps_ == 0 && !GoesOn(j)) {
+        const double whole = *End(LastOfInterval(j)) - begin;
+        const double middle = begin + (k / substeps_ + 0.5) * whole / phase.intervals;
         std::vector<double>& u = controls_.emplace_back(m);
         for (int i = 0; i < m; ++i) u[i] = start.control(i, middle);
       }
@@ -447,6 +465,7 @@ bool HybridTranscription::Lay(const Start& start) {
     }
     phase.last_node = static_cast<int>(nodes_.size()) - 1;
     if (j + 1 == num_phases()) break;
+    if (!plan_.cuts[j]) continue;
     const ModeEvent& event = *plan_.cuts[j];
     if (event.mode != phase.mode) return false;
     if (event.is_switch()) continue;
@@ -503,6 +522,20 @@ void HybridTranscription::HoldWhatIsGiven() {
   if (!problem_.free.duration) ceres.SetParameterBlockConstant(&times_.back());
 }
 
+// Holds the ends of control intervals where they are, as parts of the duration.
+void HybridTranscription::HoldGrid() {
+  for (int j = 0; j + 1 < num_phases(); ++j) {
+    if (EndsWithEvent(j)) continue;
+    if (!problem_.free.duration) {
+      lagrangian_.problem().SetParameterBlockConstant(End(j));
+      continue;
+    }
+    lagrangian_.Add(std::make_unique<PartRow>(*End(j) / times_.back(), problem_.guess.duration),
+                    {.equalities = 1, .affine_blocks = 2},
+                    {End(j), &times_.back()});
+  }
+}
+
 // The modes that the motion of the scales does not have, from that on which the nodes start.
 void HybridTranscription::FindScalesOfNewModes() {
   const size_t known = scales_.state.size();
@@ -526,8 +559,7 @@ void HybridTranscription::FindScalesOfNewModes() {
 
 // Whether a step is projected. The last one before an event is so by the guard and the reset.
 bool HybridTranscription::Projects(int phase, int step) const {
-  const bool to_event =
-      phase + 1 < num_phases() && !plan_.cuts[phase]->is_switch() && step + 1 == phases_[phase].intervals * substeps_;
+  const bool to_event = EndsWithEvent(phase) && step + 1 == phases_[phase].intervals * substeps_;
   return functions_.Projects(phases_[phase].mode) && !to_event;
 }
 
@@ -539,8 +571,8 @@ double* HybridTranscription::ControlBefore(int node, const Phase& phase) {
 
 void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
   for (int j = 0; j + 1 < num_phases(); ++j) {
+    if (!EndsWithEvent(j)) continue;
     const ModeEvent& event = *plan_.cuts[j];
-    if (event.is_switch()) continue;
     double *before = nodes_[phases_[j].last_node].data(), *after = nodes_[phases_[j + 1].first_node].data();
     std::vector<double*> blocks = {before};
     double* control = ControlBefore(phases_[j].last_node - phases_[j].first_node, phases_[j]);
@@ -585,7 +617,7 @@ void HybridTranscription::AddGuards(double margin) {
       const auto add = [&](int k, double* control) {
         std::vector<GuardRows::Row> rows;
         for (const int guard : guards) {
-          if (k == count && j + 1 < num_phases() && plan_.cuts[j]->guard == guard) continue;
+          if (k == count && EndsWithEvent(j) && plan_.cuts[j]->guard == guard) continue;
           const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
             return event.mode == phase.mode && event.guard == guard;
           });
@@ -643,6 +675,7 @@ void HybridTranscription::AddTerms() {
     lagrangian_.Add(std::make_unique<TermRows>(term, time, intervals, LeastLength(), scale), roles, blocks);
   };
   for (const HybridTerm& term : problem_.terms) {
+    int interval = -1;  // of the control, that of the phase
     if (term.at == HybridTerm::At::kEnd) {
       add(term, phases_.back().last_node, -1, {}, 1, {End(num_phases() - 1)});
       continue;
@@ -650,12 +683,15 @@ void HybridTranscription::AddTerms() {
     for (int j = 0; j < num_phases(); ++j) {
       const Phase& phase = phases_[j];
       if (term.at == HybridTerm::At::kEvent) {
-        if (j + 1 == num_phases() || functions_.BaseMode(plan_.cuts[j]->mode) != term.mode ||
-            plan_.cuts[j]->guard != term.guard)
-          continue;
+        const bool is_its = EndsWithEvent(j) && functions_.BaseMode(plan_.cuts[j]->mode) == term.mode &&
+                            plan_.cuts[j]->guard == term.guard;
+        if (!is_its) continue;
         add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
         continue;
       }
+      if (GoesOn(j)) continue;
+      ++interval;
+      if (term.interval >= 0 && term.interval != interval) continue;  // of plans on the grid alone
       if (term.mode >= 0 && term.mode != functions_.BaseMode(phase.mode)) continue;
       for (int k = 0; k < phase.intervals; ++k) {
         add(term,
@@ -663,7 +699,7 @@ void HybridTranscription::AddTerms() {
             phase.first_control + k,
             {static_cast<double>(k) / phase.intervals, false},
             phase.intervals,
-            {Begin(j), End(j)});
+            {Begin(j), End(LastOfInterval(j))});
       }
     }
   }
@@ -671,7 +707,8 @@ void HybridTranscription::AddTerms() {
 
 void HybridTranscription::AddBounds() {
   for (int j = 0; j < num_phases(); ++j) {
-    if (phases_[j].intervals == 0) continue;
+    const bool is_given = plan_.on_grid && !GoesOn(j) && !EndsWithEvent(j);
+    if (phases_[j].intervals == 0 || is_given) continue;
     lagrangian_.Add(std::make_unique<LengthRow>(problem_.guess.duration),
                     {.inequalities = 1, .affine_blocks = 2},
                     {Begin(j), End(j)});
@@ -734,11 +771,11 @@ std::vector<double> HybridTranscription::CutTimes() const {
 std::vector<double> HybridTranscription::CutSpeeds() const {
   std::vector<double> speeds, slope;
   for (int j = 0; j + 1 < num_phases(); ++j) {
-    const ModeEvent& event = *plan_.cuts[j];
-    if (event.is_switch()) {
+    if (!EndsWithEvent(j)) {
       speeds.push_back(-1);  // no guard grazes
       continue;
     }
+    const ModeEvent& event = *plan_.cuts[j];
     const std::vector<double>& x = nodes_[phases_[j].last_node];
     const int control = std::max(phases_[j].first_control + phases_[j].intervals - 1, 0);
     const double t = times_[boundary_[j + 1]];
@@ -758,7 +795,12 @@ void HybridTranscription::Control(std::vector<double>* control, std::vector<doub
   for (const std::vector<double>& u : controls_) control->insert(control->end(), u.begin(), u.end());
   for (int j = 0; j < num_phases(); ++j) {
     const int intervals = phases_[j].intervals;
-    durations->insert(durations->end(), intervals, (times_[boundary_[j + 1]] - times_[boundary_[j]]) / intervals);
+    const double length = times_[boundary_[j + 1]] - times_[boundary_[j]];
+    if (GoesOn(j)) {
+      durations->back() += length;
+    } else {
+      durations->insert(durations->end(), intervals, length / intervals);
+    }
   }
 }
 

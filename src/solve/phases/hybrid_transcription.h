@@ -15,6 +15,10 @@
 // (HybridScales), as the augmented Lagrangian wants rows of order one.
 //
 // Where the mode changes because the control jumps (ModeEvent), phases meet without rows: the guards of both say when.
+//
+// A plan on a grid (PlanOf::on_grid) has each control interval as a phase of its own, whose ends are held: at given
+// times, or with a free duration at given parts f of it by a row t - f T = 0. An event divides its interval into two
+// phases with one control.
 #pragma once
 
 #include <deque>
@@ -88,6 +92,18 @@ class HybridTranscription {
   };
 
   int num_phases() const { return static_cast<int>(phases_.size()); }
+  // Whether a phase begins with an event within a control interval, whose control goes on.
+  bool GoesOn(int phase) const {
+    return plan_.on_grid && phase > 0 && plan_.cuts[phase - 1] && !plan_.cuts[phase - 1]->is_switch();
+  }
+  // Returns the last phase of the control interval with which a phase ends.
+  int LastOfInterval(int phase) const {
+    while (phase + 1 < num_phases() && GoesOn(phase + 1)) ++phase;
+    return phase;
+  }
+  bool EndsWithEvent(int phase) const {
+    return phase + 1 < num_phases() && plan_.cuts[phase] && !plan_.cuts[phase]->is_switch();
+  }
   double* Begin(int phase) { return &times_[boundary_[phase]]; }
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
   bool Lay(const Start& start);
@@ -100,6 +116,7 @@ class HybridTranscription {
   void AddTerms();
   void AddBounds();
   void HoldWhatIsGiven();
+  void HoldGrid();
   double LeastLength() const;
 
   const HybridProblem& problem_;

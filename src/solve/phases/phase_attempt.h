@@ -103,7 +103,11 @@ class TranscribedPlan {
     empty_ = {false};
     empty_.insert(empty_.end(), plan.tied.begin(), plan.tied.end());
     const auto phases = std::count(empty_.begin(), empty_.end(), false);
-    if (phases <= run_.num_steps()) steps_ = ShareSteps(run_.num_steps(), ends, empty_);
+    if (plan.on_grid) {
+      for (const bool is_empty : empty_) steps_.push_back(is_empty ? 0 : 1);
+    } else if (phases <= run_.num_steps()) {
+      steps_ = ShareSteps(run_.num_steps(), ends, empty_);
+    }
   }
 
   PlanAttempt Try(const MayGoOn& may_go_on) {
@@ -113,7 +117,7 @@ class TranscribedPlan {
       const bool tied = plan_.HasTies();
       if (tied && margin == 0) continue;
       if (!Solve(margin, may_go_on, &attempt)) return attempt;
-      if (attempt.converged && IsUneven(attempt.times)) {
+      if (attempt.converged && !plan_.on_grid && IsUneven(attempt.times)) {
         steps_ = ShareSteps(run_.num_steps(), attempt.times, empty_);
         GoOnFrom(attempt);
         if (!Solve(margin, may_go_on, &attempt)) return attempt;
@@ -178,7 +182,7 @@ class TranscribedPlan {
     attempt->jacobians += summary.jacobians;
     transcriber_.TakeControl(*transcription, &attempt->trial);
     SimulatePlan(transcriber_, plan_, attempt);
-    FollowEvents(transcriber_, plan_, steps_, attempt);
+    if (!plan_.on_grid) FollowEvents(transcriber_, plan_, steps_, attempt);
     attempt->violation = transcriber_.ViolationOf(attempt->trial);
     return true;
   }

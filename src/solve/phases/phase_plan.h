@@ -33,6 +33,7 @@ struct PlanOf {
   std::vector<std::optional<int>> regimes;  // by cut: the regime in which the event is held, of discs a ContactMode
   std::vector<Event> apart;                 // events that do not happen, by an inequality, but where they are cuts
   bool only_violation = false;              // hard terms as costs, and hardly any others
+  bool on_grid = false;                     // the instants are the ends of all control intervals: no event ends one
 
   std::vector<Event> Sequence() const {
     std::vector<Event> sequence;

@@ -18,7 +18,9 @@
 //
 // An optimum at which the loss has a kink, as the gap of an event just closes there or two events are at the same time,
 // is proved by no condition of first order. Steps along random directions look for better motions beside it, and solves
-// go on from those.
+// go on from those. The loss has a kink, too, where an event is at the end of a control interval. Plans move such ends
+// with their events; if the loss falls as an event leaves the end of its interval, solves go on with the intervals as
+// they are, and the event within one.
 //
 // It knows nothing of discs, modes or guards: see phase_plan.h for what it asks of a problem.
 #pragma once
@@ -74,6 +76,7 @@ class SequenceUpdate {
       if (HasOptimum() && idle_ >= mending::kPatience) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
       if (tasks_.empty() && mends) LeaveKinkOfBest();
+      if (tasks_.empty()) LeaveNodesOfBest();
       if (tasks_.empty() && !best_) Restore();
       if (tasks_.empty()) break;
       const Task task = TakeNext();
@@ -177,7 +180,7 @@ class SequenceUpdate {
     }
     Meet(attempt.trial);
     Remember(task, attempt, left);
-    const bool better = attempt.feasible() && IsBetter(attempt);
+    const bool better = attempt.feasible() && IsBetter(task.plan, attempt);
     idle_ = better ? 0 : idle_ + 1;
     if (better) {
       best_ = attempt;
@@ -190,10 +193,12 @@ class SequenceUpdate {
     if (left && !HasOptimum()) tasks_.push_back({task.plan, task.start, Rank::kHold});
   }
 
-  bool IsBetter(const PlanAttempt& attempt) const {
+  bool IsBetter(const PhasePlan& plan, const PlanAttempt& attempt) const {
     if (!best_) return true;
     const double same = kHardlyBetter * std::abs(best_->loss());
-    if (attempt.converged && !best_->converged) return attempt.loss() <= best_->loss() + same;
+    // An optimum on the grid is one of the intervals as they are, too.
+    const bool proves_more = !best_->converged || (plan.on_grid && !best_plan_.on_grid);
+    if (attempt.converged && proves_more) return attempt.loss() <= best_->loss() + same;
     return attempt.loss() < best_->loss() - same;
   }
 
@@ -207,10 +212,10 @@ class SequenceUpdate {
     return times[k + 1] - times[k] <= least * times.back();
   }
 
-  // Whether a solve is on its way out of its plan.
+  // Whether a solve is on its way out of its plan. On a grid an event may leave its interval and come back.
   bool Leaves(const PhasePlan& plan, const std::vector<double>& times, const std::vector<double>& speeds) const {
     for (size_t k = 0; k < plan.cuts.size(); ++k) {
-      if (!plan.tied[k] && IsShort(times, k, -mending::kOutOfOrder)) return true;
+      if (!plan.on_grid && !plan.tied[k] && IsShort(times, k, -mending::kOutOfOrder)) return true;
       if (plan.cuts[k] && speeds[k] > mending::kGrazes) return true;
     }
     return false;
@@ -294,6 +299,8 @@ class SequenceUpdate {
         std::swap(task.start.times[k], task.start.times[k + 1]);
       } else if (plan.cuts[k] && plan.cuts[k + 1]) {
         task.start.times[k] = task.start.times[k + 1] = middle;
+      } else if (plan.on_grid) {  // the instant stays
+        task.start.times[k] = task.start.times[k + 1] = start.times[plan.cuts[k] ? k + 1 : k];
       }
       moves->push_back(std::move(task));
       if (!plan.cuts[k] || !plan.cuts[k + 1]) continue;
@@ -366,6 +373,15 @@ class SequenceUpdate {
     std::ranges::stable_sort(better, {}, [&](const Trial& aside) { return Merit(aside); });
     if (better.size() > mending::kDirections) better.resize(mending::kDirections);
     GoOnFrom(better);
+  }
+
+  // Where the loss falls as an event leaves the end of its interval, solves go on with the intervals as they are.
+  void LeaveNodesOfBest() {
+    if (!HasOptimum() || best_plan_.on_grid || !run_.HasCertificate()) return;
+    idle_ = 0;
+    for (auto& [plan, times] : run_.PlansOnGrid(best_->trial)) {
+      Add({std::move(plan), {std::move(times), best_->trial}});
+    }
   }
 
   // Adds the tasks along the sequences of better motions, best first.

@@ -311,6 +311,7 @@ class PlainRun {
     for (size_t k = 1; k <= sequence.size(); ++k) times->push_back(double(k) / double(sequence.size() + 1));
   }
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const Plan&, const Motion&) const { return {}; }
+  std::vector<std::pair<Plan, std::vector<double>>> PlansOnGrid(const Motion&) const { return {}; }
   bool HasCertificate() const { return true; }
   Certificate Certify(const Motion& motion) const {
     Certificate certificate;
