@@ -392,11 +392,12 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
     k = end;
   }
-  if (IsOnGrid(problem_)) AddGrid(motion.durations, plan, times);
+  const bool too_few_intervals = static_cast<int>(count) >= num_steps();
+  if (IsOnGrid(problem_) || too_few_intervals) AddGrid(motion.durations, plan, times);
 }
 
 std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansOnGrid(const HybridMotion& motion) {
-  constexpr double kPart = 0.05;  // of an interval, by which an event begins beside its end
+  constexpr double kPart = 1e-3;  // of an interval, by which an event begins beside its end
   const std::vector<ImpactCertificate>& impacts = Certify(motion).impacts;
   std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
   if (std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
