@@ -405,7 +405,7 @@ class Problem {
       const HybridInput& input = problem.guess;
       const auto same = [&](const HybridInput& other) {
         return other.mode == input.mode && other.num_intervals == input.num_intervals &&
-               other.duration == input.duration;
+               other.duration == input.duration && other.lengths == input.lengths;
       };
       if (shooting_ == nullptr || !same(shooting_->problem().guess)) {
         shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem));

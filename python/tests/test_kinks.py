@@ -115,3 +115,44 @@ def test_fewer_intervals_than_phases(solver):
     run = saltus.solve(problem, solver=solver)
     assert len(run.events) == 2 and run.certificate.verdict == "stationary_on_grid"
     check_minimum(problem, run)
+
+
+@pytest.mark.parametrize("intervals", [4, 8, 20])
+def test_a_cost_of_nodes_jumps_as_an_event_crosses_one(intervals):
+    """The state that the cost reads at the end of an interval is that before the event, or behind it."""
+    system = saltus.HybridSystem(
+        states={"a": ["x", "v"], "b": ["x", "v"]}, controls=["u"], flow=dict.fromkeys("ab", lambda x, u: [x[1], u[0]]),
+        guards={"a": {"g": lambda t, x: 0.55 + 0.3 * x[1] - t}},
+        resets={"a": {"g": lambda x: ("b", [x[0] + 0.2 * x[1], 0.6 * x[1]])}})
+    problem = saltus.HybridProblem(
+        system, mode="a", initial=[0, 0.5], duration=1.0, control=np.zeros((intervals, 1)),
+        costs=[saltus.terminal([None, 0.56]), saltus.effort(0.04), saltus.residuals(lambda x: [0.3 * x[0] - 0.1], at="steps")])
+    run = saltus.solve(problem, solver="ceres_phases")
+    problem.start_from(run)
+    kind = run.certificate.get("curvature", {}).get("kind")
+    assert run.termination == "converged" and run.certificate.verdict in ("stationary_on_grid", "not_applicable")
+    losses = []
+    for i in range(intervals):
+        for step in (1e-6, -1e-6, 1e-4, -1e-4):
+            problem.control = np.asarray(run.control) + step * np.eye(intervals)[:, [i]]
+            losses.append(saltus.loss_and_gradient(problem).loss)
+    if kind == "minimum":
+        assert min(losses) >= run.loss * (1 - 1e-12)
+    else:
+        assert "the loss is not continuous as the impact a-g leaves the end of its control interval" in run.certificate.reason
+
+
+def test_a_guard_that_reads_the_control_waits_for_its_jump():
+    """The event is at the jump of the control, however much the guard is above zero before: a kink on one side."""
+    system = saltus.HybridSystem(
+        states={"a": ["x", "v"], "b": ["x", "v"]}, controls=["u"],
+        flow={"a": lambda x, u: [x[1], u[0] - 0.5 * x[0]], "b": lambda x, u: [x[1], -0.5 * x[1] + u[0]]},
+        guards={"a": {"g": lambda x, u: 1 - x[0] + 0.1 * u[0]}}, resets={"a": {"g": lambda x: ("b", [x[0], 0.5 * x[1]])}})
+    problem = saltus.HybridProblem(system, mode="a", initial=[0.3, 0.9], duration=1.1, control=np.zeros((2, 1)),
+                                   costs=[saltus.terminal([1.04, 0.0], weight=7.5), saltus.effort(0.27)])
+    run = saltus.solve(problem, solver="ceres_phases")
+    problem.start_from(run)
+    problem.control = np.asarray(run.control) - np.array([[1e-3], [0]])
+    falls = saltus.loss_and_gradient(problem).loss < run.loss * (1 - 1e-6)
+    assert falls == (run.termination != "converged")
+    assert falls == (run.certificate.verdict == "not_stationary")

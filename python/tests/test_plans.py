@@ -259,3 +259,34 @@ def test_contacts_without_a_force_count(wall, from_start):
         initial = np.diag([1e-8] * 4 + [0] * 4)
         assert saltus.propagate(scene, initial).change_probability == 0
         assert saltus.noisy_runs(scene, initial, samples=50).otherwise == 0
+
+
+def test_durations_that_change_count():
+    """x' = u from 0: x(1) is the sum of u over the lengths of its intervals."""
+    system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda u: u})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0], duration=1.0, control=[[1.0], [3.0]], costs=[saltus.terminal([0.0])])
+    for durations in (None, [0.2, 0.8], [0.8, 0.2], None):
+        problem.durations = durations
+        lengths = np.array([0.5, 0.5] if durations is None else durations)
+        found = saltus.loss_and_gradient(problem)
+        end = lengths @ [1, 3]
+        assert_allclose(found.loss, end**2, rtol=1e-12)
+        assert_allclose(np.ravel(found.gradient.control), 2 * end * lengths, rtol=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt", "mode_search", "ceres_lm", "auto"])
+def test_solvers_keep_durations_without_events(solver):
+    """x' = u - x with three intervals: a linear least squares problem, which NumPy solves."""
+    system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda x, u: [u[0] - x[0]]})
+    lengths = np.array([0.1, 0.2, 0.7])
+    problem = saltus.HybridProblem(system, mode="m", initial=[1], duration=1.0, control=np.zeros((3, 1)), durations=lengths,
+                                   costs=[saltus.terminal([1.0], weight=5), saltus.effort(1.0)])
+    run = saltus.solve(problem, solver=solver)
+    ends = np.cumsum(lengths)
+    by_control = np.exp(ends - 1) - np.exp(ends - lengths - 1)  # of x(1)
+    rows = np.vstack([np.sqrt(5) * by_control, np.diag(np.sqrt(lengths))])
+    right = np.array([np.sqrt(5) * (1 - np.exp(-1)), 0, 0, 0])
+    best = np.linalg.lstsq(rows, right, rcond=None)[0]
+    assert_allclose(run.durations, lengths, rtol=1e-12)
+    assert_allclose(np.ravel(run.control), best, rtol=1e-6)
+    assert_allclose(run.loss, np.sum((rows @ best - right) ** 2), rtol=1e-9)

@@ -202,6 +202,13 @@ void Judge(Certificate* certificate) {
     certificate->reason = std::string("the largest residual is that of ") + name;
     worst = residual;
   }
+  const auto jumping = std::ranges::find_if(certificate->impacts, &ImpactCertificate::jumps);
+  if (jumping != certificate->impacts.end()) {
+    certificate->verdict = kNotApplicable;
+    certificate->reason = "the loss is not continuous as the impact " + jumping->a + "-" + jumping->b +
+                          " leaves the end of its control interval, where a term reads the state or the control jumps";
+    return;
+  }
   const auto leaving = std::ranges::find_if(certificate->impacts, &ImpactCertificate::LeavesNode);
   if (leaving == certificate->impacts.end()) {
     if (certificate->verdict == kNotStationary && certificate->gradient &&

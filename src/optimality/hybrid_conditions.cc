@@ -12,6 +12,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -38,6 +39,8 @@ constexpr double kSameTime = 1e-14;     // of the duration
 constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
 constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
+constexpr double kOfGuard = 1e-9;       // of the size of a guard: a value that is not zero
+constexpr double kSameRows = 1e-9;      // of the loss: a change that is rounding
 
 // A step of the motion, from `begin` to `end`, with its derivatives by [x t p u h].
 struct Step {
@@ -128,6 +131,7 @@ class HybridConditions {
       impact.b = system_.GuardName(event.mode, event.guard);
       impact.speed = -event.rate;
       impact.on_node = on_node_[k];
+      impact.jumps = JumpsAtNode(static_cast<int>(k));
     }
     StationarityOnMovingGrid(&result);
     StationarityOnMovingGrid(&result);  // with the sizes that the multipliers give
@@ -232,6 +236,7 @@ class HybridConditions {
       if (k == static_cast<int>(times_.size()) || event.time - times_[k - 1] < times_[k] - event.time) --k;
       const double length = k > 0 ? times_[k] - times_[k - 1] : times_[1];
       const bool at_node = std::abs(event.time - times_[k]) <= kAtNode * length;
+      node_.push_back(at_node ? k : -1);
       on_node_.push_back(at_node && !ControlGoesOnAt(k));
       const int interval = IntervalAt(event.time);
       interval_before_.push_back(at_node ? std::max(k - 1, 0) : interval);
@@ -1054,6 +1059,13 @@ class HybridConditions {
       if (sign != 0) {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), -sign, &conditions, &kinds.events);
       }
+      if (sign != 0 && WaitsForControl(k)) {
+        Eigen::RowVectorXd one = Eigen::RowVectorXd::Zero(num_multipliers());
+        one[k] = 1;
+        conditions.AddNumber(0, one, -sign);
+        kinds.events.push_back(num_conditions_++);
+        continue;
+      }
       Add([&](const Sweep& s) { return s.event_late[k]; }, HamiltonianSize(), sign, &conditions, &kinds.events);
     }
     conditions.Solve();
@@ -1066,7 +1078,71 @@ class HybridConditions {
   }
 
   // Whether a guard falls with the control before its event, and with that after it.
-  bool FallsOnBothSides(int k) const { return sweeps_[k + 1].event_early[k] < 0 && sweeps_[k + 1].event_late[k] < 0; }
+  bool FallsOnBothSides(int k) const {
+    return sweeps_[k + 1].event_early[k] < 0 && (WaitsForControl(k) || sweeps_[k + 1].event_late[k] < 0);
+  }
+
+  // Returns the value of a guard at its event, under the control that acts after it.
+  double GuardUnderNextControl(int k) const {
+    const HybridEvent& event = events()[k];
+    return functions_.Guard(
+        {event.mode, event.time, event.before.data(), ControlOf(interval_after_[k]), input_.parameters.data()},
+        event.guard);
+  }
+  // Whether a guard that reads the control is below zero under that which begins at its event. As the event becomes
+  // late it then stays at the node, whatever the value of the guard before, and the multiplier of that side is zero.
+  bool WaitsForControl(int k) const {
+    return on_node_[k] && functions_.ReadsControl(events()[k].mode, events()[k].guard) &&
+           GuardUnderNextControl(k) < -kOfGuard * GuardSize(k);
+  }
+  // Returns the change of a guard in the duration, at the rate of its event.
+  double GuardSize(int k) const { return std::abs(events()[k].rate) * input_.duration; }
+
+  // Whether the loss jumps as an event leaves its node: a term there reads the state, which the event changes, or the
+  // guard is above zero under the control that begins there, and has no event then.
+  bool JumpsAtNode(int k) const {
+    const HybridEvent& event = events()[k];
+    if (node_[k] < 0 || node_[k] >= input_.num_intervals) return false;
+    if (on_node_[k] && functions_.ReadsControl(event.mode, event.guard) &&
+        GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
+      return true;
+    }
+    double change = 0, size = std::abs(loss_);  // of the loss
+    for (const HybridTerm& term : problem_.terms) {
+      if (term.at != HybridTerm::At::kEachInterval || !term.with_state) continue;
+      if (term.interval >= 0 && term.interval != node_[k]) continue;
+      const VectorXd before = RowsAtNode(term, node_[k], event.mode, event.before),
+                     after = RowsAtNode(term, node_[k], event.next_mode, event.after);
+      if (term.IsCost()) {
+        const auto loss = [&](double row) { return term.LossOf(row); };
+        change += after.unaryExpr(loss).sum() - before.unaryExpr(loss).sum();
+        size += after.unaryExpr(loss).cwiseAbs().sum() + before.unaryExpr(loss).cwiseAbs().sum();
+      } else if (!(ViolationOf(term, before) <= kAtBound && ViolationOf(term, after) <= kAtBound)) {
+        return true;
+      }
+    }
+    return !(std::abs(change) <= kSameRows * size);
+  }
+  static double ViolationOf(const HybridTerm& term, const VectorXd& rows) {
+    if (rows.size() == 0) return 0;
+    return term.role == HybridTerm::Role::kInequality ? rows.maxCoeff() : rows.cwiseAbs().maxCoeff();
+  }
+  // Returns the rows of a term at the beginning of an interval in a state of a mode; none if it does not count there.
+  VectorXd RowsAtNode(const HybridTerm& term, int interval, int mode, std::span<const double> state) const {
+    const std::vector<int32_t>& sizes = term.function->parameter_block_sizes();
+    if (term.mode >= 0 && term.mode != functions_.BaseMode(mode)) return {};
+    if (sizes[0] != static_cast<int>(state.size())) return {};
+    const double time = times_[interval], length = LengthOf(interval);
+    std::vector<const double*> blocks = {state.data()};
+    if (term.with_control) blocks.push_back(ControlOf(interval));
+    if (term.with_parameters) blocks.push_back(input_.parameters.data());
+    if (term.with_time) blocks.push_back(&time);
+    if (term.with_length) blocks.push_back(&length);
+    VectorXd rows(term.function->num_residuals());
+    if (!term.function->Evaluate(blocks.data(), rows.data(), nullptr))
+      rows.setConstant(std::numeric_limits<double>::infinity());
+    return rows;
+  }
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
   // before, or after, the node.
@@ -1086,7 +1162,8 @@ class HybridConditions {
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });
       const double late = combined([&](const Sweep& s) { return s.event_late[k]; });
       const double nu = -rate_early * theta_[k];  // in the unit of the Hamiltonian
-      SetTheta(nu + early, nu + late * rate_early / rate_late, nu, HamiltonianSize() * impact.time, &impact);
+      const double nu_late = WaitsForControl(k) ? 0 : nu + late * rate_early / rate_late;
+      SetTheta(nu + early, nu_late, nu, HamiltonianSize() * impact.time, &impact);
     }
   }
 
@@ -1099,6 +1176,7 @@ class HybridConditions {
   std::vector<double> times_;       // of the ends of control intervals
   std::vector<double> boundaries_;  // of the phases
   std::vector<Step> steps_;
+  std::vector<int> node_;                              // of each event: the end of an interval at which it is, or -1
   std::vector<bool> on_node_;                          // of each event: it is where the control jumps, or at an end
   std::vector<int> interval_before_, interval_after_;  // of each event: whose control acts
   std::vector<HybridShooting::TermAt> terms_;

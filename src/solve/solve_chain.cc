@@ -1,7 +1,9 @@
 #include "solve/solve_chain.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
+#include <string>
 #include <utility>
 
 namespace saltus {
@@ -88,6 +90,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
   std::optional<SolveReport> best, refused;
   std::string tried, out_of_reach;  // the latter: of an optimum found before
   double loss_out_of_reach = 0;
+  std::pair<double, std::string> lowest = {INFINITY, ""};  // feasible losses of solves without an optimum
   for (const std::string_view name : order) {
     SolverOptions next = chain.Next();
     if (name != order.back()) next.iterations = std::min(next.iterations, std::max(kLeastShare, next.iterations / 2));
@@ -110,6 +113,9 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
       out_of_reach = std::string(name) + " has converged, but " + lost;
       loss_out_of_reach = report.final_loss;
     }
+    if (!converged && report.final_violation <= kFeasible && !report.losses.empty()) {
+      lowest = std::min(lowest, {report.final_loss, std::string(name)});
+    }
     if (!best || EndsBetter(report, *best) || lower || interrupted) best = std::move(report);
     if (interrupted || (converged && lost.empty()) || chain.IsOutOfIterations()) break;
   }
@@ -122,6 +128,9 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
   if (tried != best->solver) words += " (tried: " + tried + ")";
   if (tells) words += " (" + refused->solver + " does not apply: " + refused->reason + ")";
   if (!out_of_reach.empty()) words += "; " + out_of_reach;
+  if (lowest.first < best->final_loss - kLower * std::abs(best->final_loss)) {
+    words += "; " + lowest.second + " ended at a lower loss, at which it has proved no optimum";
+  }
   if (!best->reason.empty()) words += "; " + best->reason;
   if (const std::string remedy = RemedyFor(*best); !remedy.empty()) words += "; " + remedy;
   best->reason = std::move(words);

@@ -147,7 +147,10 @@ class SpecParser {
            (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass" +
            (scene_.materials.empty() ? "" : ", or of its materials: " + ContactParametersOf(scene_)));
     }
-    if (!used_.insert(name).second) fail("each option once");
+    // A pair of materials may be named in either order.
+    const std::vector<SceneParameter> parameters = ParametersNamed(name, scene_);
+    const std::string option = parameters.size() == 1 ? NameOf(parameters[0], scene_) : name;
+    if (!used_.insert(option).second) fail("each option once");
   }
 
   SweepBlock ParseAxis() {

@@ -703,7 +703,8 @@ TEST(HybridPhases, FindTheStartOfTheSwitchedLine) {
     EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12);
     EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, root ? 1e-6 : 2e-8);
     ASSERT_TRUE(report.certificate);
-    EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
+    // The integral over an interval is that of the mode in which it begins, which an event behind the node changes.
+    EXPECT_EQ(report.certificate->verdict, root ? kStationary : kNotApplicable) << report.certificate->reason;
   }
 }
 

@@ -39,7 +39,7 @@ struct HybridTerm {
   int mode = -1;
   int guard = -1;
   bool before = false;  // kEvent: the state before the reset, in the place of that after it
-  // kEachInterval: the only interval at whose beginning it counts; -1: at each. Solvers in phases do not support it.
+  // kEachInterval: the only interval at whose beginning it counts; -1: at each.
   int interval = -1;
 
   // The function's parameter blocks, in this order:

@@ -56,10 +56,12 @@ struct ImpactCertificate {
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
   bool concave = false;         // ... and the loss falls as the impact leaves the node, to either side
+  bool jumps = false;           // the loss is not continuous as the impact leaves the node
 
-  // Whether the loss falls as the impact leaves the node, to one side at least, with the intervals as they are: the
-  // multiplier of a minimum is between those of the two one-sided gradients, of which the early one is the smaller.
-  bool LeavesNode() const { return theta && (concave || *theta < 0 || *theta > 1); }
+  // Whether the loss falls, or jumps, as the impact leaves the node, to one side at least, with the intervals as they
+  // are: the multiplier of a minimum is between those of the two one-sided gradients, of which the early one is the
+  // smaller.
+  bool LeavesNode() const { return jumps || (theta && (concave || *theta < 0 || *theta > 1)); }
 };
 
 // A hard term: if its target moves by a small d, the loss of the optimum falls by multiplier . d.

@@ -393,7 +393,8 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     k = end;
   }
   const bool too_few_intervals = static_cast<int>(count) >= num_steps();
-  if (IsOnGrid(problem_) || too_few_intervals) AddGrid(motion.durations, plan, times);
+  const bool is_given = IsOnGrid(problem_) || (count == 0 && !problem_.guess.lengths.empty());
+  if (is_given || too_few_intervals) AddGrid(motion.durations, plan, times);
 }
 
 std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansOnGrid(const HybridMotion& motion) {
@@ -515,6 +516,16 @@ std::vector<HybridMotion> HybridPhaseRun::StepAside(const HybridMotion& motion,
 
 SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Termination termination,
                                    std::string reason) {
+  constexpr double kSameLength = 1e-6;  // of an interval
+  const std::vector<double>& given = problem_.guess.lengths;
+  const bool keeps_lengths =
+      given.empty() || std::ranges::equal(given, motion.durations, [](double length, double other) {
+        return std::abs(length - other) <= kSameLength * length;
+      });
+  if (!keeps_lengths && !problem_.free.duration) {
+    reason += std::string(reason.empty() ? "" : "; ") +
+              "the control intervals of the solution end at its events, and are not those of the guess";
+  }
   FinishReport(loss, termination, std::move(reason));
   report_.initial_violation = ViolationOf(guess_);
   report_.final_violation = ViolationOf(motion);

@@ -69,8 +69,8 @@ class HybridPhaseRun final : public SequenceRun {
   void BlendStart(const HybridMotion& to, const HybridMotion& from, double part, HybridMotion* between) const;
 
   // Plans a sequence. An event that the motion lacks is put between its neighbours, where its guard is smallest.
-  // The plan is on the grid of the motion if the problem is, or if the sequence has more phases than the grid
-  // intervals.
+  // The plan is on the grid of the motion if the problem is, if the sequence has more phases than the grid intervals,
+  // or if it has no events and the lengths of the intervals are given.
   void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
                  std::vector<double>* times) const;
   // Whether each event is one of the mode that the event before it leads to, and the terms at the end apply there.
