@@ -165,7 +165,7 @@ KEYS = [
     ("table", "map", "", None, "a horizontal table, seen from above, on which the discs slide and come to rest",
      scene(*LAUNCH, TABLE)),
     ("table.friction", NUMBER, "", REQUIRED, "coefficient of friction between discs and table, >= 0", scene(*LAUNCH, TABLE)),
-    ("table.gravity", NUMBER, "m/s^2", 9.81, "gravity, normal to the table, > 0", scene(*LAUNCH, TABLE)),
+    ("table.gravity", NUMBER, "m/s^2", 9.81, "gravity, normal to the table, >= 0", scene(*LAUNCH, TABLE)),
     ("contact", "map", "", None, "parameters of all contacts; restitution and friction: of those of what has no material",
      scene(("contact", {"friction": 0}))),
     ("contact.restitution", NUMBER, "", 1.0, "separation speed over approach speed along the normal, in [0, 1]",
