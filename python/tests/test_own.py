@@ -372,7 +372,9 @@ class TestCalls:
         simulate, counts = self.counted(1, 0.8)
         report = saltus.audit(saltus.Scene({**data, "steps": 8}), simulate=simulate)
         assert sum(counts.values()) > 2000
-        assert any("more than 2000 runs" in remark for remark in report.of("simulate")["findings"])
+        findings = report.of("simulate")["findings"]
+        assert any("more than 2000 runs" in remark for remark in findings)
+        assert all(f"remark    {finding}" in str(report) for finding in findings)
 
     def test_a_limit_of_time(self, shot):
         simulate, counts = self.counted(1, 0.8)
