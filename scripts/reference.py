@@ -171,7 +171,7 @@ KEYS = [
     ("contact.restitution", NUMBER, "", 1.0, "separation speed over approach speed along the normal, in [0, 1]",
      scene(("contact.restitution", 0.5))),
     ("contact.friction", NUMBER, "", 0.0, "coefficient of friction, >= 0", scene(("contact.friction", 0.2))),
-    ("contact.stiffness", NUMBER, "N/m", 1e4, "stiffness of contacts, > 0", scene(("contact.stiffness", 2e4))),
+    ("contact.stiffness", NUMBER, "N/m", 1e4, "stiffness of contacts, >= 0", scene(("contact.stiffness", 2e4))),
     ("contact.damping", NUMBER, "N s/m", 0.0, "damping of contacts, >= 0", scene(("contact.damping", 5))),
     ("materials", "map", "", None,
      "[materials](../how-to/materials.md) by name: characters as in names of discs, but no -, and not `default`, which is what "
