@@ -3,10 +3,7 @@
 // The exact gradient is that of the event-driven model or, if that model does not support the scene, a closed form. If
 // there is none either, each gradient is compared with differences of the model's own loss.
 //
-// To audit a model of your own, write it as one header (contact/contact_model.h lists its members), and configure
-//   cmake -DSALTUS_EXTRA_MODELS="/path/to/my_model.h MyModel" ...
-// It then is a value of --contact in every program, AllContactModels() lists it, and AuditModel takes it by name; no
-// further code is needed. tests/audit/mirror_model.h is an example.
+// A model of your own is audited by OwnContact() (simulate/own_contact.h) or, with -DSALTUS_EXTRA_MODELS, by its name.
 #pragma once
 
 #include <functional>
