@@ -2,8 +2,9 @@
 //
 //   HybridProblem problem{.system = HybridSystem(BouncingBall()),
 //                         .guess = {.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 50}};
-//   problem.terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeTerminalCost(1, 0.0, 100.0, 2), MakeEffortCost(1.0 / 32,
-//   1)}; problem.free.control = true; const SolveReport report = Solve("ceres_lbfgs", problem, {});
+//   problem.terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeEffortCost(1.0 / 32, 1)};
+//   problem.free.control = true;
+//   const SolveReport report = Solve("ceres_lbfgs", problem, {});
 #pragma once
 
 #include <limits>
