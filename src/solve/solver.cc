@@ -39,14 +39,15 @@ std::string WhyNotGradientDescent(const SolveRequest& request) {
 
 std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request, {}); }
 
-std::string WhyNotLm(const SolveRequest& request) {
-  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return WhyNotShot(request, {.components = true});
+std::string WhyNotLeastSquares(const SolveRequest& request) {
+  if (!request.scene.objective.IsSumOfSquares())
+    return "the loss has a linear term, and least squares needs squares: use gd or ceres_lbfgs";
+  return WhyNothingToOptimize(request.scene);
 }
 
-std::string WhyNotLeastSquares(const SolveRequest& request) {
-  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return WhyNothingToOptimize(request.scene);
+std::string WhyNotLm(const SolveRequest& request) {
+  const std::string reason = WhyNotLeastSquares(request);
+  return reason.empty() ? WhyNotShot(request, {.components = true}) : reason;
 }
 
 std::string UnknownSolver(std::string_view name) {

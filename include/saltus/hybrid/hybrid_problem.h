@@ -77,6 +77,9 @@ struct HybridFree {
   std::vector<double> parameters_min = {}, parameters_max = {};
   bool duration = false;
   double duration_min = 0, duration_max = std::numeric_limits<double>::infinity();
+
+  // Whether there is no unknown.
+  bool IsEmpty() const { return !control && initial.empty() && parameters.empty() && !duration; }
 };
 
 struct HybridProblem {

@@ -451,9 +451,7 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
   const HybridFree& free = problem.free;
-  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
-    return "the problem leaves nothing to optimize";
-  }
+  if (free.IsEmpty()) return "the problem leaves nothing to optimize: name what is free";
   for (const HybridTerm& term : problem.terms) {
     if (term.interval >= 0) {
       return term.name + " holds at a given time, and the intervals of phases move with the events. " +

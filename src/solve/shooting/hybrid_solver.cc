@@ -99,13 +99,9 @@ class HybridRun final : public ShootingRun {
 
 std::string WhyNotShot(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
-    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers";
+    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers: use ceres_phases or ipopt";
   }
-  const HybridFree& free = problem.free;
-  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
-    return "the problem leaves nothing to optimize";
-  }
-  return "";
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 bool IsBounded(const HybridFree& free) {
@@ -118,7 +114,8 @@ bool IsBounded(const HybridFree& free) {
 }
 
 std::string WhyNotLbfgs(const HybridProblem& problem) {
-  if (IsBounded(problem.free)) return "the problem has bounds, which its steps would leave";
+  if (IsBounded(problem.free))
+    return "the problem has bounds, which its steps would leave: use ceres_lm, ceres_phases or ipopt";
   return WhyNotShot(problem);
 }
 
@@ -291,9 +288,7 @@ bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
 // ---------------------------------------------------------------------------------------------------------------- auto
 
 std::string WhyNotAny(const HybridProblem& problem) {
-  const HybridFree& free = problem.free;
-  const bool none = !free.control && free.initial.empty() && free.parameters.empty() && !free.duration;
-  return none ? "the problem leaves nothing to optimize" : "";
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 // Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
