@@ -41,7 +41,7 @@ std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request
 
 std::string WhyNotLeastSquares(const SolveRequest& request) {
   if (!request.scene.objective.IsSumOfSquares())
-    return "the loss has a linear term, and least squares needs squares: use gd or ceres_lbfgs";
+    return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
   return WhyNothingToOptimize(request.scene);
 }
 

@@ -119,7 +119,7 @@ bool IsExact(const SolveRequest& request) {
 std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (!scene.objective.IsSumOfSquares())
-    return "the loss has a linear term, and least squares needs squares: use gd or ceres_lbfgs";
+    return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
   const std::string beyond = BeyondPlanes(scene);
   return beyond.empty() ? ""
                         : "the scene has " + beyond +
