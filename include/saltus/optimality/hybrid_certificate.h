@@ -24,9 +24,8 @@
 // The curvature is the second derivative of the Lagrangian along directions that satisfy active constraints and bounds,
 // with the times of events as functions of the variables. Intervals move with the events; on a fixed grid, events at
 // the ends of intervals stay there. It is relative to the second derivative of the costs by the control alone (as
-// effort) and, for variables without such costs, to the size of the terms that cancel. It is absent with more than 400
-// free variables. Curvature::direction has the control (K x m), and then the free components of the initial state, free
-// parameters, and the duration if it is free.
+// effort) and, for variables without such costs, to the size of the terms that cancel. Curvature::direction has the
+// control (K x m), and then the free components of the initial state, free parameters, and the duration if it is free.
 #pragma once
 
 #include "saltus/hybrid/hybrid_problem.h"
@@ -34,10 +33,10 @@
 
 namespace saltus {
 
-// Certifies the motion of an input. In ImpactCertificate `a` is the name of the mode, `b` that of the guard, and
-// `speed` the rate at which the guard falls. The verdict is kNotApplicable if the input has no motion, or one with
-// transitions at once or grazing guards. With kAmbiguous the reason names the guards, and Certificate::ambiguous is
-// empty.
+// Certifies the motion of an input. In ImpactCertificate `a` is the name of the mode, `b` that of the guard, and `speed`
+// the rate at which the guard falls. The verdict is kNotApplicable if the input has no motion, one with transitions at
+// once or grazing guards, or more than 1000 multipliers. With kAmbiguous the reason names the guards, and
+// Certificate::ambiguous is empty.
 Certificate Certify(const HybridProblem& problem, const HybridInput& input);
 
 }  // namespace saltus
