@@ -33,10 +33,10 @@
 
 namespace saltus {
 
-// Certifies the motion of an input. In ImpactCertificate `a` is the name of the mode, `b` that of the guard, and `speed`
-// the rate at which the guard falls. The verdict is kNotApplicable if the input has no motion, one with transitions at
-// once or grazing guards, or more than 1000 multipliers. With kAmbiguous the reason names the guards, and
-// Certificate::ambiguous is empty.
+// Certifies the motion of an input. In ImpactCertificate `a` is the name of the mode, `b` that of the guard, and
+// `speed` the rate at which the guard falls. The verdict is kNotApplicable if the input has no motion, one with
+// transitions at once or grazing guards, or more than 1000 multipliers. With kAmbiguous the reason names the guards,
+// and Certificate::ambiguous is empty.
 Certificate Certify(const HybridProblem& problem, const HybridInput& input);
 
 }  // namespace saltus
