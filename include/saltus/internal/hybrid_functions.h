@@ -79,7 +79,7 @@ class HybridFunctions {
   virtual void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                     double* slope_after) const;
   virtual void LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const;
-  // Pulls a cotangent of x' back; false if the step has to be linearized first.
+  // Computes the vector-Jacobian product of a cotangent of x'; returns false if the step has to be linearized first.
   virtual bool PullBackStep(const FlowStep& /*step*/, const double* /*after*/, StepCotangent* /*out*/) const {
     return false;
   }
@@ -113,9 +113,9 @@ class HybridFunctions {
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
-  // Says why a reset returns a negative number; with guard -1, why ModeUnder does.
+  // Returns why a reset returns a negative number; with guard -1, why ModeUnder does.
   virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
-  // Says why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
+  // Returns why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
   virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
   // Returns the mode in which a motion goes on from the state x when its control jumps to u, which the point has; a
