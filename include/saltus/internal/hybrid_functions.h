@@ -1,8 +1,8 @@
 // A hybrid system as the engine sees it: an interface of doubles, and the adapter that puts a user's struct behind it.
 //
-// The engine (integration, location of events, adjoint) is compiled once, in hybrid/; it knows HybridFunctions only. A
-// user's struct contributes HybridFunctionsOf<S>, which instantiates the struct's own functions in double and in Jets,
-// and nothing else. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
+// The engine (integration, location of events, adjoint) is compiled once, in hybrid/; it depends on HybridFunctions
+// only. A user's struct contributes HybridFunctionsOf<S>, which instantiates the struct's own functions in double and
+// in Jets, and nothing else. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
 #pragma once
 
 #include <ceres/jet.h>
@@ -108,8 +108,8 @@ class HybridFunctions {
   }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
-  // none, and WhyNoMode says why; below -1 there may be with shorter steps. x_plus has room for the largest state of
-  // any mode; what a reset into a mode with a smaller state leaves is not read.
+  // none, and WhyNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the largest
+  // state of any mode; what a reset into a mode with a smaller state leaves is not read.
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;

@@ -20,7 +20,7 @@
 // is proved by no condition of first order. Steps along random directions look for better motions beside it, and solves
 // go on from those.
 //
-// It knows nothing of discs, modes or guards: see phase_plan.h for what it asks of a problem.
+// It does not depend on discs, modes or guards: see phase_plan.h for what it asks of a problem.
 #pragma once
 
 #include <algorithm>
@@ -315,7 +315,7 @@ class SequenceUpdate {
     for (Task& move : *moves) MakeRise(&move.start.times, DurationOf(move.start.trial));
   }
 
-  // Between two regimes the loss has a kink, which a solve that does not know of it never leaves.
+  // Between two regimes the loss has a kink, which a solve without regard to it never leaves.
   void SplitRegimes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
                     std::vector<Task>* moves) const {
     if (attempt.converged || !attempt.realized) return;

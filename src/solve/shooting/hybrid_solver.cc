@@ -247,7 +247,7 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input
   return found;
 }
 
-// Takes back what a certificate says of derivatives where squares are zero: they are small beside terms that are
+// Removes the verdict of a certificate on derivatives where squares are zero: they are small beside terms that are
 // rounding.
 void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
   const bool squares =
