@@ -318,7 +318,7 @@ KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradien
 
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
-    with open(path, "rb") as file:
+    with open(os.fspath(path), "rb") as file:
         content = file.read()
     if content.startswith(b"PK"):
         raise ValueError(f"{os.fspath(path)}: found an NPZ archive, such as programs write; read it with numpy.load")

@@ -265,10 +265,21 @@ class TestContactModels:
 
         with pytest.raises(ValueError, match=r"wrong: step: found shape \(1, 4\), expected \(2, 4\)"):
             saltus.rollout(two_balls, Wrong)
+
+        class Pair(Direct):
+            name = "pair"
+
+            def step(self, x, u, h):
+                return x, u
+
+        with pytest.raises(TypeError, match=r"pair: step: found tuple, expected numbers \(2, 4\)"):
+            saltus.rollout(two_balls, Pair)
         with pytest.raises(NotImplementedError, match=r"step\(x, u, h\)"):
             saltus.rollout(two_balls, saltus.ContactModel)
         with pytest.raises(TypeError, match="expected the class itself"):
             saltus.rollout(two_balls, Direct(two_balls))
+        with pytest.raises(TypeError, match="expected the class itself"):
+            saltus.audit(two_balls, Direct(two_balls))
 
 
 class TestEngines:
