@@ -55,7 +55,7 @@ std::string UnknownSolver(std::string_view name) {
   for (const auto* solvers : {&AllSolvers(), &SolversByName()}) {
     for (const SolverEntry& solver : *solvers) known += (known.empty() ? "" : ", ") + std::string(solver.name);
   }
-  return "found '" + std::string(name) + "', expected a solver: " + known;
+  return "solver: found '" + std::string(name) + "', expected a solver: " + known;
 }
 
 std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {

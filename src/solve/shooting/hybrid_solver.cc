@@ -370,7 +370,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   const auto entry = std::find_if(
       HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == solver; });
   if (entry == HybridSolvers().end()) {
-    report.reason = "found '" + std::string(solver) + "', expected a solver of hybrid systems:";
+    report.reason = "solver: found '" + std::string(solver) + "', expected a solver of hybrid systems:";
     for (const HybridSolverEntry& known : HybridSolvers()) report.reason += " " + std::string(known.name);
     return report;
   }
