@@ -39,13 +39,17 @@ class NoisyRuns(Result):
     _kind = "noisy runs"
 
 
-def _matrix(value: ArrayLike | None) -> Any:
+def _matrix(name: str, value: ArrayLike | None) -> Any:
     if value is None:
         return np.zeros((0, 0))
     matrix = np.asarray(value, dtype=float)
     if matrix.ndim != 2:
-        raise ValueError(f"found an array of shape {matrix.shape}, expected a matrix")
+        raise ValueError(f"{name}: found shape {matrix.shape}, expected a matrix")
     return matrix
+
+
+def _covariances(**given: ArrayLike | None) -> list[Any]:
+    return [_matrix(name, value) for name, value in given.items()]
 
 
 def _along(problem: HybridProblem, plan: Any, durations: ArrayLike | None) -> HybridProblem:
@@ -111,14 +115,14 @@ def track(
             raise ValueError("Q: the modes of a mechanical system have one state, expected one matrix")
         if set(Q) != set(system.modes):
             raise ValueError(f"Q: expected a matrix for each of the modes {', '.join(system.modes)}")
-        weights = [_matrix(Q[mode]) for mode in system.modes]
+        weights = [_matrix(f"Q of mode {mode!r}", Q[mode]) for mode in system.modes]
     else:
-        weights = [_matrix(Q)]
+        weights = [_matrix("Q", Q)]
     if not continuous:
-        gains, cost, closed, events, remark = _planned(problem, plan, durations).track(weights, _matrix(R), _matrix(QT))
+        gains, cost, closed, events, remark = _planned(problem, plan, durations).track(weights, _matrix("R", R), _matrix("QT", QT))
     elif isinstance(problem, HybridProblem):
         gains, cost, closed, events, remark = _along(problem, plan, durations)._call(
-            "track_continuously", weights, _matrix(R), _matrix(QT)
+            "track_continuously", weights, _matrix("R", R), _matrix("QT", QT)
         )
     else:
         raise ValueError("continuous: expected a HybridProblem")
@@ -147,7 +151,7 @@ def propagate(
     state at the end of each interval; of the ``measurement`` of the state at its beginning. None: no error. ``plan`` and
     ``durations`` as in track.
     """
-    matrices = [_matrix(value) for value in (initial, control, process, measurement)]
+    matrices = _covariances(initial=initial, control=control, process=process, measurement=measurement)
     nodes, times, risks, probability, warning, remark = _planned(problem, plan, durations).propagate(matrices, _gains(regulator))
     return Covariance({
         "covariances": nodes, "event_times": np.array(times), "risks": risks, "change_probability": probability,
@@ -180,7 +184,7 @@ def noisy_runs(
     expect("a whole number", seed=seed)
     if not 0 <= seed < 2**64:
         raise ValueError(f"seed: found {seed}, expected a whole number from 0 to {2**64 - 1}")
-    matrices = [_matrix(value) for value in (initial, control, process, measurement)]
+    matrices = _covariances(initial=initial, control=control, process=process, measurement=measurement)
     mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
         matrices, _gains(regulator), samples, seed, threads
     )

@@ -1357,7 +1357,11 @@ def audit(
 
         def call_step(*values: Any) -> Any:
             given = dict(zip(_STEP, values))
-            return function(*(given[name] for name in positional), **{name: given[name] for name in keywords})
+            result = function(*(given[name] for name in positional), **{name: given[name] for name in keywords})
+            is_pair = isinstance(result, (tuple, list)) and len(result) == 2 and isinstance(result[0], str)
+            if what == "step" and not is_pair:
+                raise ValueError(f"step: found {result!r}, expected the next mode's name and its state")
+            return result
 
         return call_step
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Mapping, Sequence, Union
+from typing import Any, Callable, Iterable, Mapping, Sequence, Union
 
 from . import _saltus
 from ._results import Fit
@@ -77,7 +77,8 @@ def identify(
     expect("a number", loss_scale=loss_scale, segment=segment)
     expect("True or False", known_start=known_start)
     expect("a callable", status=status)
-    given = [recordings] if isinstance(recordings, (str, os.PathLike, Mapping)) else list(recordings)
+    is_list = isinstance(recordings, Iterable) and not isinstance(recordings, (str, os.PathLike, Mapping))
+    given = list(recordings) if is_list else [recordings]
     names = unknown if isinstance(unknown, str) else ",".join(unknown)
     found, stopped_by = _saltus.identify(
         as_scene(scene),

@@ -268,7 +268,7 @@ def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridPro
     """Reads the problem of a file of planar bodies (polygons, boxes, discs, joints), as the program saltus_bodies does.
 
     Returns a HybridProblem with the system, the motion, the objective, and what the file optimizes with its bounds, which
-    ``solve`` takes unless it is given others. docs/reference/scene-files.md lists the keys.
+    ``solve`` takes unless it is given others. docs/reference/box-files.md lists the keys.
 
     Args:
         source: the path of a YAML file, or a dict with its keys.
@@ -280,7 +280,7 @@ def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridPro
     if isinstance(source, Mapping):
         bodies = _Bodies(json.dumps(dict(source), default=_plain, ensure_ascii=False), "scene")
     else:
-        with open(source, "rb") as file:
+        with open(os.fspath(source), "rb") as file:
             bodies = _Bodies(file.read(), os.fspath(source))
     read = bodies._read
     control, initial, parameters, duration = read["free"]

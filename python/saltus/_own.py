@@ -115,7 +115,10 @@ class Stepper:
 
 def _state(model: ContactModel, value: Any, shape: tuple[int, ...]) -> Floats:
     """Returns a copy of the state that a step has returned."""
-    state = np.array(value, dtype=float)
+    try:
+        state = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{model.name}: step: found {type(value).__name__}, expected numbers {shape}: {error}") from error
     if state.shape != shape:
         raise ValueError(f"{model.name}: step: found shape {state.shape}, expected {shape}")
     return state

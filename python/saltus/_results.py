@@ -145,7 +145,9 @@ def _brief(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        return str(value["verdict"]) if "verdict" in value else "{" + ", ".join(value) + "}"
+        if "verdict" in value:
+            return str(value["verdict"])
+        return "{" + ", ".join(f"{key}: {_brief(part)}" if isinstance(part, (str, float)) else key for key, part in value.items()) + "}"
     if isinstance(value, tuple):
         return f"({', '.join(map(_brief, value))})"
     if not isinstance(value, list):
@@ -241,6 +243,7 @@ class Audit(Result):
         for item in self._data["audits"]:
             error = f", relative error {item['relative_error']:.3g}" if item.get("relative_error") is not None else ""
             rows.append((item["contact"], f"{item.get('verdict', item.get('termination', ''))}{error}{_why(item)}"))
+            rows += [("remark", finding) for finding in item.get("findings", [])]
         return rows
 
 
@@ -315,7 +318,7 @@ KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradien
 
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
-    with open(path, "rb") as file:
+    with open(os.fspath(path), "rb") as file:
         content = file.read()
     if content.startswith(b"PK"):
         raise ValueError(f"{os.fspath(path)}: found an NPZ archive, such as programs write; read it with numpy.load")

@@ -120,7 +120,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
     Raises SceneError, which names file, line, key and what was expected, and OSError.
     """
-    with open(path, "rb") as file:
+    with open(os.fspath(path), "rb") as file:
         return Scene._of_text(file.read(), os.fspath(path))
 
 

@@ -9,7 +9,7 @@ from ._hybrid import HybridProblem, HybridRun
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene, of_run
-from ._types import expect, expect_int
+from ._types import expect, expect_int, expect_names
 
 
 def contact_models() -> dict[str, str]:
@@ -243,7 +243,7 @@ def audit(
         contact = "all" if simulate is None else []
     models = list(contact_models()) if isinstance(contact, str) and contact == "all" else contact
     models = list(models) if isinstance(models, (list, tuple)) else [models]
-    names = [model for model in models if not is_own(model)]
+    names = expect_names(contact=[as_contact(model) for model in models if not is_own(model)])
     own: list[tuple[str, Any, str, bool]] = [
         (model.name, Stepper(model), "final state" if has_jacobian(model) else "", True)
         for model in models

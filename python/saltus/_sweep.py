@@ -14,7 +14,7 @@ import numpy as np
 
 from . import _saltus
 from ._scene import Scene, SceneLike, as_scene
-from ._types import expect_int
+from ._types import expect, expect_int, expect_names
 
 _LAST = ("reason", "status")  # columns that every table has
 Grid = Union[str, Mapping[Any, Sequence[Any]]]
@@ -188,7 +188,9 @@ def sweep(
         ValueError: an argument or an option is wrong.
         TypeError: the function does not take the options of the grid.
     """
-    expect_int(threads=threads)
+    expect_int(threads=threads, iterations=iterations)
+    expect("a number", point_seconds=point_seconds, learning_rate=0 if learning_rate is None else learning_rate)
+    expect("text", precision=precision)
     if threads < 0:
         raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
     study = None
@@ -212,8 +214,8 @@ def sweep(
         inputs, task, failed = _points(grid), partial(_called_row, problem), _failed_call
     else:
         scene = as_scene(problem)
-        contacts = (contact,) if isinstance(contact, str) else tuple(contact)
-        solvers = () if solver is None else (solver,) if isinstance(solver, str) else tuple(solver)
+        contacts = tuple(expect_names(contact=contact))
+        solvers = () if solver is None else tuple(expect_names(solver=solver))
         arguments = (_spec(grid), contacts, solvers, precision, iterations, learning_rate)
         study = _saltus.SweepStudy(scene, *arguments)
         inputs, failed = range(len(study)), study.failed

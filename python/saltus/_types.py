@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,17 @@ def expect(kind: str, **options: Any) -> None:
     for name, value in options.items():
         if not _KINDS[kind](value):
             raise TypeError(f"{name}: found {type(value).__name__}, expected {kind}")
+
+
+def expect_names(**options: Any) -> list[str]:
+    """Returns the names that an option has, one as text or several; raises TypeError for anything that is no text."""
+    names = []
+    for option, value in options.items():
+        several = isinstance(value, Iterable) and not isinstance(value, str)
+        for name in value if several else [value]:
+            expect("text", **{option: name})
+            names.append(name)
+    return names
 
 
 def expect_int(**options: Any) -> None:

@@ -66,6 +66,9 @@ def test_steps_of_an_audit_get_what_their_arguments_are_named():
     assert without_time.verdict == "wrong" or without_time.parts[0]["levels"][0]["error"] != verdicts[0].parts[0]["levels"][0]["error"]
     with pytest.raises(ValueError, match="step: found an argument 'dt', expected some of mode, x, u, p, h and t"):
         saltus.audit(problem, step=lambda mode, x, dt: euler(x, [0], 0, dt), steps=16)
+    for result in (np.zeros(2), None, ("m", [0, 0], 1), (0, [0, 0])):
+        with pytest.raises(ValueError, match="step: found .*, expected the next mode's name and its state"):
+            saltus.audit(problem, step=lambda mode, x, h, found=result: found, steps=16)
 
 
 def test_errors_of_numpy_keep_their_text_and_get_the_place():

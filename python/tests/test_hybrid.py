@@ -315,6 +315,15 @@ def test_audit_of_a_scheme():
     right.raise_if_wrong()
 
 
+def test_an_audit_whose_steps_are_too_few_asks_for_more():
+    """The error of explicit Euler steps on a spring grows as exp(50 h)."""
+    spring = saltus.HybridSystem(states={"m": ["y", "v"]}, flow={"m": lambda x: [x[1], -10 - 100 * x[0]]})
+    problem = saltus.HybridProblem(spring, mode="m", initial=[1, 0], duration=1, costs=[saltus.terminal([1, 0])])
+    found = saltus.audit(problem, step=lambda mode, x, h: (mode, [x[0] + h * x[1], x[1] - h * (10 + 100 * x[0])]), steps=4)
+    assert found.verdict == "unknown"
+    assert found.reason == "the error falls, but not yet below one percent: begin with more steps"
+
+
 def test_a_step_that_raises_ends_the_audit():
     def step(mode, x, u, p, h):
         raise KeyError("mine")

@@ -43,3 +43,11 @@ def test_the_probability_that_the_sequence_changes(problem, least, most):
 def test_a_covariance_without_columns_is_refused():
     with pytest.raises(ValueError, match="control"):
         saltus.noisy_runs(beads(1.5), initial=1e-4 * np.eye(6), control=np.empty((3, 0)), samples=5)
+
+
+def test_what_is_no_matrix_is_refused_by_its_name():
+    problem = beads(1.5)
+    with pytest.raises(ValueError, match=r"^R: found shape \(\), expected a matrix"):
+        saltus.track(problem, np.eye(6), 1, np.eye(6))
+    with pytest.raises(ValueError, match=r"^process: found shape \(6,\), expected a matrix"):
+        saltus.propagate(problem, process=np.ones(6))

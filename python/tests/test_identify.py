@@ -213,6 +213,8 @@ class TestRefusals:
     def test_no_recordings(self, scene, recording):
         with pytest.raises(TypeError, match=r"recordings\[1\]: found int, expected the path"):
             saltus.identify(scene, [recording, 3])
+        with pytest.raises(TypeError, match=r"recordings\[0\]: found int, expected the path"):
+            saltus.identify(scene, 3)
         with pytest.raises(ValueError, match="none.csv"):
             saltus.identify(scene, pathlib.Path("none.csv"))
         with pytest.raises(ValueError, match="recording"):

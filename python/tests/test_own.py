@@ -265,10 +265,21 @@ class TestContactModels:
 
         with pytest.raises(ValueError, match=r"wrong: step: found shape \(1, 4\), expected \(2, 4\)"):
             saltus.rollout(two_balls, Wrong)
+
+        class Pair(Direct):
+            name = "pair"
+
+            def step(self, x, u, h):
+                return x, u
+
+        with pytest.raises(TypeError, match=r"pair: step: found tuple, expected numbers \(2, 4\)"):
+            saltus.rollout(two_balls, Pair)
         with pytest.raises(NotImplementedError, match=r"step\(x, u, h\)"):
             saltus.rollout(two_balls, saltus.ContactModel)
         with pytest.raises(TypeError, match="expected the class itself"):
             saltus.rollout(two_balls, Direct(two_balls))
+        with pytest.raises(TypeError, match="expected the class itself"):
+            saltus.audit(two_balls, Direct(two_balls))
 
 
 class TestEngines:
@@ -372,7 +383,9 @@ class TestCalls:
         simulate, counts = self.counted(1, 0.8)
         report = saltus.audit(saltus.Scene({**data, "steps": 8}), simulate=simulate)
         assert sum(counts.values()) > 2000
-        assert any("more than 2000 runs" in remark for remark in report.of("simulate")["findings"])
+        findings = report.of("simulate")["findings"]
+        assert any("more than 2000 runs" in remark for remark in findings)
+        assert all(f"remark    {finding}" in str(report) for finding in findings)
 
     def test_a_limit_of_time(self, shot):
         simulate, counts = self.counted(1, 0.8)

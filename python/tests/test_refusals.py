@@ -184,6 +184,17 @@ class TestNames:
             saltus.Batch(two_balls, threads="two")
         with refused(TypeError, "precision: found int"):
             saltus.rollout(two_balls, precision=64)
+        for wrong, expected in [({"contact": 3}, "text"), ({"contact": ["event", 3]}, "text"), ({"solver": [3]}, "text"),
+                                ({"iterations": "ten"}, "a whole number"), ({"precision": 64}, "text"),
+                                ({"learning_rate": "fast"}, "a number"), ({"point_seconds": "one"}, "a number")]:
+            with refused(TypeError, f"^{next(iter(wrong))}: found", f"expected {expected}"):
+                saltus.sweep(two_balls, {"steps": [8]}, **wrong)
+        for contact in [3, ["event", 3]]:
+            with refused(TypeError, "^contact: found int, expected text"):
+                saltus.audit(two_balls, contact)
+        for load in [saltus.load_scene, saltus.load_bodies, saltus.load_result]:
+            with refused(TypeError, "expected str, bytes or os.PathLike object, not int"):
+                load(3)
         saltus.solve(two_balls, "event", "gd", iterations=np.int64(1), learning_rate=np.float32(1), threads=np.int32(1))
 
     def test_a_start_that_overlaps(self, two_balls):

@@ -151,7 +151,8 @@ std::string CauseOf(const ModelAudit& audit) {
   }
   if (audit.widths) return audit.widths->Summary();
   if (!audit.refinement) return "";
-  return audit.refinement->ok() ? "the error falls, but not yet below one percent" : audit.refinement->reason;
+  return audit.refinement->ok() ? "the error falls, but not yet below one percent: begin with more steps"
+                                : audit.refinement->reason;
 }
 
 }  // namespace

@@ -11,7 +11,7 @@ namespace saltus {
 // for nothing else, kills the whole group as soon as this object goes, or this program ends, however that happens.
 class ChildProcess {
  public:
-  // Starts `command` by /bin/sh. If that fails, `error` says why and no descriptor is valid.
+  // Starts `command` by /bin/sh. If that fails, `error` is the reason and no descriptor is valid.
   ChildProcess(const std::string& command, std::string* error);
   ~ChildProcess();
   ChildProcess(const ChildProcess&) = delete;

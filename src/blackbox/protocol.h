@@ -28,7 +28,7 @@ namespace saltus {
 
 using ProtocolJson = nlohmann::ordered_json;
 
-// The exception for an unexpected answer: its message says what was expected and what arrived.
+// The exception for an unexpected answer: its message has what was expected and what arrived.
 struct ProtocolError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };

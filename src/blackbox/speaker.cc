@@ -32,7 +32,7 @@ std::vector<double> Rows(const ProtocolJson& question, const char* key, int rows
   return NumbersFrom(Require(question, key), {static_cast<std::size_t>(rows), width}, "\"" + std::string(key) + "\"");
 }
 
-// Returns position and velocity of each disc, without rotation that only the model knows.
+// Returns position and velocity of each disc, without rotation that only the model has.
 std::vector<double> Plain(const std::vector<double>& state, int body_size) {
   std::vector<double> plain;
   for (std::size_t i = 0; i < state.size(); i += body_size) {

@@ -24,15 +24,17 @@ int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
 
 }  // namespace
 
-std::string BeyondTerminalCost(const Scene& scene) {
-  const Objective& objective = scene.objective;
+std::string BeyondTerminalLoss(const Objective& objective) {
   if (!objective.running.empty()) return "running costs";
   if (!objective.via.empty()) return "waypoint costs";
   if (objective.duration) return "a free duration";
-  if (objective.HasConstraints()) return "terminal equality constraints";
+  return objective.HasConstraints() ? "terminal equality constraints" : "";
+}
+
+std::string BeyondTerminalCost(const Scene& scene) {
+  if (std::string found = BeyondTerminalLoss(scene.objective); !found.empty()) return found;
   if (scene.control.IsBounded()) return "bounds on the control";
-  if (!scene.no_contact.empty()) return "pairs that must not touch";
-  return "";
+  return scene.no_contact.empty() ? "" : "pairs that must not touch";
 }
 
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size) {

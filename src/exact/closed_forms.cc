@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "exact/flow.h"
+#include "saltus/control/objective.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -243,6 +244,9 @@ ClosedForm Convert(ClosedForm form, const Units& from, const Units& to) {
 
 std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not) {
   if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
+  if (const std::string beyond = BeyondTerminalLoss(scene.objective); !beyond.empty()) {
+    return Refuse(why_not, "the scene has " + beyond + "; the closed forms are of terminal costs and effort");
+  }
   if (!scene.units.natural) {
     const Scene natural = InNaturalUnits(scene);
     const std::optional<ClosedForm> form = EvaluateClosedForm(natural, why_not);

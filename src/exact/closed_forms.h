@@ -1,6 +1,6 @@
 // Loss, exact gradient and collisions of simple scenes in closed form, without simulating them step by step.
 //
-// Two families of scenes have one. Which family a scene belongs to is read from its content, never from its name.
+// Two families of scenes have one, with a loss of terminal costs and effort:
 //
 //   disc among planes   one moving disc; it flies parabolas and strikes planes, one at a time.
 //   two discs           two moving discs and no plane; they collide at most once.
@@ -12,10 +12,7 @@
 //
 //   P = p_n n + p_t t,   p_n = -(1 + e) m_eff v_n,   p_t = -sign(v_t) min(mu p_n, m_eff |v_t|).
 //
-// The gradient follows from differentiating these formulas, the time of the collision included.
-//
-// Scenes: Zhong, Han, Brikis, "Differentiable Physics Simulations with Contacts: Do They Have Correct Gradients w.r.t.
-// Position, Velocity and Control?", 2022, tasks 1 to 3. SI units.
+// The gradient is the derivative of these formulas, with that of the time of the collision. Units are SI.
 #pragma once
 
 #include <optional>
@@ -55,9 +52,9 @@ struct ClosedForm {
   std::vector<ExactEvent> events;  // in order of time
 };
 
-// The closed form of `scene` under its initial forces, or nothing if it has none here: it is of neither family, or its
-// collisions are not of the kind assumed (a second collision of two discs, a corner, a grazing or a resting contact).
-// The reason is then put into `why_not`, if given. `scene` must be valid (see Validate).
+// Returns the closed form of `scene` under its initial forces, or std::nullopt, and the reason in `why_not`, if it has
+// none here: another family or loss, or other collisions (a second collision of two discs, a corner, a grazing or a
+// resting contact). `scene` must be valid (see Validate).
 std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not = nullptr);
 
 }  // namespace saltus

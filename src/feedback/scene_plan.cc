@@ -73,7 +73,7 @@ std::string ContactsThatRestTogether(const SceneIntervals& motion) {
   return first;
 }
 
-// Where derivatives do not say what small disturbances do, or only from one side.
+// Where derivatives do not describe small disturbances, or from one side only.
 std::string RemarkOn(const SceneIntervals& motion, const Scene& at_start) {
   std::vector<Tie> ties;
   int unresolved = 0;

@@ -193,14 +193,14 @@ double RolloutRun::Elapsed(double time) const {
 
 void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
-// Whether a guard of the mode jumps where the control does. Modes that are created say themselves, by ModeUnder, where
+// Whether a guard of the mode jumps where the control does. Systems that create modes determine, by ModeUnder, where
 // a jump of the control leads to.
 bool RolloutRun::JumpsWithControl(int guard) const {
   return !functions_.CreatesModes() && functions_.ReadsControl(at_.mode, guard) &&
          !functions_.IsSwitch(at_.mode, guard);
 }
 
-// The control has jumped: the motion goes on in the mode that the system's functions say.
+// The control has jumped: the motion goes on in the mode that the system's functions return.
 bool RolloutRun::SwitchControl() {
   const FlowStep here = StepFrom(0);
   const int next = functions_.ModeUnder(here);

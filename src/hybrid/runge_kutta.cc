@@ -141,7 +141,7 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
           }
         }
       };
-      columns_from(0, n);  // a number of columns that the compiler knows
+      columns_from(0, n);  // a number of columns that is a constant
       columns_from(n, columns);
     };
     PullBackThroughStages<size>(

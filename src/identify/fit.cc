@@ -190,7 +190,7 @@ class IterationReport final : public ceres::IterationCallback {
 ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments, double gain) {
   ceres::Solver::Options options;
   options.max_num_iterations = problem.options->max_iterations;
-  // Weights of a network wander along valleys in which nothing changes but they.
+  // Weights of a network move along valleys in which the cost does not change.
   options.function_tolerance = LearnedStartOf(*problem.options) ? std::max(gain, kSmallGain) : gain;
   options.parameter_tolerance = 1e-10;
   options.gradient_tolerance = 1e-14;

@@ -589,7 +589,7 @@ class Identification {
   }
 
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
-  // says how much noise they have.
+  // shows how much noise they have.
   bool HasResiduals() const { return NumbersLeft() > 0; }
   // Returns the number of measured numbers less that of unknown ones.
   int NumbersLeft() const {

@@ -111,6 +111,7 @@ std::string Text(double value) { return ToText(value, 12); }
 }  // namespace
 
 std::string RecordingError::ToString() const {
+  if (message.starts_with(file + ": ")) return message;  // errors of reading a file name it
   return file + (line > 0 ? ":" + std::to_string(line) : std::string()) + ": " + message;
 }
 

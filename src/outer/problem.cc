@@ -9,7 +9,7 @@
 namespace saltus {
 namespace {
 
-// Throws if there is an error, which says what was found and what was expected.
+// Throws if there is an error, with what was found and what was expected.
 void Check(const std::string& error) {
   if (!error.empty()) throw std::invalid_argument("Problem: " + error);
 }

@@ -1,7 +1,7 @@
 // A page: one self-contained HTML file with a document and the viewer (src/output/page) that draws it.
 //
 // The document is JSON: {"title", "subtitle", "results", "styles", "parts": [{"kind", ...}, ...]}. `results` is what a
-// program prints with --json, its long lists of numbers thinned; the parts say what is shown, in which order.
+// program prints with --json, its long lists of numbers thinned; the parts state what is shown, in which order.
 #pragma once
 
 #include <nlohmann/json.hpp>

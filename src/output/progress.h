@@ -52,7 +52,7 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
 
-  // Reports that `units` more units are finished; `note` says what is being worked on.
+  // Reports that `units` more units are finished; `note` is what is being computed.
   void Advance(int64_t units = 1, std::string_view note = "");
 
   // Reports that some units take far longer than others, so that the time left is not estimated.

@@ -1,4 +1,4 @@
-// Files of planar bodies as problems of mechanical systems. docs/reference/scene-files.md lists the keys.
+// Files of planar bodies as problems of mechanical systems. docs/reference/box-files.md lists the keys.
 #pragma once
 
 #include <yaml-cpp/yaml.h>

@@ -17,7 +17,7 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 
 // The simulator's last rollout: {"mode", "final", "events": [{"time", "mode", "guard", "next_mode", "rate"}],
 // "steps_per_interval"}, and if it failed "failed" with the reason and "accumulation" with the time at which events
-// accumulate. "remark" says why there is no derivative or only a one-sided one; "remarks" is the list of all remarks
+// accumulate. "remark" states why there is no derivative or only a one-sided one; "remarks" is the list of all remarks
 // (remarks.h). With `states` also "times", "modes",
 // "states" and "guards" (the values of the mode's guards): at every step of the integration, and before and after every
 // event.

@@ -3,7 +3,7 @@
 //   int main(int argc, char** argv) { return saltus::RunHybridProgram(argc, argv, Hopper(), HopperProblem()); }
 //
 // simulates the guess, computes the loss with its gradient, runs solvers and audits a scheme, and writes tables, JSON
-// and a page. Beside what hybrid_system.h says, the system may have
+// and a page. In addition to hybrid_system.h, the system may have
 //
 //   template <typename Drawing>
 //   void Draw(int mode, double t, const double* x, const double* p, Drawing* drawing) const;

@@ -20,7 +20,7 @@ DECLARE_int32(steps);
 namespace saltus {
 namespace {
 
-// The options of a kind, with what the flags say.
+// Returns the options of a kind, with the values of the flags.
 template <typename Options>
 Options ReadOptions(int fewest) {
   constexpr int kMost = 1000;  // a scene file is read with care for every pair, and has at most a megabyte

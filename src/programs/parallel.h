@@ -36,7 +36,7 @@ struct JobsEnd {
 // ask AskedToStop(), have 0.7 s to come back before the program goes on without them. What they use must therefore not
 // go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
 JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* progress, const Job& job);
-// Runs jobs with these names. They take seconds and minutes, so that the progress says nothing of the time left.
+// Runs jobs with these names. They take seconds and minutes, so that the progress does not estimate the time left.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);
 
 // Runs jobs that use data of the caller: if they do not return, the process ends here, with the exit code of a failed

@@ -121,7 +121,7 @@ void OnNoMemory() {
   std::abort();
 }
 
-// Where std::bad_alloc cannot get out, the program says kMemoryRanOut and ends as it would have with it caught in main.
+// Where std::bad_alloc cannot get out, the program prints kMemoryRanOut and ends as if main had caught it.
 void HoldMemoryBack() {
   holds = true;
   HoldMemoryBackAgain();
@@ -159,7 +159,7 @@ void CheckFlagFiles(int argc, char** argv) {
   }
 }
 
-// gflags ends the program at the first flag that it does not know. Here it is said which program has it. Those that
+// gflags ends the program at the first unknown flag. This function reports which program has it. Those that
 // --undefok allows to be unknown are left to gflags.
 void CheckFlagNames(int argc, char** argv, const Program& program) {
   std::vector<std::string> unknown;

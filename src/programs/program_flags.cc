@@ -80,7 +80,7 @@ std::optional<gflags::CommandLineFlagInfo> InfoOf(const std::string& name) {
   return info;
 }
 
-// "text (default: value)", unless the text says what happens without the flag.
+// "text (default: value)", unless the text states what happens without the flag.
 std::string Explanation(const gflags::CommandLineFlagInfo& info) {
   const std::string& value = info.default_value;
   const bool says =

@@ -1,4 +1,4 @@
-// Remarks on a result: what limits it, or what it does not say by itself. They are made here once, and tables, pages,
+// Remarks on a result: what limits it, or what its numbers do not show. They are made here once, and tables, pages,
 // JSON and Python show the same ones.
 #pragma once
 

@@ -11,7 +11,7 @@ namespace saltus {
 struct SavedSolution {
   std::vector<double> control;        // K x C x 2, N, for any K; empty if there is none
   std::vector<double> durations;      // s, of the K intervals; empty: equally long
-  std::vector<double> initial_state;  // B x 4; empty if the file says nothing of it
+  std::vector<double> initial_state;  // B x 4; empty if the file does not have it
 };
 
 // Reads JSON (a run of saltus_solve --json, a document with one run, or an object with the keys "control", "durations",

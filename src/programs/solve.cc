@@ -39,7 +39,7 @@ SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, T
   return run;
 }
 
-// A solver has converged on the loss under its contact model, which says little of the exact one.
+// A solver has converged on the loss under its contact model, which need not be near an optimum of the exact one.
 std::string TerminationInWords(const SolveReport& report) {
   const bool elsewhere = IsConvergence(report) && !FindContactModel(report.contact)->event_driven;
   return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());

@@ -13,7 +13,7 @@ namespace saltus {
 std::string RemarkOn(const SolvedRun& run);
 
 // Every contact model with every solver, contact models outermost, or without a solver the start under each; on all
-// threads, in the same order whatever their number. Solvers that know exact contact only run with the event-driven
+// threads, in the same order whatever their number. Solvers that support exact contact only run with the event-driven
 // model alone, if it is among those asked for. Interruption (SIGINT, under an InterruptGuard) leaves out the runs that
 // were not begun.
 SolvedRuns SolveAll(const Request& request);

@@ -13,7 +13,7 @@ namespace saltus {
 
 std::vector<StepTouch> EventTouches(const Simulator& simulator) {
   std::vector<StepTouch> events;
-  std::map<std::tuple<bool, int, int, ContactMode>, int> pressed_in;  // the last step in which a pair pressed
+  std::map<std::tuple<bool, int, int, ContactMode>, int> pressed_in;  // the last step of a pair's sustained contact
   for (const StepTouch& at : simulator.touches()) {
     if (at.touch.time < 0) continue;
     if (at.touch.kind == ContactKind::kSustained) {

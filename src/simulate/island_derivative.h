@@ -4,8 +4,8 @@
 // in turn, then what else there is. Discs that touch nothing but each other are moved on alike by a common shift of
 // their positions, velocities or accelerations, as in free flight; that saves the pass of the last one.
 //
-// The transposed Jacobian of a crowd needs no pass a disc: models that say from how many discs on (kTapedFrom) are run
-// once, on a tape (taped.h).
+// The transposed Jacobian of many discs needs no pass for each: models that state from how many discs on (kTapedFrom)
+// are run once, on a tape (taped.h).
 #pragma once
 
 #include <Eigen/Core>

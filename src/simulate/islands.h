@@ -12,7 +12,7 @@ namespace saltus {
 // time in proportion to the pairs, however many discs there are, and no memory once the largest case has been seen.
 class Islands {
  public:
-  // Overwrites the islands with those that `pairs` connect. `fixed[i]` says whether disc i is fixed.
+  // Overwrites the islands with those that `pairs` connect. `fixed[i]` is true if disc i is fixed.
   void Find(std::span<const Candidate> pairs, std::span<const char> fixed);
 
   // The number of islands, which are in the order of their first moving disc.

@@ -1,4 +1,4 @@
-// Optimal design parameters around solvers that know none: a descent on the least loss over controls.
+// Optimal design parameters around solvers without them: a descent on the least loss over controls.
 //
 //   minimise over p in bounds   V(p) = min over control of loss(control, p)
 //

@@ -18,7 +18,7 @@ constexpr double kSameLoss = 1e-8;     // relative
 constexpr double kMoreAccurate = 0.1;  // of the error, with the steps that are chosen at the solution
 
 // Whether the integration of a solution is less accurate than it can be, and than the tolerance. If there is no
-// accurate motion, *why says why.
+// accurate motion, *why is the reason.
 bool NeedsMoreSteps(const HybridProblem& problem, const SolveReport& report, std::string* why) {
   const HybridOptions& integration = problem.integration;
   if (report.losses.empty() || integration.steps_per_interval > 0) return false;

@@ -14,7 +14,7 @@ using SolveFrom = std::function<SolveReport(const HybridProblem& problem, const 
 
 // Runs a solver from the guess of a problem, and from what it finds again until the steps suffice there. Returns one
 // report of all runs, whose iterations are together at most those of the options. A run whose steps do not suffice in
-// the end has not converged, and its reason says so.
+// the end has not converged, and its reason states this.
 SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve);
 
 }  // namespace saltus

@@ -8,7 +8,7 @@
 
 namespace saltus {
 
-// The best of the collision sequences that the closed form knows (the discs once, then perhaps the second disc on a
+// The best of the collision sequences that the closed form supports (the discs once, then perhaps the second disc on a
 // plane). kConverged means stationary in the sense of Clarke: the two one-sided gradients balance.
 SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options);
 

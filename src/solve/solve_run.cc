@@ -204,7 +204,8 @@ std::string WhyNothingToOptimize(const Scene& scene) {
   if (!scene.design.empty()) return "";
   const bool nothing = scene.optimize == Optimize::kNone ||
                        (scene.optimize == Optimize::kControl ? scene.control.bodies.empty() : scene.free.empty());
-  return nothing ? "the scene leaves nothing to optimize" : "";
+  return nothing ? "the scene leaves nothing to optimize: give optimize, with a control or with bodies that are free"
+                 : "";
 }
 
 bool RecordIteration::Record(const ceres::IterationSummary& summary) {

@@ -151,7 +151,7 @@ struct End {
   std::string words;
 };
 
-// Records what the callback was not shown of a run that ends at z, and says how it ended. Converged means that the
+// Records what the callback was not shown of a run that ends at z, and how it ended. Converged means that the
 // gradient has vanished. A tolerance on steps or losses says no such thing: where the loss has a kink, steps shrink
 // until it is met.
 End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double> z, const CeresOutcome& outcome);

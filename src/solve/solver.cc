@@ -39,14 +39,15 @@ std::string WhyNotGradientDescent(const SolveRequest& request) {
 
 std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request, {}); }
 
-std::string WhyNotLm(const SolveRequest& request) {
-  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return WhyNotShot(request, {.components = true});
+std::string WhyNotLeastSquares(const SolveRequest& request) {
+  if (!request.scene.objective.IsSumOfSquares())
+    return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
+  return WhyNothingToOptimize(request.scene);
 }
 
-std::string WhyNotLeastSquares(const SolveRequest& request) {
-  if (!request.scene.objective.IsSumOfSquares()) return "least squares needs a sum of squares";
-  return WhyNothingToOptimize(request.scene);
+std::string WhyNotLm(const SolveRequest& request) {
+  const std::string reason = WhyNotLeastSquares(request);
+  return reason.empty() ? WhyNotShot(request, {.components = true}) : reason;
 }
 
 std::string UnknownSolver(std::string_view name) {
@@ -54,7 +55,7 @@ std::string UnknownSolver(std::string_view name) {
   for (const auto* solvers : {&AllSolvers(), &SolversByName()}) {
     for (const SolverEntry& solver : *solvers) known += (known.empty() ? "" : ", ") + std::string(solver.name);
   }
-  return "found '" + std::string(name) + "', expected a solver: " + known;
+  return "solver: found '" + std::string(name) + "', expected a solver: " + known;
 }
 
 std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {

@@ -124,7 +124,7 @@ void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& point
   if (!silent && !study.request().output_dir.empty()) std::cerr << ReportPath(study, base) << std::endl;
 }
 
-// Writes what there is and says how it went.
+// Writes the results so far and reports how the sweep ended.
 int Report(const SweepStudy& study, const std::vector<StoredPoint>& points, Shard shard) {
   WriteResults(study, points, shard.BaseName());
   const PointRange range = shard.Points(study.size());

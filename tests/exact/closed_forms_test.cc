@@ -283,6 +283,21 @@ TEST(ClosedFormRefusalTest, OtherFamilies) {
   ExpectRefusal(fixed, "fixed");
 }
 
+TEST(ClosedFormRefusalTest, OtherTermsThanTerminalCostsAndEffort) {
+  Scene waypoint = TwoBalls();
+  waypoint.objective.via = {{.body = 0, .time = 0.5}};
+  ExpectRefusal(waypoint, "waypoint costs");
+  Scene constrained = TwoBalls();
+  constrained.objective.terminal[0].hard = true;
+  ExpectRefusal(constrained, "terminal equality constraints");
+  Scene free = TwoBalls();
+  free.objective.duration = FreeDuration{.min = 0.5, .max = 2, .weight = 0.5};
+  ExpectRefusal(free, "a free duration");
+  Scene bounded = TwoBalls();  // the loss does not depend on bounds
+  bounded.control.max = {5};
+  EXPECT_DOUBLE_EQ(Evaluate(bounded).loss, Evaluate(TwoBalls()).loss);
+}
+
 TEST(ClosedFormRefusalTest, UnassumedCollisions) {
   Scene twice = TwoBalls();
   twice.duration = 3;

@@ -321,7 +321,7 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
 TEST(HybridSolvers, SayWhatTheyCannotTake) {
   HybridProblem problem = BallWithAllKindsOfTerms();
   EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is evaluated at each event"));
-  EXPECT_THAT(Solve("newton", problem, {}).reason, HasSubstr("found 'newton', expected a solver"));
+  EXPECT_THAT(Solve("newton", problem, {}).reason, HasSubstr("solver: found 'newton', expected a solver"));
   problem.free.parameters_min = {0.1, 9};
   EXPECT_THAT(Solve("ceres_lbfgs", problem, {}).reason, HasSubstr("bounds"));
   problem.terms[0].role = HybridTerm::Role::kEquality;

@@ -235,7 +235,7 @@ TEST(IdentifyProgram, WrongInputIsRefusedWithItsPlace) {
       {"", "--recording=FILE is needed"},
       {" --recording=" + wrong, "wrong.csv:3: body: found 'bal', expected one of ball"},
       {" --recording=" + scalar, "scalar.npz: position: expected 2 x 2 numbers"},
-      {" --recording=/no/such/file.csv", "/no/such/file.csv"},
+      {" --recording=/no/such/file.csv", "error: /no/such/file.csv: cannot read: No such file or directory"},
       {recording + " --unknown=bounce", "--unknown: found 'bounce', expected some of restitution"},
       {recording + " --law=network:x", "--law=network:x; expected network or impulse"},
       {recording + " --law=network --unknown=restitution", "'restitution' beside a law of impact"},

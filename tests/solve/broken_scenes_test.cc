@@ -139,7 +139,7 @@ TEST(WrongArguments, UnknownNamesAreSaidSo) {
   EXPECT_THAT(WhyNotApplicable(Surrogate{.kind = SurrogateKind::kComplementarityAware}, "nonsense", scene), unknown);
   const SolveReport report = Solve("nonsense", {.scene = scene, .contact = "event"}, {});
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
-  EXPECT_THAT(report.reason, AllOf(HasSubstr("found 'nonsense', expected a solver"), HasSubstr("ceres_lm")));
+  EXPECT_THAT(report.reason, AllOf(HasSubstr("solver: found 'nonsense', expected a solver"), HasSubstr("ceres_lm")));
 }
 
 TEST(WrongArguments, OptionsOfSolversAreSaidSo) {

@@ -198,6 +198,12 @@ TEST(SweepOptions, NameThePairsOfMaterials) {
   } catch (const InputError& error) {
     EXPECT_THAT(error.what(), HasSubstr("restitution.rubber-steel, friction.rubber-steel"));
   }
+  try {
+    ParseSweep("restitution.rubber-steel=0.1;restitution.steel-rubber=0.2", request.scene);
+    ADD_FAILURE() << "expected an error";
+  } catch (const InputError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("expected each option once"));
+  }
 }
 
 TEST(SweepStudy, CombinesBlocksWithTheLastFastest) {

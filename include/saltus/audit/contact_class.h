@@ -1,26 +1,26 @@
-// How a model makes contact, told from what its first contact does as the step shrinks. The model's name and traits are
-// not asked.
+// Recognition of the class of a contact model from its first contact at decreasing time steps. The name and the traits
+// of the model are not used.
 //
-// From the state just before the first contact of two bodies by themselves in the model's rollout, that contact is run
-// again with steps of length h, h / 2^(1/3), h / 2^(2/3), ... under the same force. At every length, along the normal
-// of the pair,
+// The first contact of two bodies that touch nothing else is simulated again from the state just before it, with steps
+// of length h, h / 2^(1/3), h / 2^(2/3), ... under the same force. Measured along the normal of the pair are
 //
 //   change of a step  = relative velocity after it, less that after free flight
 //   concentration     = largest change of a step / sum of all       stays: an impulse;  falls with h: a force
 //   first full change = that of the second step in contact          ~ h: a force that jumps at its onset;
-//                                                                   ~ h^2 and faster: one that sets in continuously
+//                                                                   ~ h^2 and faster: one that begins continuously
 //   rebound           = speed of separation / closing speed         near 0: no restitution, if the scene asks for it
 //
-// An impulse is told apart by its derivative: the model's linearization over the steps around it, with the free flight
-// before and after undone, is a map (dx, dv) -> (dx', dv') of relative normal position and velocity. The saltation
-// matrix of a rigid impact has dx'/dx = -e and a bounded dv'/dx.
+// Impulses are classified by their derivative: the model's linearization over the steps around the impulse, without the
+// free flight before and after it, is a map (dx, dv) -> (dx', dv') of relative normal position and velocity. The
+// saltation matrix of a rigid impact has dx'/dx = -e and a bounded dv'/dx.
 //
 //   dx'/dx = -e    the time of impact is differentiated
-//   dx'/dx = +1    it is not: the impulse is taken to act at the boundary of a step
-//   dx'/dx =  0    overlap is projected away, and the position with it
-//   dv'/dx ~ 1/h   the impulse makes up for the depth, which is part of what a step moves: depth feedback
+//   dx'/dx = +1    the time of impact is not differentiated: the impulse acts at the boundary of a step
+//   dx'/dx =  0    the overlap is projected away, and the position with it
+//   dv'/dx ~ 1/h   the impulse corrects the depth, which is a part of the displacement of a step: depth feedback
 //
-// Lengths are medians over neighbouring ones, as what happens depends on where in a step the contact falls.
+// Measured values are medians over neighbouring step lengths, because they depend on where in a step the contact
+// begins.
 #pragma once
 
 #include <optional>
@@ -47,20 +47,21 @@ const char* MeaningOf(ContactClass contact_class);
 
 struct ContactRecognition {
   ContactClass contact_class = ContactClass::kUnclear;
-  std::string words;  // the numbers that decided, in one sentence; or why they did not
+  std::string words;  // the numbers that decided the class, in one sentence; or why they did not
 
-  // Evidence; what was not measured is empty.
-  int step = -1;     // of the rollout, in which the contact begins; -1 if there is none
+  // The measured numbers; empty if they were not measured.
+  int step = -1;     // step of the rollout in which the contact begins; -1 if there is none
   std::string a, b;  // a disc, and a disc or plane
   double restitution = 0;
   std::optional<double> rebound, finer_rebound;  // at the model's own step, and at up to 16 times finer ones
   std::optional<double> concentration, finer_concentration;  // at its own step, and at the finest that was run
-  std::optional<double> onset_order;                         // p of: first full change ~ h^p
+  std::optional<double> onset_order;                         // p in: first full change ~ h^p
   std::optional<double> position_from_position;              // dx'/dx
-  std::optional<double> velocity_from_position;              // h dv'/dx, as h falls
+  std::optional<double> velocity_from_position;              // limit of h dv'/dx for decreasing h
 };
 
-// Where the model cannot take the scene, `words` says why. What was stopped is of no use.
+// Recognises the class of a model. If it does not support the scene, `words` states the reason. A result that was
+// stopped has no meaning.
 ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -1,4 +1,4 @@
-// A gradient that was computed elsewhere, by another simulator or on paper, entry by entry beside the exact one.
+// Externally computed gradients, by another simulator or by hand, compared with the exact gradient entry by entry.
 #pragma once
 
 #include <optional>
@@ -9,28 +9,30 @@
 
 namespace saltus {
 
-// Entries that are not known are left out, as are lists at their ends.
+// An externally computed gradient. Unknown entries are std::nullopt, and lists may end early.
 struct GivenGradient {
   std::string name;
   double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
-  std::vector<std::optional<Vec2d>> position, velocity;    // per disc of the scene
-  std::vector<std::vector<std::optional<Vec2d>>> control;  // per control interval and controlled disc
-  std::vector<std::vector<std::optional<double>>> torque;  // by the torque, 1/(N m): likewise and per turned disc
-  int intervals = 0;                                       // of the control, equal parts of the horizon; 0: one a step
+  std::vector<std::optional<Vec2d>> position, velocity;    // by disc of the scene
+  std::vector<std::vector<std::optional<Vec2d>>> control;  // by control interval and controlled disc
+  std::vector<std::vector<std::optional<double>>>
+      torque;         // 1/(N m), by control interval and disc with a torque control
+  int intervals = 0;  // of the control, equal parts of the horizon; 0: one a step
 };
 
 struct GivenEntry {
-  std::string entry;  // as of EntryNames, controls by step
+  std::string entry;  // a name of EntryNames(), of controls by step
   double given = 0, exact = 0;
-  // kRight within the tolerance, or 1e-6 of the quantity's largest entry; else kWrongSign or kWrong. One gradient
-  // cannot show whether its error falls with the step: none is merely consistent. kAmbiguous if the exact gradient is.
+  // kRight within the tolerance, or within 1e-6 of the quantity's largest entry; else kWrongSign or kWrong. kAmbiguous
+  // if the exact gradient is. Never kConsistent: one gradient does not show whether its error decreases with the step.
   Verdict verdict = Verdict::kUnknown;
 };
 
-// Precondition: `exact` is ok and of the scene; lists are no longer than its, and its steps a multiple of `intervals`.
+// Compares each entry. Precondition: `exact` is ok() and of this scene; the lists of `given` are not longer than those
+// of `exact`, whose number of steps is a multiple of `intervals`.
 std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact);
 
-// The worst verdict of all; kUnknown if there are no entries.
+// Returns the worst verdict; kUnknown if there are no entries.
 Verdict WorstOf(const std::vector<GivenEntry>& entries);
 
 }  // namespace saltus

@@ -1,9 +1,9 @@
-// Audit of a time-stepping scheme for a hybrid system: the gradient that its steps compose to, beside the exact one.
+// Audit of a time-stepping scheme for a hybrid system: the gradient of its steps is compared with the exact one.
 //
-// A scheme knows nothing of events: from a state it gives the state after a step of a given length, in whatever way.
-// Its gradient is that of automatic differentiation, or of differences, of each step, composed by the chain rule. The
-// exact one is the adjoint of the hybrid system with located events. Loss, initial state, control and parameters are
-// those of a problem, whose costs are at control intervals or at the end.
+// A scheme computes the state after a step of a given length, by any method. Its gradient is composed by the chain rule
+// from the Jacobians of its steps, which come from automatic differentiation or from differences. The exact gradient is
+// the adjoint of the hybrid system with located events. Loss, initial state, control and parameters are those of a
+// problem, whose costs are at control intervals or at the end.
 #pragma once
 
 #include <ceres/jet.h>
@@ -22,7 +22,7 @@
 
 namespace saltus {
 
-// Where a step begins. The states of a mode have its size, u that of the control, p of the parameters.
+// The beginning of a step: mode, time, length, state x (of the size of the mode), control u and parameters p.
 struct SchemeStep {
   int mode = 0;
   double t = 0, h = 0;
@@ -39,8 +39,9 @@ class HybridScheme {
   virtual int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) = 0;
 };
 
-// A step of `function`, and its Jacobian by central differences if that is not null, or by one-sided ones beside a jump
-// of the state. `precision`: relative, of the new state. Returns what HybridScheme::Step returns.
+// Computes a step of `function` and, unless `jacobian` is null, its Jacobian by central differences, or by one-sided
+// ones beside a jump of the state. `precision` is the relative one of the new state. Returns as HybridScheme::Step
+// does.
 using StepFunction = std::function<int(const SchemeStep&, double* next, std::string* error)>;
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
                    double* jacobian, std::string* error, double precision = std::numeric_limits<double>::epsilon());
@@ -84,9 +85,9 @@ class HybridSchemeOf final : public HybridScheme {
 };
 
 struct HybridAuditOptions {
-  int steps = 100;  // of the scheme over the duration, at least; rounded up to a multiple of the control intervals
+  int steps = 100;  // least number of steps; rounded up to a multiple of the control intervals
   RefinementOptions refinement = {};
-  bool width_sweep = false;  // also where the exact gradient exists
+  bool width_sweep = false;  // whether widths are swept even if the exact gradient exists
   // The loss jumps where an event moves to another step: differences over a few steps scatter more than those of discs.
   WidthSweepOptions widths = {.per_decade = 4, .largest = 400, .wide_from = 20, .wide_to = 200};
   StopRequest stop = nullptr;
@@ -95,12 +96,12 @@ struct HybridAuditOptions {
 // The part of the motion around one event, or several that are closer than two steps.
 struct SegmentError {
   double time = 0;          // of the first event, s
-  std::string mode, guard;  // of it
-  int step = 0;             // in which it happens, of steps numbered from 0
-  // The error of the costate that the scheme's steps pull back through the part from the exact state at its beginning,
-  // relative to the exact one; infinite if the scheme ends in another mode.
+  std::string mode, guard;  // of the first event
+  int step = 0;             // the step in which it happens, from 0
+  // The relative error of the costate at the beginning of the part, where the scheme starts from the exact state;
+  // infinite if the scheme ends in another mode.
   double error = 0;
-  bool stays = false;  // with eight times the steps it is more than a quarter of this
+  bool stays = false;  // whether more than a quarter of the error is left with eight times the steps
 };
 
 struct HybridAudit {
@@ -113,22 +114,23 @@ struct HybridAudit {
   std::string scheme;
   std::string reason;  // why there is no verdict: the problem, the exact motion or the scheme fails, and where
   Verdict verdict = Verdict::kUnknown;
-  int steps = 0;  // with which losses and gradient are computed
+  int steps = 0;  // number of steps of `loss` and `gradient`
   double loss = 0, exact_loss = 0;
   HybridGradient gradient, exact;
   double order = 0;  // observed order of the error in the step: the least of all parts
   std::vector<Part> parts;
-  std::vector<SegmentError> segments;  // if the verdict is that it is wrong
+  std::vector<SegmentError> segments;  // of a wrong gradient
   int first_wrong = -1;                // index of the first segment whose error is not small and stays
   std::optional<WidthSweepStudy> widths;
   bool interrupted = false;
 
   bool ok() const { return reason.empty(); }
-  // Why the verdict is what it is, in one sentence; empty for a right or a consistent gradient.
+  // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient.
   std::string Why() const;
 };
 
-// At the problem's guess. What is wrong with the problem is a reason.
+// Audits the scheme at the problem's guess. `reason` of the result states what is wrong with the problem, if anything
+// is.
 HybridAudit AuditScheme(const HybridProblem& problem, HybridScheme* scheme, const HybridAuditOptions& options = {});
 
 }  // namespace saltus

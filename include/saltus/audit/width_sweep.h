@@ -1,12 +1,12 @@
-// A model's gradient beside differences of its own loss, of every width: an audit that needs no reference.
+// Comparison of a model's gradient with differences of its own loss, of every width: an audit without a reference.
 //
 //   slope(w) = (loss(z + w d) - loss(z - w d)) / (2 w)        d: one entry of initial state or constant force
 //
-// A simulation in steps gives every variable a scale, the grid width: the change that moves an impact by about a step.
-// Differences far narrower keep all impacts in their steps and approach the derivative of the steps, which is what
-// automatic differentiation computes and a gradient check confirms. Differences far wider let impacts cross many steps
-// and approach the derivative of the motion that the steps stand for. Where the two plateaus differ, a gradient that
-// agrees with narrow differences to seven digits is still wrong.
+// The grid width of a variable is the change that moves an impact by about one step. Differences of far smaller widths
+// leave all impacts in their steps. They approach the derivative of the steps, which automatic differentiation computes
+// and a gradient check confirms. Differences of far larger widths move impacts across many steps. They approach the
+// derivative of the motion that the steps approximate. If the two plateaus differ, a gradient is wrong although it may
+// agree with narrow differences to seven digits.
 #pragma once
 
 #include <cmath>
@@ -19,15 +19,15 @@
 namespace saltus {
 
 struct WidthSweepOptions {
-  int refine = 8;  // times the scene's steps, so that there is room between grid width and the scale of the motion
+  int refine = 8;  // factor on the scene's steps, which separates the grid width from the scale of the motion
   int per_decade = 6;
   double smallest = 1e-4, largest = 100;        // widths, in grid widths
-  double narrow_from = 1e-4, narrow_to = 1e-2;  // the plateaus, likewise
+  double narrow_from = 1e-4, narrow_to = 1e-2;  // the plateaus, in grid widths
   double wide_from = 5, wide_to = 50;
-  double tolerance = 0.05;  // by which plateaus may differ, of the largest entry of the quantity
-  int most_states = 0;      // of the motion, at which speeds are measured for the grid width; 0: all
+  double tolerance = 0.05;  // largest difference of the plateaus, relative to the largest entry of the quantity
+  int most_states = 0;      // number of states at which speeds are measured for the grid width; 0: all
 
-  // The number of widths of each entry.
+  // Returns the number of widths of each entry.
   int NumWidths() const { return static_cast<int>(per_decade * std::log10(largest / smallest)) + 1; }
 };
 
@@ -42,8 +42,8 @@ const char* WidthFindingToString(WidthFinding finding);
 
 struct WidthSweep {
   Quantity quantity = Quantity::kPosition;
-  std::string entry;      // as of EntryNames
-  double gradient = 0;    // the model's, at the refined steps
+  std::string entry;      // a name of EntryNames()
+  double gradient = 0;    // derivative by the model, at the refined steps
   double grid_width = 0;  // m, m/s or N
   std::vector<double> widths, slopes;
   double narrow = 0, wide = 0;                 // plateaus: medians of the slopes
@@ -53,23 +53,24 @@ struct WidthSweep {
 };
 
 struct WidthSweepStudy {
-  std::string reason;              // why there is none: a rollout that is not finite
+  std::string reason;              // why there is no study: a rollout that is not finite
   std::vector<WidthSweep> sweeps;  // position and velocity of each disc that moves, constant force on controlled ones
-  // kWrong or kWrongSign if the gradient misses a wide plateau, else kUnknown: without a reference nothing is right.
+  // kWrong or kWrongSign if the gradient differs from a wide plateau, else kUnknown: kRight needs a reference.
   Verdict verdict = Verdict::kUnknown;
 
   bool ok() const { return reason.empty(); }
-  // The sweep that speaks most against the gradient, by position if any of them does; or null.
+  // Returns the sweep that differs most from the gradient, one by position if any of these does; or null.
   const WidthSweep* Worst() const;
-  // One sentence for a person.
+  // Returns the result in one sentence.
   std::string Summary() const;
 };
 
-// Notes the exact derivatives. Wide differences that are farther from them than the gradient is are no evidence against
-// it. Precondition: the gradient is that of `scene`.
+// Adds the exact derivatives to a study. Wide differences that are farther from these than the gradient are not counted
+// against it. Precondition: the gradient is that of `scene`.
 void CompareWithExact(const Scene& scene, const ModelGradient& exact, WidthSweepStudy* study);
 
-// Where the model cannot take the scene, that is the reason. A study that was stopped is of no use.
+// Sweeps the widths. If the model does not support the scene, `reason` states it. A study that was stopped has no
+// meaning.
 WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options = {},
                             const StopRequest& stop = nullptr);
 

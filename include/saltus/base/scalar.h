@@ -12,8 +12,8 @@
 
 #include <ceres/jet.h>
 
-// Functions of Jets whose calls become part of them, as a call costs more than the arithmetic of the Jets in it. Not
-// under a sanitizer, whose checks in so large a function compile for minutes.
+// Marks functions of Jets into which all calls are inlined, because a call costs more than the arithmetic of the Jets.
+// Not used under a sanitizer, whose checks in so large a function compile for minutes.
 #if defined(__SANITIZE_ADDRESS__)
 #define SALTUS_FLATTEN
 #else
@@ -40,11 +40,11 @@ struct BaseScalar<ceres::Jet<S, W>> {
 };
 }  // namespace internal
 
-// The floating-point type underneath T: Base<double> and Base<Jet<double, W>> are both double.
+// The floating-point type of T: Base<double> and Base<Jet<double, W>> are both double.
 template <typename T>
 using Base = typename internal::BaseScalar<T>::type;
 
-// The value part of x. Iterations inside a contact model run on values; T enters in one last correction.
+// Returns the value of x without derivatives, on which iterations inside a contact model run.
 template <typename T>
 const T& Value(const T& x) {
   return x;

@@ -1,7 +1,7 @@
-// Elementary functions with a stated derivative where the textbook one does not exist, for scalars and Jets alike.
+// Elementary functions of scalars and Jets, with a stated derivative where the derivative does not exist.
 //
-// All of them give the same value, to the last bit, for T and for Jets over T, so that a derivative pass always takes
-// the branch that the value pass took.
+// Their values for T and for Jets over T have the same bits, so that a derivative pass takes the branches of the value
+// pass.
 #pragma once
 
 #include <cmath>
@@ -12,8 +12,8 @@
 namespace saltus {
 
 namespace internal {
-// v / s for derivatives v. One quotient instead of many, but in single precision, whose derivatives
-// are to have the bits of the published programs.
+// Returns v / s for derivatives v, by one quotient and products; in single precision by quotients, so that derivatives
+// have the bits of the published programs.
 template <typename V, typename S>
 auto Over(const V& v, const S& s) {
   if constexpr (std::is_same_v<S, float>) {
@@ -24,8 +24,8 @@ auto Over(const V& v, const S& s) {
 }
 }  // namespace internal
 
-// a / b. ceres::Jet multiplies with the reciprocal, which can differ from the scalar quotient in the last bit; this
-// does not. Precondition: b != 0.
+// Returns a / b with the bits of the scalar quotient; ceres::Jet multiplies by the reciprocal, which can differ in the
+// last bit. Precondition: b != 0.
 template <typename S>
 S Divide(const S& a, const S& b) {
   return a / b;
@@ -45,7 +45,8 @@ ceres::Jet<S, W> Divide(const S& a, const ceres::Jet<S, W>& b) {
   return ceres::Jet<S, W>(quotient, -(quotient / b.a) * b.v);
 }
 
-// sqrt(x) for x >= 0, with derivative 0 at x = 0 (the plain derivative is infinite there, and NaN for a constant).
+// Returns sqrt(x) for x >= 0, with derivative 0 at x = 0 (that of ceres::Jet is infinite there, and NaN for a
+// constant).
 template <typename S>
 S SafeSqrt(const S& x) {
   return std::sqrt(x);
@@ -57,7 +58,7 @@ ceres::Jet<S, W> SafeSqrt(const ceres::Jet<S, W>& x) {
   return ceres::Jet<S, W>(root, internal::Over(x.v, S(2) * root));
 }
 
-// |x|, with derivative 0 at x = 0.
+// Returns |x|, with derivative 0 at x = 0.
 template <typename T>
 T SafeAbs(const T& x) {
   if (x > T(0)) return x;
@@ -65,7 +66,7 @@ T SafeAbs(const T& x) {
   return T(0);
 }
 
-// The smaller (larger) of two, with the derivative of the one taken; at a tie that of the first.
+// Return the smaller (larger) of two, with its derivative; if they are equal, with that of the first.
 template <typename T>
 T MinOf(const T& a, const T& b) {
   return b < a ? b : a;
@@ -75,13 +76,13 @@ T MaxOf(const T& a, const T& b) {
   return a < b ? b : a;
 }
 
-// The sign of x, 0 at 0; a constant, so it has no derivative.
+// Returns the sign of x, 0 at 0, as a constant without derivatives.
 template <typename T>
 Base<T> SignOf(const T& x) {
   return static_cast<Base<T>>((x > T(0)) - (x < T(0)));
 }
 
-// a * b + c with a single rounding of the value.
+// Returns a * b + c with a single rounding of the value.
 template <typename S>
 S FusedMultiplyAdd(const S& a, const S& b, const S& c) {
   return std::fma(a, b, c);

@@ -1,15 +1,15 @@
-// The interface of a contact model: its functions, the data of one step, and its promises.
+// The interface of a contact model: its functions, the data of one step, and what it guarantees.
 //
 // A contact model is a small class with one templated function, its step
 //
 //   x' = f(x, u)        x: positions and velocities of some discs,  u: the force on each, held over the step.
 //
-// It knows nothing of trajectories, problems or solvers, nor which part of a scene it is given: the same function steps
-// a whole scene in double and, with T a Jet, just the discs of one contact to differentiate it. Branches are taken on
-// values. All contacts of a step see the state at its start and their contributions add, in the order of the
-// candidates, unless a model's header says otherwise.
+// A model does not depend on trajectories, problems or solvers, nor on which part of a scene it is given: the same
+// function steps a whole scene in double and, with T a Jet, the discs of one contact to differentiate it. Branches
+// depend on values. Contributions of all contacts are computed from the state at the start of the step and added in the
+// order of the candidates, unless a model's header states otherwise.
 //
-// To add a model: one header here, one line in src/contact/models.cmake.
+// CONTRIBUTING.md states how to add a model.
 #pragma once
 
 #include <concepts>
@@ -33,26 +33,25 @@ namespace saltus {
 //   template <typename T> void Step(const StepInput<T>&, std::span<const BodyState<T, kRotation>> x,
 //                                   std::span<BodyState<T, kRotation>> next) const;
 //       the step of all discs. Contacts that take effect are reported (StepInput::Report): derivatives are taken of
-//       what is reported, and all else is taken to fly. So
-//         - a disc that no reported candidate has moves as by Free, bit by bit: checked in every step of every rollout,
-//           which fails otherwise, and in Simulator::Step, whose result then is not a number;
-//         - candidates that are not reported have no effect on discs that others have: what that does to the gradient,
-//           the audit finds by differences;
-//         - derivatives pass through the step: a value without them makes the gradient wrong, which the audit finds
-//           too.
-//       Iterations end, and a step that they do not bring to its result says so (StepInput::Fail).
+//       the reported contacts, and all other discs are in free flight. Therefore
+//         - a disc without a reported candidate moves as by Free, bit by bit. This is checked in every step of every
+//           rollout, which otherwise fails, and in Simulator::Step, whose result is then not a number;
+//         - candidates that are not reported have no effect on discs of reported ones. The audit finds a violation by
+//           differences;
+//         - every value has its derivatives. The audit finds a wrong gradient by differences.
+//       Iterations end, and a step whose iterations do not converge reports it (StepInput::Fail).
 // and may have kTapedFrom (internal/island_derivative.h), and
-//   using Spinning = ...                                  the model in its place where discs spin as the scene says;
-//       its kRotation is kSpin. Without, it does not take such scenes.
+//   using Spinning = ...                                  the model for scenes with discs that spin, with the kRotation
+//       kSpin. Without it the model does not support such scenes.
 //   static constexpr bool kLinearRotation = true          in free flight the rotation has the same Jacobian everywhere
-//   static std::string WhyNot(const Scene&)               a reason not to take a scene; empty if it does
+//   static std::string WhyNot(const Scene&)               why it does not support a scene; empty if it does
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
 //   template <typename Visit> void VisitOptions(const Visit& visit)
 //       calls visit(ModelOption, member) for each of its options; members are double, int or bool
 //   void Linearize(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                  Eigen::Ref<Eigen::MatrixXd> A, Eigen::Ref<Eigen::MatrixXd> B) const
 //       if kTraits.published_jacobian: dense over the given discs, columns as in StepLinearization::Island, but without
-//       those of torques: the step is taken to begin with changes of velocities by forces and torques; to overwrite
+//       those of torques, which act as changes of the velocities at the start of the step. A and B are overwritten
 //   bool complementarity_aware, an option, and
 //   void PullBack(const StepInput<double>&, std::span<const BodyState<double, kRotation>> x,
 //                 std::span<const double> after, std::span<double> before) const

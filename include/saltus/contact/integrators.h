@@ -7,7 +7,7 @@
 
 namespace saltus {
 
-// A semi-implicit Euler step: the velocity first, the position with the new one.
+// Computes a semi-implicit Euler step: first the velocity, then the position with the new velocity.
 template <typename T, typename H>
 BodyState<T, 0> SemiImplicitEuler(const H& h, const Vec2<T>& acceleration, const BodyState<T, 0>& x) {
   BodyState<T, 0> next;
@@ -15,7 +15,7 @@ BodyState<T, 0> SemiImplicitEuler(const H& h, const Vec2<T>& acceleration, const
   next.p = x.p + Scale(h, next.v);
   return next;
 }
-// Free flight of disc i by such a step.
+// Computes the free flight of disc i by a semi-implicit Euler step.
 template <typename T, typename H>
 BodyState<T, 0> SemiImplicitEuler(const StepInput<T, H>& in, int i, const BodyState<T, 0>& x) {
   return SemiImplicitEuler<T>(in.h, in.Acceleration(i), x);

@@ -1,4 +1,4 @@
-// The solution that the iterations of a step have found, so that its derivatives need none.
+// A record of the results of iterations in a step, so that its derivatives need no iterations.
 #pragma once
 
 #include <cstddef>
@@ -21,7 +21,7 @@ class SolveRecord {
     numbers_.assign(numbers.begin(), numbers.end());
     next_ = 0;
   }
-  // To be called before the step is repeated.
+  // Returns to the beginning, before the step is repeated.
   void Rewind() { next_ = 0; }
   // Length, place and entries of each vector.
   std::span<const double> numbers() const { return numbers_; }
@@ -29,14 +29,14 @@ class SolveRecord {
   bool AtEnd() const { return next_ == numbers_.size(); }
   // Whether the next vector was asked for at `place`.
   bool Has(const std::source_location& place) const { return !AtEnd() && numbers_[next_ + 1] == Number(place); }
-  // The next vector, valid until the next call of Append(). Precondition: not at the end.
+  // Returns the next vector, valid until the next call of Append(). Precondition: not at the end.
   std::span<const double> Next() {
     const auto size = static_cast<std::size_t>(numbers_[next_]);
     const std::span<const double> vector = numbers().subspan(next_ + 2, size);
     next_ += 2 + size;
     return vector;
   }
-  // Puts a vector in the place of all that have not been recalled.
+  // Replaces all vectors that have not been recalled by one vector.
   void Append(const std::source_location& place, std::span<const double> vector) {
     numbers_.resize(next_);
     numbers_.push_back(static_cast<double>(vector.size()));

@@ -1,4 +1,4 @@
-// One step as a contact model sees it: the discs, what may touch, and where it reports what did.
+// The input of one step of a contact model: the discs, the candidates for contacts, and the report of contacts.
 #pragma once
 
 #include <algorithm>
@@ -19,8 +19,8 @@ namespace saltus {
 // discs that cannot spin both are zero.
 inline constexpr int kSpin = 2;
 
-// State of one disc. A model that spins discs keeps kRotation more numbers: those above if they are kSpin, else their
-// meaning is its own.
+// State of one disc. A model that rotates discs has kRotation more numbers: angle and angular velocity if kRotation is
+// kSpin, and otherwise numbers whose meaning the model defines.
 template <typename T, int kRotation>
 struct BodyState {
   static constexpr int kSize = 4 + kRotation;
@@ -41,8 +41,8 @@ struct BodyConstants {
   T inverse_mass;  // 1/kg; 0 if fixed
   Base<T> radius;  // m
   bool fixed = false;
-  T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it does not spin as the scene says
-  int material = 0;                   // 0: none; else its number, from 1 on, in the scene
+  T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it has no inertia in the scene
+  int material = 0;                   // 0: none; else 1 + the index into Scene::materials
 };
 
 // Restitution and friction where two things touch.
@@ -57,9 +57,9 @@ struct ContactConstants : PairConstants<T> {
   T stiffness, damping;
 };
 
-// Disc `a` and either disc `b` or, as `plane`, wall `b` (walls.h), which may touch in this step. Normals point towards
-// `a`; a < b for two discs. Never two fixed discs, nor a fixed disc and a wall. The parts of edges come and go: those
-// that count at the start of the step, or for event-driven models all that may be met within it.
+// A pair that may touch in this step: disc `a` and either disc `b` or, if `plane` is set, wall `b` (walls.h). Normals
+// point towards `a`; a < b for two discs. One of the two can move. Parts of edges are candidates if they count at the
+// start of the step or, for event-driven models, if a disc may reach them within it.
 struct Candidate {
   int a = 0;
   int b = 0;
@@ -67,15 +67,15 @@ struct Candidate {
   friend bool operator==(const Candidate&, const Candidate&) = default;
 };
 
-// kPocketed: a disc has fallen into a pocket, and is out of play.
+// The mode of a contact. kPocketed: a disc has reached a pocket, and is out of play.
 enum class ContactMode { kFrictionless, kSlip, kStick, kPocketed };
 inline const char* ContactModeToString(ContactMode mode) {
   constexpr const char* kNames[] = {"frictionless", "slip", "stick", "pocketed"};
   return kNames[static_cast<int>(mode)];
 }
 
-// An impact changes velocities at once; a sustained contact presses for a while; a grazing one is so slow that the
-// model's rule for it decides, and the derivative is one-sided.
+// The kind of a contact. An impact changes velocities instantaneously; a sustained contact has a force over time; a
+// grazing contact has a speed near zero, so that derivatives are one-sided.
 enum class ContactKind { kImpact, kSustained, kGrazing };
 
 // A contact that took effect in a step.
@@ -86,43 +86,43 @@ struct Touch {
   ContactKind kind = ContactKind::kImpact;
 };
 
-// A contact that takes part in a tie: impacts at the same time, connected through discs that move, of which the one
-// that comes first decides what follows.
+// A contact in a tie: simultaneous impacts that are connected through discs that move, and whose order changes the
+// motion.
 struct TiedContact {
   Candidate candidate;
   double time = 0;  // s, since the start of the step; of the first impact
   int tie = 0;      // number of the tie within the step
 };
 
-// One step of some discs. Index i means the same disc in `bodies`, `force` and the states. The length of the step is a
-// number, or with H = T what derivatives are taken by.
+// One step of some discs. Index i is the same disc in `bodies`, `force` and the states. The length of the step is a
+// number or, with H = T, a variable of differentiation.
 template <typename T, typename H = Base<T>>
 struct StepInput {
   using S = Base<T>;
   H h;                          // s, length of the step
   Vec2<S> gravity;              // m/s^2
-  ContactConstants<T> contact;  // restitution and friction: of what has no material; see ContactOf()
+  ContactConstants<T> contact;  // restitution and friction of pairs without a material; see ContactOf()
   std::span<const BodyConstants<T>> bodies;
   std::span<const Wall<S>> planes;        // half-planes, and the parts of edges (walls.h)
   std::span<const Vec2<T>> force;         // N
   std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
   std::pmr::memory_resource* scratch;     // for temporaries; released after the step
-  std::vector<Touch>* touches = nullptr;  // if given, the step appends the contacts that took effect
-  SolveRecord* solved = nullptr;          // if given, the step recalls from it what it needs iterations for
-  std::string_view* failure = nullptr;    // if given, the step says there why it has no result
-  std::vector<TiedContact>* ties = nullptr;  // if given, the step appends ties; only event-driven models know them
-  int tie_order = 0;                         // in which order they take tied impacts (event_ties.h); 0: their own
+  std::vector<Touch>* touches = nullptr;  // if set, the step appends the contacts that took effect
+  SolveRecord* solved = nullptr;          // if set, the step recalls results of iterations from it
+  std::string_view* failure = nullptr;    // if set, the step writes the reason why it has no result
+  std::vector<TiedContact>* ties = nullptr;  // if set, event-driven models append ties
+  int tie_order = 0;                         // the order in which they take tied impacts (event_ties.h); 0: their own
   // Extents of the walls, for event-driven models only.
-  std::span<const WallExtent> extents = {};  // where each of them counts, if given
-  int table = -1;                            // which of them is the table that discs slide on; -1: none
-  int first_pocket = 0, num_pockets = 0;     // which of them are pockets
-  S slowing = S(0);                          // m/s^2, by which it slows them
+  std::span<const WallExtent> extents = {};  // the region in which each wall counts, if given
+  int table = -1;                            // index of the table that discs slide on; -1: none
+  int first_pocket = 0, num_pockets = 0;     // the walls that are pockets
+  S slowing = S(0);                          // deceleration on the table, m/s^2
   std::span<const T> torque = {};            // N m, on the discs; none if empty
   // Restitution and friction by MaterialPairIndex() (materials.h), if the scene has materials.
   std::span<const PairConstants<T>> pairs = {};
 
-  // The numbers that solve() returns, or that it returned at this place when the step was taken before; valid until the
-  // end of the step. They may depend on values only.
+  // Returns the result of solve(), or its result at this place when the step was computed before; valid until the end
+  // of the step. It may depend on values only.
   template <typename Solve>
   std::span<const double> Solved(const Solve& solve,
                                  const std::source_location& place = std::source_location::current()) const {
@@ -138,14 +138,14 @@ struct StepInput {
     return keep(numbers);
   }
 
-  // Iterations are no part of a derivative, so the compiler need not inline them into one.
+  // Calls solve(), which is not inlined: iterations are no part of a derivative.
   template <typename Solve>
   [[gnu::noinline]] static auto Find(const Solve& solve) {
     return solve();
   }
 
-  // Takes over from the same step in another scalar all that derivatives are not taken by: everything but the constants
-  // of the contacts and of the discs, the forces and the torques.
+  // Copies from the same step in another scalar everything that is no variable of differentiation: all but the
+  // constants of contacts and discs, the forces and the torques.
   template <typename U>
   void ShareScene(const StepInput<U>& in) {
     h = in.h;
@@ -161,7 +161,7 @@ struct StepInput {
     slowing = in.slowing;
   }
 
-  // Uninitialized memory for n numbers, until the end of the step.
+  // Returns uninitialized memory for n numbers, valid until the end of the step.
   template <typename U>
   std::span<U> Array(std::size_t n) const {
     return {static_cast<U*>(scratch->allocate(n * sizeof(U), alignof(U))), n};
@@ -172,8 +172,8 @@ struct StepInput {
     if (touches != nullptr) touches->push_back({candidate, mode, time, kind});
   }
 
-  // To be called by a step whose iterations do not arrive. The rollout then fails with this reason, which must be a
-  // literal; what the step leaves should be not a number, so that derivatives taken there fail too.
+  // Reports that the iterations of the step do not converge. The rollout then fails with this reason, which must be a
+  // string literal. The step should leave NaN as its result, so that derivatives fail too.
   void Fail(std::string_view why) const {
     if (failure != nullptr && failure->empty()) *failure = why;
   }
@@ -195,26 +195,25 @@ struct StepInput {
     });
   }
 
-  // Acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
+  // Returns the acceleration of disc i by force and gravity, m/s^2; zero if it is fixed.
   Vec2<T> Acceleration(int i) const {
     const BodyConstants<T>& body = bodies[i];
     if (body.fixed) return Vec2<T>(T(S(0)), T(S(0)));
     return {force[i][0] * body.inverse_mass + gravity[0], force[i][1] * body.inverse_mass + gravity[1]};
   }
-  // Angular acceleration of disc i by its torque, rad/s^2; zero if it does not spin.
+  // Returns the angular acceleration of disc i by its torque, rad/s^2; zero if it does not spin.
   T AngularAcceleration(int i) const { return torque.empty() ? T(S(0)) : T(torque[i] * bodies[i].inverse_inertia); }
   bool IsPocket(const Candidate& c) const { return c.plane && c.b >= first_pocket && c.b < first_pocket + num_pockets; }
-  // Distance of the centres (or of centre and plane) at which the two touch, m; from a pocket, at which it takes the
-  // disc.
+  // Returns the distance of the centres (or of centre and wall) at which the two touch, m; 0 for a pocket.
   S ContactDistance(const Candidate& c) const {
     if (num_pockets > 0 && IsPocket(c)) return S(0);
     return bodies[c.a].radius + (c.plane ? S(0) : bodies[c.b].radius);
   }
   T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
   T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
-  // 1 / (1/m_a + 1/m_b), kg.
+  // Returns 1 / (1/m_a + 1/m_b), kg.
   T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
-  // The mass along the tangent, where discs that spin give way by turning: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
+  // Returns the effective mass along the tangent, kg: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
   T TangentialMass(const Candidate& c) const {
     const auto turning = [&](int i) { return T(bodies[i].radius * bodies[i].radius * bodies[i].inverse_inertia); };
     T mobility = InverseMassA(c) + InverseMassB(c) + turning(c.a);
@@ -223,15 +222,15 @@ struct StepInput {
   }
 };
 
-// Distance and normal of a candidate when the discs are where `position(i)` says.
+// Returns distance and normal of a candidate for discs at `position(i)`.
 template <typename T, typename PositionOf>
 Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   if (c.plane) return Separate<T>(position(c.a), in.planes[c.b]);
   return Separate<T>(position(c.a), position(c.b));
 }
 
-// The way along the tangent by which a candidate's normal turns by one radian, at this distance of the two, m: positive
-// around what is convex, negative within an arc; 0 at a line, where it does not turn.
+// Returns the tangential distance over which the normal of a candidate rotates by one radian, m: positive around a
+// convex wall or a disc, negative within an arc, and 0 along a line, whose normal is constant.
 template <typename T>
 T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance) {
   using S = Base<T>;
@@ -240,15 +239,15 @@ T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance)
   return wall.curved() ? T(distance + S(wall.side) * wall.radius) : T(S(0));
 }
 
-// Velocity of a relative to b when the discs have the velocities that `velocity(i)` says.
+// Returns the velocity of a relative to b for discs with the velocities `velocity(i)`.
 template <typename T, typename VelocityOf>
 Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
   if (c.plane) return velocity(c.a);
   return velocity(c.a) - velocity(c.b);
 }
 
-// Calls apply(i, change) with what an impulse along the tangent (t = Perpendicular(n), on a) changes of the angular
-// velocities.
+// Calls apply(i, change) with the change of each angular velocity by an impulse along the tangent (t =
+// Perpendicular(n), on a).
 template <typename T, typename Apply>
 void ApplyTurn(const StepInput<T>& in, const Candidate& c, const T& tangential, const Apply& apply) {
   const auto turn = [&](int i) { apply(i, T(-tangential * in.bodies[i].radius * in.bodies[i].inverse_inertia)); };

@@ -1,8 +1,9 @@
-// Many points of one problem at once: multi-start, sampling, studies of initial conditions or controls.
+// Batches: losses and gradients at many points of one problem, for multi-start, sampling and studies of initial
+// conditions or controls.
 //
-// Points are shared among threads, and those of a thread simulated in groups whose flights go through the lanes of the
-// core together (SingleShooting::EvaluateTogether). No two motions of a group share a simulator and no two results
-// share a place, so that results have the bits of single evaluations, for any number of threads.
+// Points are divided among threads. A thread simulates several points at once, whose free flights use the lanes of the
+// core together (SingleShooting::EvaluateTogether). Results have the bits of single evaluations, for any number of
+// threads.
 #pragma once
 
 #include <cstddef>
@@ -18,8 +19,8 @@ namespace saltus {
 
 class Batch {
  public:
-  // Points are decision variables of `scene` (single_shooting.h). `threads` at most; 0 is one per core. Preconditions
-  // as those of MakeSimulator.
+  // Makes a batch of points that are decision variables of `scene` (single_shooting.h), on at most `threads` threads; 0
+  // is one per core. The preconditions are those of MakeSimulator.
   Batch(const Contact& contact, const Scene& scene, Precision precision, int threads = 0,
         SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
 
@@ -30,16 +31,16 @@ class Batch {
 
   int num_variables() const { return shootings_.front()->num_variables(); }
   const std::vector<double>& initial_guess() const { return shootings_.front()->initial_guess(); }
-  // How many points of a thread are evaluated at once.
+  // Returns how many points a thread evaluates at once.
   int num_lanes() const { return num_lanes_; }
   int num_threads() const { return static_cast<int>(shootings_.size()) / num_lanes_; }
 
-  // The losses at P points (P x num_variables(), row by row) and, unless empty, the gradients there (the same shape).
-  // Where rollout or loss are not finite, the loss is NaN, and the gradient too.
+  // Computes the losses at P points (P x num_variables(), row by row) and, unless empty, the gradients (of the same
+  // shape). Loss and gradient are NaN if the rollout or the loss is not finite.
   void Evaluate(std::span<const double> points, std::span<double> losses, std::span<double> gradients = {});
 
-  // Calls job(shooting, i) for i = 0 .. count - 1, each once, from several threads; no two jobs that run at the same
-  // time get the same `shooting`. Results must neither depend on what it has been used for nor share a place.
+  // Calls job(shooting, i) for i = 0 .. count - 1, each once, from several threads. Jobs that run at the same time get
+  // different `shooting`s. Results must not depend on earlier uses of it, and must not share memory.
   void ForEach(int count, const std::function<void(SingleShooting* shooting, int i)>& job);
 
  private:

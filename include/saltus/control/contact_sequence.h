@@ -1,4 +1,4 @@
-// Which pairs collide, in order of time: as written by people, and as indices of a scene.
+// Sequences of impacts: the pairs that collide, in order of time, as text and as indices of a scene.
 //
 //   striker-target,target-ceiling     two impacts: striker and target, then target and ceiling
 //   none                              no impact at all
@@ -20,16 +20,16 @@ using ContactSequence = std::vector<Candidate>;
 // was expected; empty if nothing is.
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence);
 
-// The text that stands for it, discs in scene order and planes last.
+// Returns the text of a sequence, with the discs of a pair in scene order and planes last.
 std::string ContactSequenceToString(const Scene& scene, const ContactSequence& sequence);
 
-// Every pair that could collide: discs by index pairs, then discs against planes.
+// Returns every pair that could collide: discs by index pairs, then discs with planes.
 ContactSequence AllPairs(const Scene& scene);
 
-// Names an obstacle of `scene` that is neither disc nor plane, which is all that sequences, closed forms and
-// conditions of optimality know; empty if there is nothing.
+// Returns the name of a part of `scene` beyond discs and planes, which alone sequences, closed forms and conditions of
+// optimality support; empty if there is none.
 std::string BeyondPlanes(const Scene& scene);
-// Names such an obstacle, or discs that spin: for methods that know only discs that do not.
+// Returns the name of such a part, or of discs that spin, for methods without rotation; empty if there is none.
 std::string BeyondPlainDiscs(const Scene& scene);
 
 }  // namespace saltus

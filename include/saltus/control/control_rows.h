@@ -1,7 +1,7 @@
-// A control as files and Python have it, and as the library has it (Scene::control_width()).
+// Conversion of controls between the rows of files and Python, and the layout of the library (Scene::control_width()).
 //
-// Rows: K x C x 2 numbers [u_x u_y]; or, if the scene turns discs, K x C x 3, [u_x u_y torque], in N and N m. The third
-// number is 0 for discs that are not turned.
+// Rows are K x C x 2 numbers [u_x u_y] or, in scenes with torque controls, K x C x 3 numbers [u_x u_y torque], in N and
+// N m. The third number is 0 for discs without a torque control.
 #pragma once
 
 #include <span>
@@ -12,7 +12,7 @@
 
 namespace saltus {
 
-// Numbers of a row for one controlled disc, 2 or 3.
+// Returns how many numbers a row has for one controlled disc, 2 or 3.
 int ControlColumns(const Scene& scene);
 
 // Returns the error in such rows, with the number of the interval and the disc; empty if there is none.
@@ -22,8 +22,8 @@ std::string WhyNoControl(const Scene& scene, std::span<const double> rows);
 std::vector<double> RowsOfControl(const Scene& scene, std::span<const double> control);
 std::vector<double> ControlOfRows(const Scene& scene, std::span<const double> rows);
 
-// Derivatives by a control: from those by the library's numbers to those by the numbers of the rows, 0 by those that
-// are no variables.
+// Converts derivatives by a control of the library to derivatives by the numbers of its rows; 0 for those that are no
+// variables.
 std::vector<double> RowsOfGradient(const Scene& scene, std::span<const double> gradient);
 
 }  // namespace saltus

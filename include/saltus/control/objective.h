@@ -13,12 +13,14 @@
 
 namespace saltus {
 
-// Returns in words the parts of a problem besides terminal terms and effort: bounds, constraints, costs on the way; or
-// nothing. With such parts the loss is not all that counts, or not that of the functions below, which know
-// terminal terms that are not hard and the effort only.
+// Returns in words a part of an objective besides terminal costs and effort: path costs, a free duration, constraints;
+// empty if there is none. The functions below compute terminal costs and effort only.
+std::string BeyondTerminalLoss(const Objective& objective);
+// Returns such a part of a problem, with bounds on the control and pairs that must not touch.
 std::string BeyondTerminalCost(const Scene& scene);
 
-// Sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers, overwritten).
+// Returns the sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers,
+// overwritten).
 double TerminalLoss(const Objective& objective, std::span<const double> x, int body_size);
 void TerminalGradient(const Objective& objective, std::span<const double> x, int body_size, std::span<double> gradient);
 
@@ -28,10 +30,10 @@ void TerminalGradient(const Objective& objective, std::span<const double> x, int
 int NumTerminalResiduals(const Objective& objective);
 void TerminalResiduals(const Objective& objective, std::span<const double> x, int body_size,
                        std::span<double> residuals);
-// dr/dx, NumTerminalResiduals x state size; constant.
+// Returns dr/dx, NumTerminalResiduals x state size, which is constant.
 Eigen::MatrixXd TerminalJacobian(const Objective& objective, int state_size, int body_size);
 
-// effort * sum |u|^2 dt; its gradient is EffortWeight() u, which AddEffortGradient adds to `gradient`.
+// Returns effort * sum |u|^2 dt. Its gradient is EffortWeight() u, which AddEffortGradient adds to `gradient`.
 double EffortLoss(const Objective& objective, std::span<const double> control, double dt);
 inline double EffortWeight(const Objective& objective, double dt) { return 2 * objective.effort * dt; }
 void AddEffortGradient(const Objective& objective, std::span<const double> control, double dt,

@@ -1,4 +1,4 @@
-// Costs and constraints of a motion beside those of scene files: functions for Ceres that a user writes.
+// User-defined costs and constraints of a scene: functions for Ceres in addition to the terms of scene files.
 //
 //   struct Drag {  // 0.1 |v|^2, integrated over time
 //     template <typename T>
@@ -34,23 +34,23 @@ struct OwnTerm {
   Role role = Role::kCost;
 
   // The function's parameter blocks, in this order, in SI units:
-  //   [p_x p_y v_x v_y] of each of these discs: at the beginning of the step, or at the final time, after impacts there
+  //   [p_x p_y v_x v_y] of each of these discs, at the beginning of the step, or at the final time, after impacts there
   std::vector<int> states = {};
-  //   [u_x u_y] on each of these discs, which are controlled, held over the step; of each step only
+  //   [u_x u_y] on each of these discs, which are controlled, constant over the step; kEachStep only
   std::vector<int> forces = {};
-  //   [angle, angular velocity] of each of these discs, which spin, rad and rad/s; of each step only of discs with a
-  //   torque control, as the others turn evenly between impacts
+  //   [angle, angular velocity] of each of these discs, which spin, rad and rad/s; in kEachStep they have a torque
+  //   control
   std::vector<int> rotations = {};
-  //   [torque] on each of these discs, which have a torque control, N m, held over the step; of each step only
+  //   [torque] on each of these discs, which have a torque control, N m, constant over the step; kEachStep only
   std::vector<int> torques = {};
-  //   if asked for, the length of the step, or the final time
+  //   if set, the length of the step, or the final time
   bool with_length = false;
 
-  // Must not keep state: it is evaluated for every step.
+  // The function, which must not keep state, because it is evaluated for every step.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
 
-  // The scale of a constraint, > 0: a residual as bad as a miss by the size of the scene. Constraints are
-  // met to 1e-8 of it.
+  // The scale of a constraint, > 0: a residual of this size counts as much as an error of a position by the size of the
+  // scene. Constraints are satisfied to 1e-8 of it.
   double scale = 1;
 };
 

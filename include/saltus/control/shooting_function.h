@@ -1,5 +1,5 @@
-// A loss as a function of decision variables, states eliminated by simulation: what solvers by single shooting
-// minimise, whatever is simulated.
+// The interface of a loss as a function of decision variables, with states eliminated by simulation, for solvers by
+// single shooting.
 #pragma once
 
 #include <span>
@@ -15,28 +15,28 @@ class ShootingFunction {
   virtual int num_variables() const = 0;
   virtual const std::vector<double>& initial_guess() const = 0;
 
-  // The loss at z, and its gradient (num_variables() numbers) unless null. False if the motion or the loss is not
-  // finite or does not exist, or if it was stopped.
+  // Computes the loss at z, and its gradient (num_variables() numbers) unless null. Returns false if the motion or the
+  // loss does not exist or is not finite, or if it was stopped.
   virtual bool Evaluate(std::span<const double> z, double* loss, double* gradient) = 0;
-  // Why the last evaluation returned false; empty if it did not, or was stopped.
+  // Returns why the last evaluation returned false; empty if it did not, or was stopped.
   virtual std::string WhyFailed() const = 0;
   virtual bool stopped() const = 0;
 
-  // The loss as a sum of squares (without a half) of num_residuals() numbers, to which a solver may add others that it
-  // knows; and their Jacobian by z where the last evaluation has been, which returned true (row-major). A
-  // Jacobian may be not finite even so; WhyFailed() may then say why.
+  // Computes the num_residuals() residuals whose squares, without a half, add up to the loss (apart from the effort and
+  // the price of time, which solvers add), and their Jacobian by z (row-major). ResidualJacobian() is that at the last
+  // evaluation, which returned true. A Jacobian may be not finite nevertheless; WhyFailed() may then give the reason.
   virtual int num_residuals() const = 0;
   virtual bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) = 0;
   virtual void ResidualJacobian(double* jacobian) = 0;
 
-  // The data in z: initial state, control, lengths of the control intervals (empty if the final time is given), and
-  // parameters of a hybrid system.
+  // Return the parts of z: initial state, control, lengths of the control intervals (empty if the final time is given),
+  // and parameters.
   virtual std::vector<double> InitialStateAt(std::span<const double> z) const = 0;
   virtual std::vector<double> ControlAt(std::span<const double> z) const = 0;
   virtual std::vector<double> DurationsAt(std::span<const double> z) const = 0;
   virtual std::vector<double> ParametersAt(std::span<const double> /*z*/) const { return {}; }
 
-  // How many gradients have been computed.
+  // Returns how many gradients have been computed.
   virtual int num_adjoints() const = 0;
 };
 

@@ -1,14 +1,14 @@
-// Single shooting: the loss as a function of the decision variables alone, states eliminated by rollout.
+// Single shooting: the loss as a function of the decision variables alone, with states eliminated by rollout.
 //
-// Decision variables z, by Scene::optimize:
+// The decision variables z depend on Scene::optimize:
 //   control    the whole control, K x C x 2
 //   velocity   the initial velocities of Scene::free, in that order, 2 each; then the angular velocities of
 //              Scene::free_spin
-//   position   the initial positions of Scene::free, likewise
+//   position   the initial positions of Scene::free, in that order, 2 each
 //   none       empty
-// if the final time is free, followed by it; then the values of Scene::design. Or, whatever the scene optimizes, the
-// whole initial state: the positions of all discs that move, then their velocities; then angle and angular velocity of
-// those that spin.
+// They are followed by the final time if it is free, and by the values of Scene::design. With Variables::kInitialState
+// they are the whole initial state instead: the positions of all discs that move, their velocities, and angle and
+// angular velocity of those that spin.
 #pragma once
 
 #include <Eigen/Core>
@@ -26,18 +26,19 @@ namespace saltus {
 
 class WayCosts;
 
-// The loss has all terms of the objective that are not hard. Running and via terms are exact in exact dynamics (the
-// event-driven model in double precision); of other models they are the trapezoidal rule on the model's own steps, and
-// via terms read states in between linearly.
+// The loss has all terms of the objective that are not hard. Path costs are exact in exact dynamics (the event-driven
+// model in double precision). With other models running costs are integrated by the trapezoidal rule on the steps of
+// the model, and waypoint costs interpolate states linearly.
 class SingleShooting final : public ShootingFunction {
  public:
   enum class Variables { kOfScene, kInitialState };
-  // The simulator of the scene with another duration or other values of its design parameters; null if the contact
-  // model cannot take that one.
+  // A function that returns the simulator of the scene with another duration or other values of its design parameters;
+  // null if the contact model does not support that scene.
   using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, the final time,
-  // and design parameters beside path costs, in exact dynamics only; else they stay as they are in the scene.
+  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene; the final time,
+  // and design parameters of a scene with path costs, in exact dynamics only. Otherwise they have the values of the
+  // scene.
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
                           OfScene of_scene = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
@@ -56,47 +57,49 @@ class SingleShooting final : public ShootingFunction {
   int num_variables() const override { return static_cast<int>(guess_.size()); }
   const std::vector<double>& initial_guess() const override { return guess_; }
 
-  // The loss at z, and its gradient (num_variables() numbers) unless null. False if rollout or loss are not
-  // finite; the gradient may be infinite even so. In single precision the gradient is rounded to float, as automatic
-  // differentiation in float would leave it.
+  // Computes the loss at z, and its gradient (num_variables() numbers) unless null. Returns false if the rollout or the
+  // loss is not finite; the gradient may be infinite nevertheless. In single precision the gradient is rounded to
+  // float, as that of automatic differentiation in float is.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
 
-  // How many points EvaluateTogether takes at once; 1 if that is no faster than one after the other.
+  // Returns how many points EvaluateTogether evaluates at once; 1 if that is not faster than one after the other.
   int num_lanes() const;
-  // Evaluate() of point i, row i of `points`, by shootings[i], for up to num_lanes() points: the same bits. ok[i] is
-  // what it returns; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same problem.
+  // Evaluates point i, row i of `points`, by shootings[i], for up to num_lanes() points, with the bits of Evaluate().
+  // ok[i] is its result; `gradients` is P x num_variables(), or empty. Precondition: all shootings are of the same
+  // problem.
   static void EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
                                std::span<const double> points, std::span<double> losses, std::span<double> gradients,
                                std::span<bool> ok);
 
-  // Why the last evaluation returned false, or has derivatives that are not finite; empty if neither, or stopped.
+  // Returns why the last evaluation returned false, or has derivatives that are not finite; empty if neither, or
+  // stopped.
   std::string WhyFailed() const override;
 
-  // The residuals of all terms but the effort and the price of time at z, num_residuals() of them, and their Jacobian
-  // with respect to z (rows x num_variables(), row-major), unless null: one adjoint a residual. False as above.
-  // Precondition: the objective is a sum of squares.
+  // Computes the num_residuals() residuals of all terms but the effort and the price of time at z, and their Jacobian
+  // with respect to z (rows x num_variables(), row-major) unless null, by one adjoint for each residual. Returns false
+  // if Evaluate() does. Precondition: the objective is a sum of squares.
   int num_residuals() const override;
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
 
-  // That Jacobian where the last evaluation, which returned true, has been: without another rollout. Without meaning if
+  // Computes this Jacobian at the last evaluation, which returned true, without another rollout. It has no meaning if
   // stopped().
   void ResidualJacobian(double* jacobian) override;
 
-  // The loss at z and its derivatives with respect to everything: initial state, control (effort included), parameters.
-  // False as above.
+  // Computes the loss at z and its derivatives with respect to initial state, control (effort included) and parameters.
+  // Returns false if Evaluate() does.
   bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
 
-  // The initial state and the control (K x C x 2) that z stands for.
+  // Return the initial state and the control (K x C x 2) of z.
   std::vector<double> InitialStateAt(std::span<const double> z) const override;
   std::vector<double> ControlAt(std::span<const double> z) const override;
-  // Whether the last variable is the final time; then the lengths of the steps, else nothing.
+  // Whether the final time is a variable. DurationsAt() then returns the lengths of the steps, and otherwise nothing.
   bool has_duration() const { return has_duration_; }
   std::vector<double> DurationsAt(std::span<const double> z) const override;
-  // The values of the scene's design parameters, the last num_design() variables.
+  // Returns the values of the scene's design parameters, the last num_design() variables.
   std::vector<double> ParametersAt(std::span<const double> z) const override;
   int num_design() const { return num_design_; }
 
-  // How often a rollout and an adjoint have been computed.
+  // Return how many rollouts and adjoints have been computed.
   int num_rollouts() const { return num_rollouts_; }
   int num_adjoints() const override { return num_adjoints_; }
 

@@ -16,7 +16,7 @@ namespace saltus {
 
 class StepCost final : public ceres::CostFunction {
  public:
-  // Several costs, in several threads, may share a simulator.
+  // Takes a simulator, which several costs in several threads may share.
   explicit StepCost(std::shared_ptr<const Simulator> simulator);
 
   // Returns false, so that Ceres rejects the point, if step or linearization are not finite, or the simulator stopped.

@@ -1,5 +1,5 @@
-// Surrogates of a gradient: directions that stand in for the derivative of the loss where that one misleads. None of
-// them is that derivative, so whoever reports what was computed with one calls it biased.
+// Surrogate gradients: biased estimates that replace the derivative of the loss. Results that were computed with one
+// are reported as biased.
 //
 //   complementarity_aware   the reverse sweep through each contact group takes, instead of the derivative, that for the
 //                           contact modes which the loss would rather have, if it is larger (Werling et al. 2021, as in
@@ -42,13 +42,13 @@ struct SurrogateEntry {
 const std::vector<SurrogateEntry>& AllSurrogates();
 std::string_view SurrogateToString(SurrogateKind kind);
 
-// Which numbers of `surrogate` are impossible, and what was expected; empty if none are.
+// Returns the error in the numbers of `surrogate` and what was expected; empty if there is none.
 std::string WhyNotValid(const Surrogate& surrogate);
 
-// Why there is no such surrogate of the model's gradient, unknown models included; empty if there is.
+// Returns why there is no such surrogate of the model's gradient, or no such model; empty if there is.
 std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene);
 
-// The contact model whose adjoint is the surrogate, or is what is smoothed.
+// Returns the contact model whose adjoint is the surrogate, or is smoothed.
 Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact);
 
 }  // namespace saltus

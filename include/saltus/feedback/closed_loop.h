@@ -1,17 +1,17 @@
-// Simulation of a plan under feedback and noise, of hybrid systems and of scenes under any contact model, and its
+// Simulation of a plan under feedback and noise, for hybrid systems and for scenes under any contact model, with
 // statistics.
 //
-// Rule for events that come early or late (reference spreading; Rijnen, Saccon, Nijmeijer 2015): what is compared is
-// the state after as many events as have happened.
+// Events that come early or late (reference spreading; Rijnen, Saccon, Nijmeijer 2015): the state is compared with that
+// of the plan after the same number of events.
 //
 //   * If the plan's event has not happened yet, the reference is the planned motion before the event, continued without
 //     it, with the control and the gain of the last interval that begins before it.
 //   * If it has happened already, the reference is the planned motion after the event, continued backwards, with the
 //     control and the gain of the first interval that begins after it.
 //   * If other events have happened than planned, or two more or fewer, there is no feedback: the planned control acts.
-//   * In a scene, events that share no disc that moves may happen in another order, and how often a pair meets before
-//   its
-//     contact lasts, and while it does, is not compared.
+//   * In a scene, events that share no disc that moves may happen in another order. The number of impacts of a pair
+//   before
+//     its sustained contact, and during it, is not compared.
 //
 // A motion of a hybrid system is continued by the flow of the mode; that of a scene by free flight of the discs of the
 // event, with a constant angular velocity.
@@ -31,15 +31,15 @@
 
 namespace saltus {
 
-// Which event: mode, guard and next mode of a hybrid system; disc, disc or wall (Candidate) and 1 for a wall in a
-// scene. Events that are equal may happen in different intervals.
+// The identity of an event: mode, guard and next mode of a hybrid system; in a scene disc, disc or wall (Candidate),
+// and 1 for a wall. Equal events may happen in different intervals.
 struct EventLabel {
   int a = 0, b = 0, c = 0;
   int interval = 0;
   friend bool operator==(const EventLabel& x, const EventLabel& y) { return x.a == y.a && x.b == y.b && x.c == y.c; }
 };
 
-// A motion with what feedback needs of it.
+// A planned motion, with the data that feedback needs.
 struct Plan {
   int num_controls = 0;                      // m
   std::vector<double> control = {};          // K x m
@@ -54,11 +54,11 @@ struct Plan {
     std::vector<Eigen::VectorXd> states = {};
   };
   std::vector<Branch> late = {}, early = {};
-  // Each event of a scene has the discs in it that move: events that share none may change places. A hybrid system has
-  // none, as its events may not.
+  // The discs of each event of a scene that move: events that share none may change their order. Empty for a hybrid
+  // system, whose events may not.
   std::vector<std::vector<int>> discs = {};
-  // A contact of a scene that lasts from node `from` to interval `to`. The events of the pair from `event` to `from`,
-  // those with which it comes to rest, count as one; none (-1) if it lasts from the start. Later ones do not count.
+  // A sustained contact of a scene, from node `from` to interval `to`. The events of the pair from `event` to `from`,
+  // with which it comes to rest, count as one; -1 if it lasts from the start. Later events of the pair do not count.
   struct Lasting {
     EventLabel pair;
     int event = -1, from = 0, to = 0;
@@ -73,19 +73,20 @@ Plan MakePlan(const Simulator& motion, std::span<const double> control);
 
 // Plan and linearization of the exact motion of a scene, on control intervals of any lengths.
 struct ScenePlan {
-  std::string reason = {};  // why there is no motion or no linearization, and then there is nothing else
-  std::string remark = {};  // why derivatives are one-sided, or do not say what disturbed motions do; empty if they do
+  std::string reason = {};  // why there is no motion or no linearization; the other members are then empty
+  std::string remark = {};  // why derivatives are one-sided, or do not describe disturbed motions; empty if they do
   Plan plan = {};
   LinearMotion linear = {};
   std::vector<double> lengths = {};  // of the K intervals, s
 };
-// The control's K intervals last `durations` (K numbers >= 0, s, which take the place of the scene's duration), or
-// equally long without any; a scene without a control has its own steps. `initial` as in simulator.h.
+// Plans a scene. The K intervals of the control last `durations` (K numbers >= 0, s, which replace the scene's
+// duration), or are equal if there are none; a scene without a control has its own steps. `initial` as in simulator.h.
 ScenePlan PlanScene(Scene scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {});
 
-// The control of interval k, given the state at its beginning and the events that have happened. Writes the planned
-// control and returns false if there is no feedback by the rule above. `gains` as in Regulator; empty: planned control.
+// Writes the control of interval k, given the state at its beginning and the events that have happened. Writes the
+// planned control and returns false if there is no feedback by the rules above. `gains` as in Regulator; empty: planned
+// control.
 bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, int k, const Eigen::VectorXd& x,
                      std::span<const EventLabel> events, std::span<double> u);
 
@@ -106,25 +107,25 @@ class Plant {
   Eigen::VectorXd x_ = {};
   std::vector<EventLabel> events_ = {};  // since Start
 };
-// The system itself, from the mode and in the intervals of `input`. A state that noise has put behind a guard has its
-// event at once if the guard falls there, and otherwise waits until it is above zero. steps_per_interval: of the
-// integration.
+// Makes a plant of the system itself, with the mode and the intervals of `input`. If noise moves the state behind a
+// guard, the event of the guard happens at once if the guard falls there; otherwise the guard is armed once it is above
+// zero.
 std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval);
-// The scene under the contact model of the simulator. Contact that lasts over several steps is one event. A state has
-// the numbers of the scene's (positions, velocities and, if discs spin, rotations) or all that the model keeps.
+// Makes a plant of the scene under the contact model of the simulator. A contact over several steps is one event. A
+// state has the numbers of the initial state of the scene, or all numbers of the state of the model.
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);
-// Does so on intervals that last `lengths` (K numbers >= 0, s), each one step of the model. Precondition: their sum is
-// the scene's duration, and the contact model is applicable to the scene.
+// Makes such a plant on intervals that last `lengths` (K numbers >= 0, s), each of which is one step of the model.
+// Precondition: their sum is the scene's duration, and the contact model is applicable to the scene.
 std::unique_ptr<Plant> MakePlant(const Contact& contact, const Scene& scene, std::span<const double> lengths);
 
 struct ClosedLoopRun {
   bool ok = false;
-  bool as_planned = false;  // the events, in their order
+  bool as_planned = false;  // whether the events are those of the plan, in their order
   int mode = 0;             // at the end
   Eigen::VectorXd final_state = {};
-  std::vector<double> control = {};  // that acted, K x m, noise included
+  std::vector<double> control = {};  // the control that acted, K x m, with noise
 };
-// One run with the noise of number `sample` of a seed, from the planned initial state.
+// Simulates one run from the planned initial state, with the noise of number `sample` of a seed.
 ClosedLoopRun RunClosedLoop(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,
                             std::uint64_t seed, int sample, Plant* plant);
 
@@ -132,17 +133,17 @@ struct MonteCarloOptions {
   int samples = 1000;
   std::uint64_t seed = 1;
   int threads = 0;             // 0: one per core. Results do not depend on it.
-  StopRequest stop = nullptr;  // once it returns true, no further run begins, and the result has those before
+  StopRequest stop = nullptr;  // ends the study; the result has the runs until then
 };
 struct MonteCarlo {
-  int failed = 0;                   // runs without a motion, which the others do not count
-  int otherwise = 0;                // runs whose events are not those planned
-  int counted = 0;                  // runs that end with a state of the planned size, of which mean and covariance are
+  int failed = 0;                   // runs without a motion, which do not count below
+  int otherwise = 0;                // runs whose events are not those of the plan
+  int counted = 0;                  // runs whose final state has the planned size, which mean and covariance are of
   Eigen::VectorXd mean = {};        // of the final state
   Eigen::MatrixXd covariance = {};  // of the final state, about the mean
   double loss = 0, loss_error = 0;  // mean over the runs with a motion, and its standard error
 };
-// `loss` of a run, if there is one, is called from several threads.
+// Simulates noisy runs. `loss`, which returns the loss of a run, is called from several threads.
 MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,
                          const std::function<std::unique_ptr<Plant>()>& make_plant, const MonteCarloOptions& options,
                          const std::function<double(const ClosedLoopRun&)>& loss = nullptr);

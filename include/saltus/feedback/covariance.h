@@ -1,5 +1,5 @@
-// The covariance of the error of a motion, to first order through its events, and how likely another sequence of events
-// is.
+// Covariance of the error of a motion, to first order through its events, and the probability of another sequence of
+// events.
 //
 // At the beginning of each interval the state is measured; the control then differs from the plan by -K (dx + error of
 // the measurement) and by its own noise:
@@ -25,10 +25,10 @@ struct Noise {
   Eigen::MatrixXd measurement = {};  // V, of the measured state at the beginning of each interval
 };
 
-// Returns "found x, expected y", or nothing: checks sizes, symmetry, and that matrices are positive semidefinite.
+// Checks sizes, symmetry, and that matrices are positive semidefinite. Returns "found x, expected y", or an empty text.
 std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
 
-// The sequence of events may change here.
+// A possible change of the sequence of events.
 struct SequenceRisk {
   std::string what = {};   // "'a' comes after 'b'", "'a' comes after the end", "'a' comes ..."
   double time = 0;         // s, of the planned event, or of the guard's value
@@ -38,17 +38,18 @@ struct SequenceRisk {
 struct Covariance {
   std::vector<Eigen::MatrixXd> nodes = {};  // K + 1: at the beginning of each interval, and at the end
   std::vector<double> event_times = {};     // standard deviations of the times of the events, s
-  // All with a probability of 1e-12 or more, the largest first. An event after the next one or after the end, or before
-  // the beginning: from the normal distribution of the difference of the times. A guard that should stay above zero:
-  // from that of its value at the beginnings of the intervals; what happens within an interval is not seen.
+  // All risks with a probability of 1e-12 or more, the largest first. That of an event after the next one, after the
+  // end or before the beginning follows from the normal distribution of the difference of the times. That of a guard
+  // that should stay above zero follows from the distribution of its value where it is least (LinearGuard).
   std::vector<SequenceRisk> risks = {};
   // An upper bound (Boole's inequality) on the probability that one of them happens, at most 1.
   double change_probability = 0;
-  // Says which risk is largest, if change_probability is above `small`; empty otherwise. First order then ends.
+  // Returns a text with the largest risk if change_probability is above `small`, where first order does not suffice;
+  // otherwise empty.
   std::string Warning(double small = 0.01) const;
 };
 
-// In open loop without a regulator. Precondition: nothing is wrong with the noise, and sizes match.
+// Propagates the covariance, without a regulator in open loop. Precondition: WhatIsWrongWith is empty, and sizes match.
 Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator = nullptr);
 
 }  // namespace saltus

@@ -1,5 +1,4 @@
-// Optima that forgive errors: the least expected loss under normal errors of the initial state and of the decision
-// variables as they are executed.
+// Minimisation of the expected loss under normal errors of the initial state and of the executed decision variables.
 //
 // The expectation is that of the 2 r points of the spherical rule of degree 3 (McNamee, Stenger 1967), +-sqrt(r) l_j
 // with equal weights, where l_j are the r columns of a square root of the covariance. It is exact for losses that are
@@ -16,7 +15,7 @@
 
 namespace saltus {
 
-// Covariance matrices, symmetric and positive semidefinite, one of them not zero. None: no error.
+// Covariance matrices of the errors, symmetric and positive semidefinite, one of them not zero. Empty: no error.
 struct Errors {
   // Covariance of the initial state of a hybrid system, or of a scene as in simulator.h (initial_size() numbers).
   // In a scene, only of positions, velocities and angular velocities.

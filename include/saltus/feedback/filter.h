@@ -11,7 +11,7 @@
 //   * A scene has no modes. If a correction makes discs of the mean overlap that approach each other, the prediction
 //     begins where they touched: the mean is first continued backwards, in free flight of all discs, until none
 //     overlap.
-//   * Until the estimate and the truth are in the same mode, the innovations are larger than their covariance says.
+//   * Until the estimate and the truth are in the same mode, the innovations are larger than their covariance predicts.
 //     This lasts for about the standard deviation of the time of the event.
 #pragma once
 

@@ -22,22 +22,23 @@
 
 namespace saltus {
 
-// An event of the motion, and how its time follows what the interval begins with.
+// An event of the motion, and the derivatives of its time by the state at the beginning of the interval and by the
+// control.
 struct LinearEvent {
   double time = 0;                                    // s
   std::string name = {};                              // "guard 'ground' in mode 'flight'"; "a and b" of a scene
   Eigen::RowVectorXd by_state = {}, by_control = {};  // of the time, by x_k and u_k
-  // Holds the discs of a scene that move: the order of events that share none does not matter. None: it does.
+  // The discs of the event that move, in a scene: the order of events that share none does not matter. Empty: it does.
   std::vector<int> discs = {};
-  bool follows = false;  // from the event before, without time passing
+  bool follows = false;  // whether it follows the event before it without time passing
 };
 
-// A number that stays above zero in an interval, where it is least: a guard of a hybrid system; in a scene the gap of a
-// pair that does not touch, or the overlap of the paths of discs that do.
+// The least value of a number that stays above zero in an interval: a guard of a hybrid system; in a scene the gap of a
+// pair without contact, or the overlap of the paths of a pair with an impact.
 struct LinearGuard {
   std::string name = {};
   double time = 0;                                    // s
-  double value = 0;                                   // >= 0; 0 where it reaches zero only
+  double value = 0;                                   // >= 0; 0 if it reaches zero without crossing it
   Eigen::RowVectorXd by_state = {}, by_control = {};  // by x_k and u_k
 };
 
@@ -87,15 +88,15 @@ std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& mot
 // Checks gains in the same way: their number, their shapes, and whether they are finite.
 std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
 
-// The regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices of the
-// size of the state. The gains are empty if they are not finite, or if R + B' S B is not positive definite within
-// rounding, because the weights differ too much. Precondition: sizes match, R is positive definite.
+// Computes the regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices
+// of the size of the state. The gains are empty if they are not finite, or if R + B' S B is not positive definite
+// within rounding, because the weights differ too much. Precondition: sizes match, R is positive definite.
 Regulator Track(const LinearMotion& motion, const TrackingCost& cost);
 
-// The regulator with du continuous in time: -S' = Q + S A + A' S - S B R^-1 B' S between events, S- = Xi' S+ Xi at an
-// event, du = -R^-1 B' S dx; of the last rollout of `input`. A flow over a time s is the transition matrix of the
-// Hamiltonian system of (dx, S dx), integrated by the Runge-Kutta method of order 8 with as many steps as
-// change the result by less than `tolerance`, relatively. Empty gains, if the motion has two transitions without time
+// Computes the regulator with du continuous in time, for the last rollout of `input`: -S' = Q + S A + A' S - S B R^-1
+// B' S between events, S- = Xi' S+ Xi at an event, du = -R^-1 B' S dx. The flow of S is the transition matrix of the
+// Hamiltonian system of (dx, S dx), integrated by a Runge-Kutta method of order 8; twice as many steps change the
+// result by less than `tolerance`, relatively. The gains are empty if the motion has two transitions without time
 // between them, or states that are projected.
 Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& input, const TrackingCost& cost,
                             double tolerance = 1e-13);

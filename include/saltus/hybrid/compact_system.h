@@ -75,7 +75,7 @@ class Numbers {
   char name_;
 };
 
-// A point of a motion, as functions of users see it. T is double or a ceres::Jet.
+// A point of a motion, the argument of user functions. T is double or a ceres::Jet.
 template <typename T>
 struct At {
   T t = T(0);                     // time
@@ -84,7 +84,7 @@ struct At {
   Numbers<T> p{'p', nullptr, 0};  // parameters of the system
   T h = T(0);                     // terms in each interval: the length of the interval; 0 elsewhere
   int mode = 0;                   // terms: 0
-  int number = 0;                 // of the guard or switch that is asked for
+  int number = 0;                 // index of the guard or switch to evaluate
   const bool* above = nullptr;    // flows of systems with switches: whether each of them is above zero
 };
 
@@ -120,7 +120,7 @@ struct Next {
   Row<T> x;
 };
 
-// A struct with kSizes behind the interface of hybrid_system.h. Names and other optional members are inherited.
+// Adapts a struct with kSizes to the interface of hybrid_system.h. Names and other optional members are inherited.
 template <typename S>
 struct CompactSystem : S {
   static constexpr int kNumControls = S::kSizes.controls, kNumParameters = S::kSizes.parameters;
@@ -195,7 +195,7 @@ struct CompactSystem : S {
   }
 };
 
-// A struct with switches.
+// Adapts a struct with kSizes and switches.
 template <typename S>
 struct CompactSwitchedSystem : CompactSystem<S> {
   static constexpr auto kNumSwitches = [] {

@@ -1,10 +1,10 @@
-// An optimal control problem of a hybrid system: costs and constraints as functions for Ceres, and what may be
-// changed for them.
+// Optimal control problems of hybrid systems: costs and constraints as functions for Ceres, and the unknowns.
 //
 //   HybridProblem problem{.system = HybridSystem(BouncingBall()),
 //                         .guess = {.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 50}};
-//   problem.terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeTerminalCost(1, 0.0, 100.0, 2), MakeEffortCost(1.0 / 32,
-//   1)}; problem.free.control = true; const SolveReport report = Solve("ceres_lbfgs", problem, {});
+//   problem.terms = {MakeTerminalCost(0, 1.0, 100.0, 2), MakeEffortCost(1.0 / 32, 1)};
+//   problem.free.control = true;
+//   const SolveReport report = Solve("ceres_lbfgs", problem, {});
 #pragma once
 
 #include <limits>
@@ -22,28 +22,28 @@ namespace saltus {
 
 struct HybridTerm {
   enum class At { kEachInterval, kEvent, kEnd };
-  // With the residuals r: the loss gains |r|^2 (without Ceres' half), or the sum of r, or r = 0, or r <= 0.
+  // The role of the residuals r: the loss gains |r|^2 (without Ceres' half), or the sum of r, or r = 0, or r <= 0.
   enum class Role { kCost, kValue, kEquality, kInequality };
 
-  // Whether the loss gains something.
+  // Whether the term is a part of the loss.
   bool IsCost() const { return role == Role::kCost || role == Role::kValue; }
-  // Returns the part of the loss that a residual has, and its derivative by the residual. Precondition: IsCost().
+  // Returns the contribution of a residual to the loss, and its derivative by the residual. Precondition: IsCost().
   double LossOf(double residual) const { return role == Role::kValue ? residual : residual * residual; }
   double SlopeOf(double residual) const { return role == Role::kValue ? 1 : 2 * residual; }
 
   std::string name = "term";  // for messages
   At at = At::kEnd;
   Role role = Role::kCost;
-  // kEvent: of events of this guard in this mode, both given; otherwise the mode in which the term counts, or any mode.
-  // At the end of a motion that ends in another mode than the one given, there is no loss.
+  // kEvent: the mode and the guard of the events, both given. Otherwise the mode in which the term counts; -1: any
+  // mode. A motion that ends in another mode than that of a term at the end has no loss.
   int mode = -1;
   int guard = -1;
-  bool before = false;  // kEvent: the state before the reset, in the place of that after it
-  // kEachInterval: the only interval at whose beginning it counts; -1: at each.
+  bool before = false;  // kEvent: the function gets the state before the reset instead of that after it
+  // kEachInterval: the only interval at whose beginning the term counts; -1: all.
   int interval = -1;
 
   // The function's parameter blocks, in this order:
-  //   the state at the beginning of the interval, at the event, or at the final time after events there; if asked for
+  //   the state at the beginning of the interval, at the event, or at the final time after events there
   bool with_state = false;
   //   the state at the beginning of the motion; kEnd only
   bool with_initial = false;
@@ -56,18 +56,18 @@ struct HybridTerm {
   //   the length of the interval (1 number); kEachInterval only
   bool with_length = false;
 
-  // Must not keep state.
+  // The function, which must not keep state.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
 };
 
-// weight (x_i - target)^2 at the end, of a state of `state_size` numbers; mode as of HybridTerm.
+// Makes the cost weight (x_i - target)^2 at the end, of a state of `state_size` numbers; mode as in HybridTerm.
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode = -1);
-// weight int |u|^2 dt, of a control of `num_controls` numbers.
+// Makes the cost weight int |u|^2 dt, of a control of `num_controls` numbers.
 HybridTerm MakeEffortCost(double weight, int num_controls);
-// weight T of the final time T.
+// Makes the cost weight T of the final time T.
 HybridTerm MakeDurationCost(double weight);
 
-// The unknowns of solvers, which begin at the guess. Bounds: none, or one number for each unknown that they bound.
+// The unknowns of solvers, which start at the guess, and their bounds: none, or one number for each unknown.
 struct HybridFree {
   bool control = false;
   std::vector<double> control_min = {}, control_max = {};  // of each of the m controls, in all intervals
@@ -77,6 +77,9 @@ struct HybridFree {
   std::vector<double> parameters_min = {}, parameters_max = {};
   bool duration = false;
   double duration_min = 0, duration_max = std::numeric_limits<double>::infinity();
+
+  // Whether there is no unknown.
+  bool IsEmpty() const { return !control && initial.empty() && parameters.empty() && !duration; }
 };
 
 struct HybridProblem {
@@ -86,7 +89,7 @@ struct HybridProblem {
   HybridFree free = {};
   HybridOptions integration = {};
   // States at equal times from 0 to the duration of the guess, at least two, one after the other; or none. Solvers in
-  // phases begin from these, with the events of the guess, rather than from the motion under the guess of the control.
+  // phases start from these, with the events of the guess, instead of from the motion under the control of the guess.
   // Precondition: all modes have states of the same size.
   std::vector<double> guess_states = {};
 };

@@ -1,27 +1,27 @@
-// Simulation of a hybrid system with located events, and exact derivatives of what is simulated.
+// Simulation of a hybrid system with located events, and exact derivatives of the simulated motion.
 //
 // An event of a guard happens at the first time at which the guard, once armed, falls through zero; the reset of the
 // guard then gives the next mode and its state. On entry into a mode a guard
 //
 //   above zero                                          is armed;
 //   at zero, if its first nonzero derivative is > 0,    is armed once it is above zero;
-//   at zero, if that is < 0,                            has an event at once;
-//   below zero                                          has a transition at once, which is one reset with the first.
+//   at zero, if that is < 0,                            has an event without time passing;
+//   below zero                                          has a transition without time passing, which belongs to the
+//                                                       event before it.
 //
-// Transitions at once come before events of other guards that are at zero.
-//
-// "At zero" means within 1e-11 of the size of its terms. At the start a guard below zero is an error. An event at the
-// final time counts: the final state is that after it.
+// These transitions come before events of other guards that are at zero. "At zero" means within 1e-11 of the size of
+// the terms of the guard. At the start a guard below zero is an error. After an event at the final time, the final
+// state is that after the event.
 //
 // Between events the flow is integrated by a Runge-Kutta method of order 8 (hybrid/runge_kutta.h) with a fixed number
-// of equal steps in each control interval; a step that meets an event ends there, and the next one ends where it would
-// have. So the motion is a smooth function of its input until the sequence of events changes.
+// of equal steps in each control interval. A step with an event ends at the event, and the next step ends where the
+// first would have ended. The motion is therefore a smooth function of its input until the sequence of events changes.
 //
-// Events are found by these rules. A guard that is below zero at the end of a step has its event in it. One that falls
-// below zero and returns within one step is found if it falls at the beginning of the step and rises at the end, and
-// the cubic through its values and rates there comes within a half of the smaller value of zero. The number of steps is
-// chosen so that these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names
-// a guard for which that takes too many steps. A dip that is much shorter than all steps may be missed.
+// A guard that is below zero at the end of a step has an event in this step. A guard that falls below zero and returns
+// within one step is found if it falls at the beginning of the step and rises at its end, and if the cubic through its
+// values and rates there comes closer to zero than half of the smaller value. The number of steps is chosen so that
+// these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names a guard for
+// which this takes too many steps. A dip that is much shorter than all steps may be missed.
 #pragma once
 
 #include <functional>
@@ -41,68 +41,68 @@ struct HybridInput {
   std::vector<double> initial = {};     // state at the beginning, of the size of that mode
   std::vector<double> parameters = {};  // P
   double duration = 0;                  // > 0
-  int num_intervals = 1;                // K > 0 intervals, on each of which the control is held
+  int num_intervals = 1;                // K > 0 intervals, on each of which the control is constant
   std::vector<double> control = {};     // K x m, row-major; none: zeros
   // K positive numbers, proportional to the lengths of the intervals; none: the intervals have equal lengths.
-  // Derivatives with respect to the duration keep the proportions.
+  // Derivatives by the duration are those with constant proportions.
   std::vector<double> lengths = {};
   double begin = 0;  // time at which the motion begins; it ends at begin + duration
 
-  // The times at which the control intervals begin, and that of the end: K + 1 numbers.
+  // Returns the times at which the control intervals begin, and the final time: K + 1 numbers.
   std::vector<double> Times() const;
 };
 
 struct HybridOptions {
-  // Relative error of the final state and of the event times, of the integration. The number of steps is chosen for it
-  // in the first rollout, and kept; RolloutAccurately checks it again.
+  // Tolerance of the integration for the relative error of the final state and of the event times. The first rollout
+  // chooses the number of steps for it, which then stays the same; RolloutAccurately checks it again.
   double tolerance = 1e-12;
-  // Integration steps of each control interval; 0: chosen. A given number is taken: IntegrationError and WhyInaccurate
-  // tell how good it is. A motion fails where its steps are so long that they leave the equations of closed contacts.
+  // Integration steps in each control interval; 0: the simulator chooses. IntegrationError and WhyInaccurate report the
+  // error of a given number. A motion fails if its steps are so long that they leave the equations of closed contacts.
   int steps_per_interval = 0;
-  // A guard below zero at the start is armed once it is above zero, in the place of an error.
+  // Whether a guard below zero at the start is armed once it is above zero, instead of an error.
   bool wait_behind_guards = false;
-  int most_events = 100000;  // a motion with more of them fails
-  // Events of one guard in one mode without time passing. With more of them, or where its event leads back to the state
-  // in which it began, the motion goes on in the mode that the system names (OnAccumulation), or fails.
+  int most_events = 100000;  // a motion with more events fails
+  // Largest number of events of one guard in one mode without time passing. With more of them, or if such an event
+  // leads back to the same state, the motion goes on in the mode that the system names (OnAccumulation), or fails.
   int most_repeats = 100;
-  std::function<bool()> stop = {};  // asked at each step of the integration; true ends the rollout, which fails
+  std::function<bool()> stop = {};  // called at each step of the integration; true ends the rollout, which fails
 };
 
 struct HybridEvent {
   double time = 0;
   int mode = 0, guard = 0, next_mode = 0;
-  double rate = 0;                        // of the guard in time, just before
+  double rate = 0;                        // derivative of the guard by time, just before the event
   std::span<const double> before, after;  // states, valid until the next rollout
-  bool at_once = false;                   // it follows the one before it without time passing
-  bool is_switch = false;                 // the flow changes (HybridFunctions::num_switches), and the state does not
+  bool at_once = false;                   // whether it follows the event before it without time passing
+  bool is_switch = false;                 // whether only the flow changes (HybridFunctions::num_switches)
 };
 
-// A guard that reaches zero and does not cross it: the motion goes on as if it had not.
+// A guard that reaches zero without crossing it. The motion goes on without an event.
 struct HybridGrazing {
   double time = 0;
   int mode = 0, guard = 0;
 };
 
-// Guards that reach zero together: at times that differ by less than the error of an integration, 1e-12 of what the
-// guards are computed from. Their events are taken in the order of their times, and of those that rounding does not
-// separate in the order of their numbers.
+// Guards that reach zero at times that differ by less than the error of an integration, 1e-12 of what the guards are
+// computed from. Their events happen in the order of their times or, if rounding does not separate these, of their
+// numbers.
 struct HybridTie {
   double time = 0;
   int mode = 0;
   std::vector<int> guards;
-  // The largest difference of a component between the states that other orders lead to; infinite if they lead to other
-  // modes. The result is ambiguous if it is not zero within rounding.
+  // The largest difference of a component between the states of different orders; infinite if their modes differ. The
+  // result is ambiguous if it is not zero within rounding.
   double spread = 0;
   bool ambiguous = false;
 };
 
-// Derivatives by the data of a motion. Sizes as in HybridInput.
+// Derivatives by the input of a motion, of the sizes of HybridInput.
 struct HybridGradient {
   std::vector<double> initial, control, parameters;
   double duration = 0;
 };
 
-// The derivative of a function of a motion by what it reads. An empty vector stands for zeros.
+// The derivatives of a function of a motion by its arguments. Empty vectors are zero.
 struct HybridCotangent {
   std::vector<double> final_state;
   std::vector<std::vector<double>> nodes;          // by the state at the beginning of each control interval
@@ -128,27 +128,27 @@ class HybridSimulator {
 
   const HybridSystem& system() const;
 
-  // Simulates. Returns false if there is no motion, and for an input that WhatIsWrongWith(input, system) refuses, which
-  // is not simulated; WhyFailed() then gives the reason, with mode, guard and time.
+  // Simulates. Returns false if there is no motion, or if WhatIsWrongWith(input, system) refuses the input; WhyFailed()
+  // then returns the reason, with mode, guard and time.
   bool Rollout(const HybridInput& input);
-  // Does so with the accuracy that the options ask for, whatever was simulated before: where the number of steps is
-  // kept from an earlier rollout and is not enough, it is chosen anew. The check costs about half a rollout.
+  // Simulates, and chooses the number of steps anew if that of an earlier rollout does not suffice for the tolerance.
+  // The check costs about half a rollout.
   bool RolloutAccurately(const HybridInput& input);
   const std::string& WhyFailed() const;
-  // The time, about, at which events accumulate in a motion (Zeno behaviour). Rollout has returned false then, unless
+  // Returns the approximate time at which events accumulate (Zeno behaviour). Rollout has then returned false, unless
   // the system names a mode in which the motion goes on.
   std::optional<double> accumulation() const;
 
-  // Results of the last rollout; if it failed, of the motion before that.
+  // Results of the last rollout or, if it failed, of the part of the motion before the failure.
   int final_mode() const;
   std::span<const double> final_state() const;
   const std::vector<HybridEvent>& events() const;
-  // Where the mode changes as the control jumps, as that of a closed contact whose force is another one then: without
-  // states, and with guard -1.
+  // Changes of the mode at jumps of the control, such as that of a closed contact whose force jumps; without states,
+  // and with guard -1.
   const std::vector<HybridEvent>& switches() const;
   const std::vector<HybridGrazing>& grazings() const;
   const std::vector<HybridTie>& ties() const;
-  // Mode and state at the beginning of control interval k, or at the end for k = K: after events there.
+  // Mode and state at the beginning of control interval k, or at the end for k = K, after events there.
   int ModeAt(int k) const;
   std::span<const double> StateAt(int k) const;
   // Times, modes and states at the beginning of each step of the integration.
@@ -159,40 +159,41 @@ class HybridSimulator {
   // Whether a step is the reset of the next event; it takes no time, and its state is that before the reset.
   bool IsReset(int step) const;
 
-  // Why the motion has no derivative by its input, or only one-sided ones; empty if it has: guards that graze, an event
-  // at the start or at the final time; ties, events where the control jumps, and resets onto another guard, if the
-  // states or their derivatives differ from side to side. Costs about two gradients if there are any of the latter. And
+  // Returns why the motion has no derivative by its input, or only one-sided ones; empty if it has. Reasons are guards
+  // that graze, and an event at the start or at the final time; ties, events where the control jumps, and resets onto
+  // another guard, if states or derivatives differ from side to side, which costs about two gradients to check; and
   // WhyNotFinite().
   std::string WhyNotDifferentiable() const;
-  // Why numbers of the derivatives computed last are not finite: the first function of the system along the motion
-  // whose derivative is not, with its mode, time and variables. Empty if all are finite, or none were computed since
-  // the last rollout. A caller must not use derivatives that are not finite.
+  // Returns why the derivatives computed last are not finite: the first function of the system along the motion whose
+  // derivative is not finite, with its mode, time and variables. Empty if all are finite, or if none were computed
+  // since the last rollout. A caller must not use derivatives that are not finite.
   const std::string& WhyNotFinite() const;
 
-  // Steps in a control interval, after the first rollout.
+  // Returns the number of steps in a control interval, after the first rollout.
   int steps_per_interval() const;
-  // Chooses the number of steps anew in the next rollout, unless it is given.
+  // Makes the next rollout choose the number of steps anew, unless it is given.
   void ChooseStepsAnew();
-  // The largest relative difference of final state and event times to those of a rollout with twice as many steps, and
-  // with halves of steps that events cut; infinite if it has other events (a mechanical system: another final mode).
-  // Costs that rollout, unless the last one has chosen the number of steps. Precondition: the last rollout succeeded.
+  // Returns the largest relative difference of final state and event times from those of a rollout with twice as many
+  // steps and with halves of steps that end at events; infinite if the events (of a mechanical system, the final mode)
+  // differ. It costs that rollout, unless the last one has chosen the number of steps. Precondition: the last rollout
+  // succeeded.
   double IntegrationError();
-  // Why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given steps), and
-  // which guard changes faster than the steps resolve, so that events may be missed; empty if neither is so. Costs as
-  // much as IntegrationError. Precondition: the last rollout succeeded.
+  // Returns why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given
+  // steps), and which guard changes faster than the steps resolve, so that events may be missed; empty if neither is
+  // the case. It costs as much as IntegrationError. Precondition: the last rollout succeeded.
   std::string WhyInaccurate();
 
-  // The derivative of a function of the last motion, given its derivative by what it reads: one reverse sweep, whose
-  // cost does not depend on the number of controls. Precondition: the rollout succeeded.
+  // Returns the gradient of a function of the last motion, given its derivatives by its arguments, by one reverse
+  // sweep, whose cost does not depend on the number of controls. Precondition: the rollout succeeded.
   HybridGradient Adjoint(const HybridCotangent& cotangent);
   // Returns the gradient of a function of the final state with this cotangent.
   HybridGradient Adjoint(std::span<const double> final_cotangent);
 
-  // All derivatives by forward sweeps; costs D times more.
+  // Returns all derivatives, by forward sweeps, which cost D times more.
   HybridSensitivity Sensitivity();
-  // The derivatives over each control interval k: its columns are [state at its beginning, its control], final_state is
-  // that at its end, and `after` and `times` are of the events in it. The first interval has the events at the start,
-  // too. There are no nodes.
+  // Returns the derivatives over each control interval k. Its columns are [state at its beginning, its control],
+  // final_state is that at its end, and `after` and `times` are of its events. The first interval has the events at the
+  // start, too. There are no nodes.
   std::vector<HybridSensitivity> IntervalSensitivities();
 
  private:
@@ -203,7 +204,7 @@ class HybridSimulator {
 // Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system);
 
-// The closed form of the saltation matrix of an event,
+// Returns the closed form of the saltation matrix of an event,
 //
 //   Xi = D_x R + (f+ - D_x R f- - D_t R) D_x g / (D_t g + D_x g f-),     n+ x n-, row-major,
 //

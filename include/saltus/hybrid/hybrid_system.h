@@ -1,4 +1,4 @@
-// Hybrid systems of users: states that flow smoothly until a guard falls through zero, and are then reset.
+// Hybrid systems: a state follows a differential equation until a guard falls through zero, and is then reset.
 //
 // A system is a struct with constants and three templates on the scalar T, which is double or a ceres::Jet:
 //
@@ -26,19 +26,20 @@
 //   };
 //   HybridSystem system{BouncingBall()};
 //
-// Optional: int OnAccumulation(int mode, int guard) const, the mode in which a motion goes on where events of the guard
-// accumulate (Zeno behaviour), or -1. Its states have the size of those of the last event's mode, and are those after
-// that event, within 1e-9 of the duration of the accumulation; so far are states and derivatives from their limits.
+// Optional: int OnAccumulation(int mode, int guard) const returns the mode in which a motion goes on where events of
+// the guard accumulate (Zeno behaviour), or -1. Its states have the size of those of the last event's mode. The motion
+// goes on from the state after that event, within 1e-9 of the duration of the accumulation from its limit.
 //
-// Optional: a closed form of the flow of some modes, used in place of the integration and as accurate as it is itself:
+// Optional: a closed form of the flow of some modes, which replaces the integration:
 //
 //     template <typename T>   // sets the state at t + s, of the state x at t; false in a mode that has none
 //     bool Fly(int mode, const T& t, const T& s, const T* x, const T* u, const T* p, T* after) const;
 //
-// Flow is still asked for slopes. Steps must be short enough that no guard crosses zero twice in one.
+// Flow must exist nevertheless. Steps must be so short that no guard crosses zero twice in one.
 //
-// Optional: switches, where the flow jumps or has a kink. A flow must not decide by the state or the time itself, as an
-// `if` has no derivative by the time at which it changes; it is told on which side of each switch the motion is:
+// Optional: switches, where the flow jumps or has a kink. A flow must not branch on the state or the time itself,
+// because the derivative by the time of the change would be missing. It gets the side of each switch on which the
+// motion is:
 //
 //     static constexpr std::array kNumSwitches = {1};       // of each mode, at most 6
 //     template <typename T>   // its zeros are located as those of guards
@@ -49,14 +50,15 @@
 //       xdot[1] = -p[0] + (above[0] ? -0.1 : 0.1) * x[1] * x[1];
 //     }
 //
-// A Fly gets `above` before `after`, too. A motion that both sides of a switch drive towards it ends with that reason.
+// A Fly gets `above` before `after`, too. A motion that the flows on both sides of a switch drive towards it ends
+// there, and the reason states this.
 //
 // Names are optional and appear in messages and outputs: static constexpr std::array<const char*, n> kModeNames,
 // kControlNames and kParameterNames; kGuardNames, those of all modes one after the other; kStateNames, those of all
 // modes one after the other, or those of one mode if all modes have states of the same size; kSwitchNames, those of all
 // modes one after the other.
 //
-// The functions must not keep state: they are called from several threads, and at times in any order.
+// The functions must not keep state: they are called from several threads, and for times in any order.
 #pragma once
 
 #include <concepts>
@@ -81,14 +83,14 @@ class HybridSystem {
       functions_ = std::make_shared<HybridFunctionsOf<S>>(std::move(system));
     }
   }
-  // Makes a system of functions that are no C++ templates. Precondition: not null.
+  // Makes a system from an implementation of the interface of functions. Precondition: not null.
   explicit HybridSystem(std::shared_ptr<const HybridFunctions> functions) : functions_(std::move(functions)) {}
 
   const HybridFunctions& functions() const { return *functions_; }
   const HybridLayout& layout() const { return functions_->layout(); }
 
-  // The number of modes, so far if a motion creates them as it meets them. Pieces of modes with switches are modes
-  // (HybridFunctions::BaseMode); those of the user come first.
+  // Returns the number of modes; if motions create modes, the number of those created so far. Pieces of modes with
+  // switches are modes (HybridFunctions::BaseMode), after those of the user.
   int num_modes() const { return functions_->num_modes(); }
   int num_controls() const { return layout().num_controls; }
   int num_parameters() const { return layout().num_parameters; }
@@ -96,7 +98,7 @@ class HybridSystem {
   int state_size(int mode) const { return functions_->state_size(mode); }
   int num_guards(int mode) const { return functions_->num_guards(mode); }
 
-  // Their names, or "mode 0", "guard 0", "x[0]", "u[0]" and "p[0]" where the system has none.
+  // Return names, or "mode 0", "guard 0", "x[0]", "u[0]" and "p[0]" if the system has none.
   std::string ModeName(int mode) const { return functions_->ModeName(mode); }
   std::string GuardName(int mode, int guard) const { return functions_->GuardName(mode, guard); }
   std::string StateName(int mode, int component) const { return functions_->StateName(mode, component); }

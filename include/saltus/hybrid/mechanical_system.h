@@ -1,5 +1,5 @@
-// Mechanical systems with contacts in generalized coordinates: which contacts are closed, stick or slide, the impulses
-// of impacts, detachment and stick-slip are found by the library.
+// Mechanical systems with contacts in generalized coordinates. The library determines which contacts are closed, stick
+// or slide, the impulses of impacts, detachment and stick-slip.
 //
 //   M(q) dv/dt = h(t, q, v, u) + sum_i (N_i^T f_n,i + T_i^T f_t,i),   dq/dt = v,   gap phi_i(q) >= 0
 //
@@ -17,7 +17,7 @@
 //     // h, n numbers: all forces but those of contacts, and minus the terms of M dv/dt that are quadratic in v.
 //     template <typename T> void Force(const T& t, const T* q, const T* v, const T* u, const T* p, T* h) const;
 //     template <typename T> T Gap(int contact, const T* q, const T* p) const;
-//     // Only of systems with friction: gamma.
+//     // gamma, in systems with friction only.
 //     template <typename T> T Slide(int contact, const T* q, const T* p) const;
 //     template <typename T> T Friction(int contact, const T* p) const;     // mu >= 0, constant along a motion
 //     template <typename T> T Restitution(int contact, const T* p) const;  // e in [0, 1]
@@ -25,18 +25,17 @@
 //   MechanicalSystem rod{BouncingRod()};
 //   HybridSimulator simulator(rod.hybrid());
 //
-// Where the tangential velocity is not the rate of a coordinate (as of bodies that roll on each other),
-// `SlideRow(contact, q, p, T* row)` gives the row T itself in the place of Slide. Gap and gamma must have the same
-// metric: if the gap is a distance times c(q), so is gamma. `T Reach(contact, q, p)`, if there is one, is above zero
-// while a closed contact stays on what its gap is measured from, such as an edge. If the gap has a kink at the end of
-// it, `T Distance(contact, q, p)` is the gap before the end, continued smoothly: what a closed contact keeps at zero.
-// Optional names: std::array<const char*, n> kContactNames, kCoordinateNames, kControlNames, kParameterNames. Beside
-// `double` and ceres::Jet, T is a type with the arithmetic, comparisons and elementary functions of a Jet that takes
-// numbers of type double as constants.
+// If the tangential velocity is not the rate of a coordinate, as for bodies that roll on each other, `SlideRow(contact,
+// q, p, T* row)` gives the row T itself instead of Slide. Gap and gamma must have the same metric: if the gap is a
+// distance times c(q), so is gamma. The optional `T Reach(contact, q, p)` is above zero while a closed contact stays on
+// the edge that its gap is measured from. If the gap has a kink at the end of the edge, `T Distance(contact, q, p)` is
+// the gap continued smoothly past the end, which a closed contact keeps at zero. Names are optional: std::array<const
+// char*, n> kContactNames, kCoordinateNames, kControlNames, kParameterNames. T is `double`, ceres::Jet, or a type with
+// the arithmetic, comparisons and elementary functions of a Jet that takes numbers of type double as constants.
 //
-// The hybrid system has the state [q v]. Its modes are created as a motion meets them; the name of a mode has a letter
-// for each contact: 'o' open, 'n' closed without friction, '+' or '-' closed and sliding with v_t > 0 or < 0, 's'
-// sticking. A contact whose friction is zero never sticks: it is 'n' while nothing moves it along its tangent. Events:
+// The hybrid system has the state [q v]. Motions create its modes, whose names have a letter for each contact: 'o'
+// open, 'n' closed without friction, '+' or '-' closed and sliding with v_t > 0 or < 0, 's' sticking. A contact without
+// friction never sticks: it is 'n' while its tangential velocity is zero. The events are
 //
 //   hit    the gap of an open contact reaches zero       impact, and what stays closed by the accelerations after it
 //   off    the normal force reaches zero                 the contact opens
@@ -59,16 +58,17 @@
 // which most contacts are closed and stick. Up to four coupled contacts all possibilities are tried; of more, one
 // solution is found by Lemke's method, whether or not there are others.
 //
-// Forces that are not unique, as those of two corners of a box that stick, are those farthest from the limits of all
-// contacts: the mode lasts while any forces hold it. Internal stresses count only where nothing else holds the
-// contacts. Forces at a limit, within 1e-12 of their size, are within it; a motion that starts there has one-sided
-// derivatives.
+// If forces are not unique, as those of two corners of a box that stick, those farthest from the limits of all contacts
+// are taken, so that the mode lasts as long as any forces satisfy the conditions. Internal stresses count only if
+// nothing else holds the contacts. Forces at a limit, within 1e-12 of their size, are within it; a motion that starts
+// there has one-sided derivatives.
 //
-// Bounces that accumulate, and contacts that open and hit in turn as where a body rocks: contacts that are pressed on
-// and part with less than `rest_speed` close in that impact, whose restitution is zero. The state at rest then has an
-// error of the second order in this speed at most, and the time at which it is reached is early by one of the first.
+// Bounces that accumulate, also of several contacts in turn as of a body that rocks, end as follows: a contact with a
+// closing force that would separate with less than `rest_speed` closes in this impact, whose restitution is zero. The
+// error of the state at rest is of second order in this speed, and that of the time of rest, which is early, of first
+// order.
 //
-// Closed contacts are put back onto their equations after each step of the integration.
+// The state is projected onto the equations of closed contacts after each step of the integration.
 #pragma once
 
 #include <concepts>
@@ -88,7 +88,8 @@ class MechanicalHybrid;
 
 struct MechanicalOptions {
   enum class Law { kNewton, kPoisson } law = Law::kNewton;
-  // A contact that is pressed on and would rebound with less than this closes, in units of the gap per time.
+  // The speed of separation below which a contact with a closing force closes in an impact, in units of the gap per
+  // time.
   double rest_speed = 1e-5;
 };
 
@@ -96,21 +97,22 @@ struct MechanicalOptions {
 struct MechanicalImpact {
   struct Contact {
     int contact = 0;
-    // 'o': takes no impulse; 'n': without friction; 's', '+', '-': sticks or slides at the end of the impact.
+    // 'o': has no impulse; 'n': without friction; 's', '+', '-': sticks or slides at the end of the impact.
     char status = 'o';
     double normal_before = 0, normal_after = 0;          // v_n
     double tangential_before = 0, tangential_after = 0;  // v_t; zero without friction
     double normal_impulse = 0, tangential_impulse = 0;
   };
   double time = 0;
-  std::vector<Contact> contacts;  // those that hit or are coupled with these
-  double energy = 0;              // gained: of a loss less than zero
-  // Its restitution is zero because bounces accumulate; they would have ended at about accumulates_at.
+  std::vector<Contact> contacts;  // contacts that hit, and those that are coupled with them
+  double energy = 0;              // gain of energy, negative for a loss
+  // Whether its restitution is zero because bounces accumulate; they would have ended at about accumulates_at.
   bool ends_bouncing = false;
   double accumulates_at = 0;
-  // Several contacts that hit at the same instant and are coupled: the state depends on the order of the impacts, of
-  // which this is none, and has no derivative. v after the simultaneous impact and, for two contacts, after impacts in
-  // sequence, beginning with the first and with the second, until none approaches; |W_ij| / sqrt(W_ii W_jj).
+  // Whether several coupled contacts hit at the same instant. The state then depends on the order of the impacts, and
+  // has no derivative; this impact has no order. The velocities are those after the simultaneous impact and, for two
+  // contacts, after impacts in sequence that begin with the first or the second, until none approaches; coupling:
+  // |W_ij| / sqrt(W_ii W_jj).
   bool simultaneous = false;
   std::vector<double> together, first_first, second_first;
   double coupling = 0;
@@ -121,7 +123,7 @@ struct MechanicalReport {
   std::vector<MechanicalImpact> impacts;
   double slowest_impact = 0;       // smallest |v_n| before an impact, of contacts that hit; infinite if there is none
   double largest_gain = 0;         // of energy, at an impact
-  std::vector<int> energy_gains;   // impacts that gain energy beyond rounding errors: of Newton's law with friction
+  std::vector<int> energy_gains;   // impacts that gain energy beyond rounding, as by Newton's law with friction
   std::vector<int> accumulations;  // impacts at which bounces end
 };
 
@@ -142,30 +144,29 @@ class MechanicalSystem {
       : MechanicalSystem(std::make_shared<MechanicalFunctionsOf<S>>(std::move(system)), options) {}
   explicit MechanicalSystem(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options = {});
 
-  // Copies share the modes.
+  // Returns the hybrid system, whose copies share the modes.
   const HybridSystem& hybrid() const { return hybrid_; }
   const MechanicalFunctions& functions() const;
   const MechanicalOptions& options() const;
 
-  // The mode with a letter for each contact. Precondition: as many letters as contacts, each a status that the contact
-  // can have.
+  // Returns the mode of a status. Precondition: IsStatus(status).
   int Mode(const std::string& status) const;
-  // Whether it is a letter for each contact, each a status that the contact can have.
+  // Whether the text has a letter for each contact, each a status that the contact can have.
   bool IsStatus(const std::string& status) const;
 
   // Checks the mass matrix at x = [q v], which is symmetric and positive definite, each gap, which is not constant,
   // each restitution, from 0 to 1, and friction, of 0 or more: "found x, expected y"; empty if there is nothing wrong.
   std::string WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const;
 
-  // The mode in which a motion starts from x = [q v] under control u. Contacts with a gap of zero that do not approach
-  // or part are closed or not by the accelerations. mode -1: there is none, and `why` says why.
+  // The mode in which a motion starts from x = [q v] under control u. The accelerations determine whether contacts with
+  // a gap of zero and a normal velocity of zero are closed. If there is no mode, it is -1 and `why` is the reason.
   struct Start {
     int mode = -1;
     std::string why;
   };
   Start FindMode(std::span<const double> x, std::span<const double> u, std::span<const double> p, double t = 0) const;
-  // All solutions of the problem of accelerations at x, over the contacts with a gap of zero that do not approach or
-  // part; more than one, or none, is a case of Painleve.
+  // Returns all solutions of the complementarity problem of the accelerations at x, over the contacts with a gap of
+  // zero and a normal velocity of zero; more than one, or none, is a case of Painleve.
   std::vector<ContactForces> ClosedContacts(std::span<const double> x, std::span<const double> u,
                                             std::span<const double> p, double t = 0) const;
   // Forces and accelerations in a mode.
@@ -174,7 +175,7 @@ class MechanicalSystem {
   };
   Motion MotionIn(int mode, std::span<const double> x, std::span<const double> u, std::span<const double> p,
                   double t = 0) const;
-  // The impact at x when contact `contact` of a mode has a gap of zero and approaches.
+  // Returns the impact at x of a mode in which contact `contact` has a gap of zero and approaches.
   MechanicalImpact ImpactAt(int mode, int contact, std::span<const double> x, std::span<const double> u,
                             std::span<const double> p, double t = 0) const;
 

@@ -25,7 +25,7 @@ namespace saltus {
 
 using Point2D = std::array<double, 2>;
 
-// How a body may move: freely; without turning; about a point that is fixed in the world; along an axis; not at all.
+// How a body may move: freely; without rotation; about a point that is fixed in the world; along an axis; not at all.
 struct RigidJoint2D {
   enum class Kind { kFree, kTranslation, kRevolute, kPrismatic, kWeld } kind = Kind::kFree;
   Point2D point = {0, 0};  // kRevolute: in the world
@@ -38,15 +38,15 @@ struct RigidBody2D {
   std::vector<Point2D> polygon = {};
   double radius = 0;
   double mass = 1;
-  double inertia = 0;  // about the centre of mass; 0: that of uniform density
+  double inertia = 0;  // kg m^2, about the centre of mass; 0: that of uniform density
   Point2D position = {0, 0}, velocity = {0, 0};
   double angle = 0, spin = 0;
   RigidJoint2D joint = {};
-  // The control has a force (N) along x and y at the centre of mass, and a torque (N m), for each body that is pushed.
+  // Whether the control has a force (N) along x and y at the centre of mass, and a torque (N m), for the body.
   bool pushed = false;
 };
 
-// The half-plane on the side of the normal (of length 1) is free.
+// A half-plane. Bodies stay on the side of the normal, which has length 1.
 struct RigidPlane2D {
   Point2D point = {0, 0}, normal = {0, 1};
 };
@@ -58,16 +58,16 @@ struct RigidScene2D {
   double restitution = 0.5, friction = 0.3;
 };
 
-// A rectangle with these half sizes.
+// Returns the vertices of a rectangle.
 std::vector<Point2D> BoxPolygon(double half_width, double half_height);
 
 // Returns the first error as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const RigidBody2D& body);
 std::string WhatIsWrongWith(const RigidScene2D& scene);
 
-// Coordinates: x, y and the angle of a free body; x and y of one that does not turn; the angle of one that turns about
-// a point; the distance along the axis of a prismatic joint, from the given position. Parameters: restitution,
-// friction, gravity along x and y.
+// The coordinates are x, y and the angle of a free body; x and y of a body without rotation; the angle of a body on a
+// revolute joint; the distance from the given position along the axis of a prismatic joint. The parameters are
+// restitution, friction, and gravity along x and y.
 class RigidBodies2D {
  public:
   // Precondition: WhatIsWrongWith(scene) is empty.
@@ -79,16 +79,17 @@ class RigidBodies2D {
   std::vector<double> Parameters() const {
     return {scene_.restitution, scene_.friction, scene_.gravity[0], scene_.gravity[1]};
   }
-  // Position and angle of a body in a state.
+  // Returns position and angle of a body in a state.
   std::array<double, 3> PoseOf(int body, const double* x) const {
     const Pose<double> pose = PoseAt(body, x);
     return {pose.x, pose.y, pose.angle};
   }
   double EnergyOf(const double* x, const double* p) const;
-  // About the centre of mass, kg m^2.
+  // Returns the moment of inertia of a body about its centre of mass, kg m^2.
   double InertiaOf(int body) const { return inertia_[body]; }
 
-  // Outlines of bodies, a radius of each disc, and planes, for the replay of a program (programs/hybrid_program.h).
+  // Draws outlines of bodies, a radius of each disc, and planes, for the replay of a program
+  // (programs/hybrid_program.h).
   template <typename Drawing>
   void Draw(int /*mode*/, double /*t*/, const double* x, const double* /*p*/, Drawing* drawing) const {
     constexpr double kReach = 2;  // m, of a plane to each side of its point

@@ -1,18 +1,18 @@
-// Parameters of a scene from recordings of its motion: nonlinear least squares through impacts.
+// Identification of parameters of a scene from recordings of its motion, by nonlinear least squares through impacts.
 //
 //   min over parameters, and the initial state of each segment, of   sum over samples of 1/2 rho(|r|^2)
 //   r = (x(time) - position) / sigma                                  and of velocities, where they were measured
 //
-// x(time) is the motion under a contact model; derivatives are forward sensitivities of its own steps, which with
-// `event` are exact through every impact. Parameters that have bounds are transformed, so that no iterate leaves them.
-// The cost jumps where the collision sequence changes: fits begin with the part before most of the impacts, and from
-// several starts, of which the best is kept.
+// x(time) is the motion under a contact model. Derivatives are forward sensitivities of its steps, which with `event`
+// are exact through every impact. Parameters with bounds are transformed, so that all iterates satisfy the bounds. The
+// cost is discontinuous where the sequence of impacts changes; fits therefore begin with the part before most of the
+// impacts, and from several starts, of which the best result is returned.
 //
-// The law of impact itself may be unknown: a function with parameters, such as a network (impact_law.h). So may where
-// and how discs bounce off planes (event_functions.h).
+// The law of impact may be unknown, as a function with parameters such as a network (impact_law.h), and so may the
+// event functions of planes (event_functions.h).
 //
-// A recording may be cut into segments with an initial state each: long ones must be, as after many impacts the motion
-// depends on its start beyond what can be measured.
+// A recording may be divided into segments, each with its own initial state. Long recordings need this, because after
+// many impacts the motion depends on its initial state beyond the accuracy of measurements.
 #pragma once
 
 #include <functional>
@@ -30,48 +30,49 @@
 
 namespace saltus {
 
-// One number to identify: of a contact parameter, mass, gravity, a force or a law.
+// A number to identify: a contact parameter, a mass, a component of gravity or of a force, or a parameter of a law.
 using Unknown = SceneParameter;
-// Names separated by commas; "gravity" and "force.ball" are both components. Else what was found and expected.
+// Parses names separated by commas; "gravity" and "force.ball" are both components. Returns the unknowns, or the error
+// with what was found and expected.
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene);
 
 enum class RobustLoss { kNone, kHuber, kCauchy };
 
 struct IdentifyOptions {
   RobustLoss loss = RobustLoss::kHuber;
-  double loss_scale = 2;       // of |r|, in sigmas, beyond which a sample counts less
-  double segment = 0;          // s, > 0: recordings are cut into segments of this length; 0: they are not
-  bool initial_states = true;  // are unknown, of the discs that were measured; else they are those of the scene
-  int starts = 12;             // at most
-  double outlier = 4;          // |r| in sigmas from which on a sample is named an outlier
+  double loss_scale = 2;       // |r|, in sigmas, beyond which the weight of a sample decreases
+  double segment = 0;          // length of the segments, s; 0: recordings are not divided
+  bool initial_states = true;  // whether the initial states of measured discs are unknown; otherwise those of the scene
+  int starts = 12;             // largest number of starts
+  double outlier = 4;          // |r|, in sigmas, beyond which a sample is an outlier
   int max_iterations = 100;    // of each fit
-  // A law of the impacts, with its parameters as unknowns beside the others; only `event` takes it, in its motion too.
+  // A law of impact, whose parameters are additional unknowns; with the contact model `event` only.
   std::optional<ImpactLaw> law = std::nullopt;
-  // Functions for the scene's planes, whose parameters are unknowns too; not together with a law.
+  // Event functions of the scene's planes, whose parameters are additional unknowns; not together with a law.
   std::optional<EventFunctions> events = std::nullopt;
   int threads = 1;
   StopRequest stop = nullptr;
-  std::function<void(const std::string&)> status = nullptr;  // told what is at work
+  std::function<void(const std::string&)> status = nullptr;  // receives lines about what is being computed
 };
 
 enum class Determination {
   kDetermined,
   kCombined,      // the data determine only a combination of this parameter with others
-  kUndetermined,  // the data say nothing of it, or next to nothing
-  kAtBound,       // the samples push it to its bound or beyond, where there is no standard error
+  kUndetermined,  // the data do not determine it
+  kAtBound,       // the fit has it at its bound, where there is no standard error
 };
 const char* DeterminationToString(Determination determination);
 
 struct Estimate {
   Unknown unknown;
   std::string name;
-  double start = 0;  // in the scene
-  // The numbers of an estimate, which have no meaning if it is not determined.
+  double start = 0;  // value in the scene
+  // These have no meaning if the parameter is not determined.
   double value = 0;
   double standard_error = 0;
   double low = 0, high = 0;  // 95 % confidence, within the bounds
   Determination determination = Determination::kDetermined;
-  std::vector<std::string> with;  // kCombined: the others
+  std::vector<std::string> with;  // kCombined: names of the other parameters
 };
 
 struct SampleResidual {
@@ -83,67 +84,67 @@ struct SampleResidual {
 
 enum class FitVerdict {
   kFits,
-  kNotDetermined,  // the data say nothing of anything that is unknown, though a motion may pass through them
-  kContradicted,   // samples miss the motion by far more than their sigma, or the extent of the motion allows
-  kNotJudged,      // the samples are too few to say, or without a sigma do not tell, whether the model is right
-  kFailed,         // no start has a motion that can be simulated and compared, see `reason`
+  kNotDetermined,  // the data determine no unknown, although a motion may fit them
+  kContradicted,   // residuals are far larger than sigma, or than the extent of the motion allows
+  kNotJudged,      // the samples do not suffice to decide whether the model is right
+  kFailed,         // no start has a motion to compare with; see `reason`
   kNotConverged,
   kInterrupted,
-  kNotApplicable,  // the contact model cannot take the scene, or the request makes no sense: see `reason`
+  kNotApplicable,  // the contact model does not support the scene, or the request is wrong; see `reason`
 };
 const char* FitVerdictToString(FitVerdict verdict);
 
-// The values of a law for impacts at these speeds, m/s.
+// The values of a law at the speeds of an impact.
 struct LawPoint {
-  double speed = 0, sliding = 0;  // of approach, of sliding
+  double speed = 0, sliding = 0;  // of approach, of sliding, m/s
   double restitution = 0, restitution_error = 0;
   double friction = 0, friction_error = 0;  // of laws of friction
 };
 
-// A law of impact as it was learned.
+// A fitted law of impact.
 struct LearnedLaw {
   ImpactLaw law;
   int impacts = 0;
-  // The law from the slowest to the fastest impact of the motion, at the sliding speed that is the median of theirs.
-  // The errors are standard errors, of what recordings and prior leave open.
+  // The law from the slowest to the fastest impact of the motion, at the median of their sliding speeds. The errors are
+  // standard errors by the recordings and the prior.
   std::vector<LawPoint> curve;
 };
 
-// One impact with a plane, as event functions that were learned have it.
+// An impact with a plane by fitted event functions.
 struct LearnedImpact {
   int segment = 0, body = 0, plane = 0;
   Vec2d position = Vec2d::Zero();  // m, of the disc
   Vec2d before = Vec2d::Zero();    // m/s, its velocity
   Vec2d after = Vec2d::Zero();
   Vec2d normal = Vec2d::Zero();  // of the event function there
-  double scene_gap = 0;          // m, of the scene's plane: 0 if that is where it says
+  double scene_gap = 0;          // m, gap to the scene's plane; 0 if both surfaces agree
 };
 
-// Event functions as they were learned.
+// Fitted event functions.
 struct LearnedEventFunctions {
   EventFunctions functions;
-  std::vector<LearnedImpact> impacts;  // of the motion, of each step the first
+  std::vector<LearnedImpact> impacts;  // of the motion; the first of each step
 };
 
 struct IdentifyReport {
   FitVerdict verdict = FitVerdict::kFailed;
   std::string reason;
-  std::vector<std::string> remarks;  // what else is to be known: that sigma was estimated, or residuals are systematic
+  std::vector<std::string> remarks;  // that sigma was estimated, that residuals are systematic, and similar
   std::vector<Estimate> estimates;
-  std::vector<std::vector<double>> correlation;  // of the determined ones, in their order
+  std::vector<std::vector<double>> correlation;  // of the determined parameters, in their order
   std::vector<std::vector<double>> initial;      // of each segment, B x 4
   std::vector<double> segment_begin;             // s, of each segment
   std::vector<int> segment_recording;            // of each segment
   std::vector<SampleResidual> residuals;         // of all samples, in order
-  std::optional<LearnedLaw> law;                 // if one was to be learned
-  std::optional<LearnedEventFunctions> events;   // likewise
+  std::optional<LearnedLaw> law;                 // the fitted law, if IdentifyOptions::law is set
+  std::optional<LearnedEventFunctions> events;   // the fitted event functions, if IdentifyOptions::events is set
   double cost = 0;                               // the minimum, with rho and the prior of a law
-  double sigma = 0;                              // m, estimated from the residuals if samples state none; else 0
-  // Typical |r| over what noise of the stated sigma makes of it; 1 if the model is right. 0 if none is stated.
+  double sigma = 0;  // m, estimated from the residuals if the samples have none; otherwise 0
+  // Typical |r| relative to its value for noise of the stated sigma; about 1 if the model is right. 0 without sigma.
   double misfit = 0;
-  int impacts = 0;                      // contacts in the motion at the minimum, of all segments
+  int impacts = 0;                      // number of contacts in the motion at the minimum, of all segments
   int iterations = 0, evaluations = 0;  // of all fits; evaluations are of all segments
-  int starts = 0, sequences = 0;        // fits, and different contact sequences in which they ended
+  int starts = 0, sequences = 0;        // number of fits, and of different sequences of impacts in which they ended
   double seconds = 0;
 };
 

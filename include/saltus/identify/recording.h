@@ -1,4 +1,4 @@
-// Recordings: where discs were at some times, as somebody measured it.
+// Recordings: measured positions, and velocities, of discs at given times.
 #pragma once
 
 #include <optional>
@@ -24,14 +24,14 @@ struct Sample {
   bool operator==(const Sample&) const = default;
 };
 
-// Samples of one run of a scene, by rising time. Its parameters are those of the other recordings, its initial state is
-// its own.
+// Samples of one run of a scene, in the order of time. Recordings share the parameters, and each has its own initial
+// state.
 struct Recording {
   std::string name;
   std::vector<Sample> samples;
 };
 
-// Why a text is no recording.
+// The reason why a text is no recording.
 struct RecordingError {
   std::string file;
   int line = 0;  // from 1; 0: of no line in particular

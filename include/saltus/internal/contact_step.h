@@ -2,9 +2,9 @@
 // it.
 //
 // The engine (rollout, islands, adjoint, linearization) is compiled once per scalar and size of the rotation state, in
-// simulate/step_simulator.cc; it knows ContactStep only. A model contributes ContactStepOf<M, S>, which instantiates
-// the model's own functions and nothing else, so a further model costs the compiler its step in values and in Jets. The
-// arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
+// simulate/step_simulator.cc; it depends on ContactStep only. A model contributes ContactStepOf<M, S>, which
+// instantiates the model's own functions and nothing else, so a further model costs the compiler its step in values and
+// in Jets. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
 #pragma once
 
 #include <array>

@@ -1,8 +1,8 @@
 // A hybrid system as the engine sees it: an interface of doubles, and the adapter that puts a user's struct behind it.
 //
-// The engine (integration, location of events, adjoint) is compiled once, in hybrid/; it knows HybridFunctions only. A
-// user's struct contributes HybridFunctionsOf<S>, which instantiates the struct's own functions in double and in Jets,
-// and nothing else. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
+// The engine (integration, location of events, adjoint) is compiled once, in hybrid/; it depends on HybridFunctions
+// only. A user's struct contributes HybridFunctionsOf<S>, which instantiates the struct's own functions in double and
+// in Jets, and nothing else. The arrangement is that of ceres::CostFunction and ceres::AutoDiffCostFunction.
 #pragma once
 
 #include <ceres/jet.h>
@@ -79,7 +79,7 @@ class HybridFunctions {
   virtual void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
                     double* slope_after) const;
   virtual void LinearizeStep(const FlowStep& step, double* scratch, double* slopes, double* jacobians) const;
-  // Pulls a cotangent of x' back; false if the step has to be linearized first.
+  // Computes the vector-Jacobian product of a cotangent of x'; returns false if the step has to be linearized first.
   virtual bool PullBackStep(const FlowStep& /*step*/, const double* /*after*/, StepCotangent* /*out*/) const {
     return false;
   }
@@ -108,14 +108,14 @@ class HybridFunctions {
   }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
-  // none, and WhyNoMode says why; below -1 there may be with shorter steps. x_plus has room for the largest state of
-  // any mode; what a reset into a mode with a smaller state leaves is not read.
+  // none, and WhyNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the largest
+  // state of any mode; what a reset into a mode with a smaller state leaves is not read.
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
-  // Says why a reset returns a negative number; with guard -1, why ModeUnder does.
+  // Returns why a reset returns a negative number; with guard -1, why ModeUnder does.
   virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
-  // Says why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
+  // Returns why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
   virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
   // Returns the mode in which a motion goes on from the state x when its control jumps to u, which the point has; a

@@ -20,13 +20,13 @@ class Lanes {
   using Pack = double __attribute__((vector_size(kLanes * sizeof(double))));
 
   Lanes() = default;
-  // Broadcasts through memory: GCC would take a broadcast apart before it knows that the processor has one.
+  // Broadcasts through memory: GCC would take a broadcast apart although the processor has one.
   Lanes(double x) {  // NOLINT: converts, as a Jet does
     const double all[kLanes] = {x, x, x, x};
     std::memcpy(&pack_, all, sizeof(all));
   }
   explicit Lanes(const Pack& pack) : pack_(pack) {}
-  // The copy is not trivial, so that it is passed in memory, whatever registers caller and callee know.
+  // The copy is not trivial, so that it is passed in memory, whatever registers caller and callee are compiled for.
   Lanes(const Lanes& other) : pack_(other.pack_) {}
   Lanes& operator=(const Lanes& other) {
     pack_ = other.pack_;

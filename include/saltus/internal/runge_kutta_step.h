@@ -180,15 +180,15 @@ void LinearizeStep(const FlowStep& step, std::size_t stride, const FlowJacobian&
   (std::make_index_sequence<kStages>());
 }
 
-// A cotangent of all that a step depends on.
+// The derivatives of a function by all inputs of a step (a cotangent).
 struct StepCotangent {
   double* x;      // overwritten
   double t, h;    // overwritten
   double *p, *u;  // added to
 };
 
-// Pulls a cotangent of x' back, given the Jets of the slopes of all stages, one after the other, with derivatives by
-// [x t p u]. `after` and out->x may be the same.
+// Computes the vector-Jacobian product of a cotangent of x', given the Jets of the slopes of all stages, one after the
+// other, with derivatives by [x t p u]. `after` and out->x may be the same.
 template <int kSize, int kParameters, int kControls, typename Jet>
 void PullBackStages(double h, const Jet* slopes, const double* after, StepCotangent* out) {
   using namespace cooper_verner;

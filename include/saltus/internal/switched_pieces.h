@@ -1,7 +1,7 @@
 // The pieces of a user's struct with switches, as the modes of a struct without any.
 //
 // With K switches at most in a mode, each mode has 2^K pieces: piece number `mode + M sides` of M modes, where bit k of
-// `sides` says that switch k is above zero. Its last guards are the switches, whose resets lead to the piece beside it.
+// `sides` is set if switch k is above zero. Its last guards are the switches, whose resets lead to the piece beside it.
 #pragma once
 
 #include <algorithm>

@@ -1,15 +1,15 @@
-// The optimality of a control: how well it meets each condition of the hybrid minimum principle, and whether the second
-// derivative of the loss is positive.
+// Certificates: residuals of the conditions of the hybrid minimum principle at a control, and the sign of the second
+// derivative of the loss.
 //
-// The control is constant on intervals. In exact dynamics the motion has impacts, which cut the time into phases, and
-// the flight of each controlled disc into arcs between its own impacts. With H = effort |u|^2 + sum lambda_q.v +
-// lambda_v.(u/m + g), and of discs that spin + lambda_angle w:
+// The control is constant on intervals. In exact dynamics impacts divide the time into phases, and the flight of each
+// controlled disc into arcs between its own impacts. The Hamiltonian is H = effort |u|^2 + sum lambda_q.v +
+// lambda_v.(u/m + g), with + lambda_angle w for discs that spin. The conditions are
 //
 //   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: the distance of the forces on an arc, at
 //                   the middles of their intervals, from a straight line. The line gives the costates of the disc.
 //   transversality  the costates at the end are the derivatives of the terminal terms. The costates of all other discs,
 //                   and those of spin, start there.
-//   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact; nu is that which fits best.
+//   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact, with the nu of the smallest residual.
 //   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
 //                   impacts this condition is exact, and not the pointwise one; they differ by O(h^2).)
 //
@@ -17,19 +17,21 @@
 // kink, with the gradients `early` and `late` as if the impact were just before and just after the node. Each belongs
 // to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
 //
-// With bounds on forces, hard terms, running and via terms or a free final time, the costates do not follow from the
-// forces. They are then carried backwards through the motion, with the multipliers of impacts and hard terms that meet
-// the conditions best. Transversality and jumps then hold by construction, and the remaining conditions are
+// With bounds on forces, hard terms, path costs or a free final time, the costates do not follow from the forces. They
+// are then integrated backwards along the motion, with the multipliers of impacts and hard terms of the smallest
+// residual. Transversality and jumps hold by construction, and the remaining conditions are
 //
 //   stationarity    the force on an interval is the one within the bounds that is nearest to the mean of
 //                   -lambda_v / (2 effort m); the residual is the distance of -(2 effort m u + lambda_v) from the cone
 //                   of outward normals of the active bounds
-//   Hamiltonian     as above, less the change by moving targets of running terms; at a free final time, -weight.
+//   Hamiltonian     its mean over each phase is the same, apart from its change by moving targets of running costs; at
+//   a
+//                   free final time it is -weight.
 //
 // With design parameters, the derivatives of the loss by them vanish too, or point out of their bounds. The curvature
-// is that along controls, with the parameters as they are.
+// is that along controls, with constant parameters.
 //
-// First-order conditions do not compare with other sequences of impacts, which may be better.
+// First-order conditions compare with motions of the same sequence of impacts only.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
 // principle" (arXiv 2205.08622). Residuals are relative to the largest costate (Hamiltonian) of the path.
@@ -55,8 +57,8 @@ struct ImpactCertificate {
   double hamiltonian = 0;       // residual: the Hamiltonian after less that before
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
-  bool concave = false;         // ... and the loss falls as the impact leaves the node, to either side
-  bool jumps = false;           // the loss is not continuous as the impact leaves the node
+  bool concave = false;  // the force jumps there, and the loss falls as the impact leaves the node to either side
+  bool jumps = false;    // the loss is not continuous as the impact leaves the node
 
   // Whether the loss falls, or jumps, as the impact leaves the node, to one side at least, with the intervals as they
   // are: the multiplier of a minimum is between those of the two one-sided gradients, of which the early one is the
@@ -64,48 +66,49 @@ struct ImpactCertificate {
   bool LeavesNode() const { return jumps || (theta && (concave || *theta < 0 || *theta > 1)); }
 };
 
-// A hard term: if its target moves by a small d, the loss of the optimum falls by multiplier . d.
+// The multiplier of a hard term: if its target moves by a small d, the loss of the optimum decreases by multiplier . d.
 struct ConstraintCertificate {
   std::string body;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
-  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; of an angle or angular velocity its first entry, 1/rad or s/rad
+  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; that of an angle or angular velocity is the first, 1/rad or s/rad
 };
 
-// A design parameter of the scene: the derivative of the loss by it.
+// The derivative of the loss by a design parameter of the scene.
 struct ParameterCertificate {
   SceneParameter parameter;
   std::string name;       // scene_parameter.h
   double value = 0;       // in the parameter's unit
-  double derivative = 0;  // by the value
-  // In natural units, relative to the largest costate, or to 1 if that is more; 0 at a bound that stops a descent.
+  double derivative = 0;  // of the loss, per unit of the value
+  // The magnitude in natural units, relative to the largest costate or to 1, whichever is larger; 0 at a bound that the
+  // loss would fall beyond.
   double residual = 0;
 };
 
-// The second derivative of the loss along controls d with integral |d|^2 dt = 1, as a part of that of the effort alone:
-// along eps d from a stationary control the loss gains effort * curvature * eps^2. Bounds and hard terms are kept. A
-// final time that is free varies too, with the last interval, and is measured by its own second derivative.
+// The second derivative of the loss along controls d with integral |d|^2 dt = 1, relative to that of the effort alone:
+// along eps d from a stationary control the loss changes by effort * curvature * eps^2. Active bounds and hard terms
+// remain satisfied. A free final time varies too, with the last interval, and is measured by its own second derivative.
 struct Curvature {
   enum class Kind {
-    kMinimum,  // positive along all: a local minimum along the sequence of impacts
-    kSaddle,   // negative along one: no minimum
-    kFlat,     // nearly zero along one: undecided
+    kMinimum,  // positive along all controls: a local minimum along the sequence of impacts
+    kSaddle,   // negative along one control: no minimum
+    kFlat,     // nearly zero along one control: undecided
   };
   Kind kind = Kind::kFlat;
-  double smallest = 0;            // at most 1 as long as there are more controls than the motion notices
+  double smallest = 0;            // at most 1 if the control has more numbers than the motion depends on
   std::vector<double> direction;  // of the shape of the control, N; its largest component is positive
 };
 
 struct Certificate {
   enum class Verdict {
-    kStationary,        // all conditions hold, each theta being in [0, 1] and no kink concave
-    kStationaryOnGrid,  // not so, but the gradient on the given intervals vanishes, each theta being in [0, 1]
+    kStationary,        // all conditions hold, each theta is in [0, 1], and no kink is concave
+    kStationaryOnGrid,  // the gradient on the given intervals vanishes, and each theta is in [0, 1]
     kNotStationary,
-    kAmbiguous,  // the order of impacts at the same time decides: conditions of first order do not apply
+    kAmbiguous,  // the order of simultaneous impacts changes the motion, so that first-order conditions do not apply
     kNotApplicable,
     kGlobal,  // all conditions hold, and a lower bound proves that no other control is better
   };
   Verdict verdict = Verdict::kNotApplicable;
-  // The condition with the largest residual; or that the control is no minimum although all conditions hold; or why
+  // The condition with the largest residual, or why the control is no minimum although all conditions hold, or why
   // there is nothing to certify.
   std::string reason;
   std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
@@ -115,42 +118,42 @@ struct Certificate {
   double hamiltonian = 0;
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
-  std::vector<ConstraintCertificate> constraints;  // of hard terms: terminal ones, then those on the way
-  // Stationarity by the scene's design parameters, one more condition. Where no control is optimized, it and the
-  // derivatives by the initial velocities or positions that are, in `initial`, are all conditions.
+  std::vector<ConstraintCertificate> constraints;  // of terminal equality constraints, then of waypoint constraints
+  // Stationarity by the scene's design parameters. If no control is optimized, this and the derivatives by the
+  // optimized initial velocities or positions, in `initial`, are the only conditions.
   std::vector<ParameterCertificate> parameters;
   std::optional<double> initial;
-  std::optional<double> final_time;  // if that is free: residual of the derivative of the loss by it
+  std::optional<double> final_time;  // residual of the derivative of the loss by a free final time
 
-  // The gradient of the loss by the control on the given intervals, combined with the thetas: the largest mean of
-  // 2 effort m u + lambda_v over an interval, relative to the largest costate.
+  // The largest mean of 2 effort m u + lambda_v over an interval, combined with the thetas, relative to the largest
+  // costate: the gradient of the loss by the control on the given intervals.
   std::optional<double> gradient;
 
-  // At stationary controls (on the grid too); not without effort, with an impact at the final time, on a grid that
-  // scales with a free final time, nor where the matrices would be too large.
+  // The curvature at a stationary control (on the grid too). Absent without effort, with an impact at the final time,
+  // on a grid that scales with a free final time, and if the matrices would be too large.
   std::optional<Curvature> curvature;
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
   }
   bool IsSaddle() const { return curvature && curvature->kind == Curvature::Kind::kSaddle; }
 
-  // With an impact on a node of a fixed grid: largest component of the gradients of the loss by the control as if all
-  // impacts on nodes were early, late, and of their combination with the thetas, 1/N.
+  // With an impact on a node of a fixed grid, the largest component of the gradients of the loss by the control as if
+  // all impacts on nodes were early, as if they were late, and of their combination with the thetas, 1/N.
   std::optional<double> gradient_early, gradient_late, gradient_combined;
 
-  // kBestOfSearched: no other sequence of impacts among those searched is better. kLocal: nothing is claimed.
+  // kBestOfSearched: no other sequence of impacts among those searched is better. kLocal: there was no search.
   enum class Scope { kLocal, kBestOfSearched };
   Scope scope = Scope::kLocal;
   int sequences_searched = 0;
 };
 
-// "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable", "global"; "local",
-// "best_of_searched"; "minimum", "saddle", "flat".
+// Return the names that JSON uses: "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable",
+// "global"; "local", "best_of_searched"; "minimum", "saddle", "flat".
 const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 const char* CurvatureToString(Curvature::Kind kind);
 
-// Verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
+// Returns verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
 std::string VerdictInWords(const Certificate& certificate);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`, or on equal intervals
@@ -159,10 +162,10 @@ std::string VerdictInWords(const Certificate& certificate);
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
-// Returns the certificate in other units; its residuals have none.
+// Returns the certificate in other units; residuals have no unit.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
-// The curvature at a control that need not be stationary; nodes move with impacts that are on them. Returns
+// Returns the curvature at a control that need not be stationary; nodes move with impacts that are on them. Returns
 // std::nullopt if there is nothing to certify, or if the matrices would be too large.
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations = {});

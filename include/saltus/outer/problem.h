@@ -1,5 +1,4 @@
-// Problems in a few lines: a system with costs and constraints as lambdas, what is free by its name, and a run that
-// prints.
+// Problems in a few lines: a system, costs and constraints as lambdas, and unknowns by their names.
 //
 //   saltus::Problem problem(Ball(), {.initial = {50, 0}, .parameters = {9.8, 0.98}, .duration = 15});
 //   problem.AddCost(saltus::kEnd, [](const auto& a) { return a.x[0] - 20.0; });
@@ -8,9 +7,9 @@
 //   const saltus::Run run = saltus::Solve(problem);
 //   std::cout << run << run.certificate();
 //
-// This is a layer over hybrid_problem.h, which remains for all that it does not have. What is wrong with a problem
-// throws a std::logic_error with what was found and what was expected: std::invalid_argument; std::out_of_range where a
-// function reads what is not there; std::length_error where it returns no numbers, or not as many as for the guess.
+// This is a layer over hybrid_problem.h, which has more features. An error in a problem throws std::invalid_argument
+// with what was found and expected, std::out_of_range if a function reads a number that does not exist, or
+// std::length_error if it returns no numbers, or not as many as for the guess.
 #pragma once
 
 #include <ceres/dynamic_autodiff_cost_function.h>
@@ -34,14 +33,14 @@ namespace saltus {
 // The place of a term: the final time, all control intervals, or the events of a guard.
 struct Place {
   HybridTerm::At at = HybridTerm::At::kEnd;
-  std::string guard = {};  // of kEvent: its name, in every mode that has one of that name
-  bool before = false;     // of kEvent: the state before the reset, in the place of that after it
+  std::string guard = {};  // kEvent: the name of the guard, in every mode that has one of this name
+  bool before = false;     // kEvent: the function gets the state before the reset instead of that after it
 };
 // The final time, after events there.
 inline const Place kEnd{};
-// The whole motion. Costs are integrated over time, by the value at the beginning of each control interval; constraints
-// hold at the beginning of each interval and at the end: a problem with a free control needs as many intervals as that
-// takes.
+// The whole motion. Costs are integrated over time, by their value at the beginning of each control interval.
+// Constraints hold at the beginning of each interval and at the end, so that their accuracy depends on the number of
+// intervals.
 inline const Place kAlways{HybridTerm::At::kEachInterval};
 // Every event of a guard, with the state after it; or with the state before it.
 inline Place OnEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard)}; }

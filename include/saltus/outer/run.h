@@ -1,4 +1,4 @@
-// Solves in one line, and results that print.
+// Solution of a problem in one line, and results that print.
 //
 //   const saltus::Run run = saltus::Solve(problem, {.seconds = 10});
 //   std::cout << run << run.certificate();
@@ -17,12 +17,12 @@
 
 namespace saltus {
 
-// Limits of a solve, and which solver takes it.
+// The solver, and limits of a solve.
 struct RunOptions {
   std::string solver = "auto";  // solvers of hybrid_solver.h, or of scenes those of solver.h
   Contact contact = "event";    // of scenes
-  int iterations = 1000;        // at most
-  double seconds = 0;           // at most; 0: no limit
+  int iterations = 1000;        // largest number of iterations
+  double seconds = 0;           // limit of time; 0: none
   std::function<bool(int iteration, double loss)> callback = nullptr;  // false interrupts
 };
 
@@ -40,11 +40,11 @@ class Run {
 
   bool converged() const { return report_.termination == Termination::kConverged; }
   double loss() const { return report_.final_loss; }
-  // Control, durations, losses, iterations and all else that a solver reports.
+  // Returns control, durations, losses, iterations and everything else that the solver reports.
   const SolveReport& report() const { return report_; }
-  // Whether the solution is an optimum, and why; kNotApplicable where nothing can be certified.
+  // Returns the certificate of the solution; kNotApplicable if there is nothing to certify.
   const Certificate& certificate() const { return certificate_; }
-  // The values of what was free by name: components of the initial state, parameters, the duration.
+  // Returns the values of the unknowns with names: components of the initial state, parameters, the duration.
   const std::vector<NamedValue>& found() const { return found_; }
   // Returns the value of that name. Throws std::invalid_argument if nothing of that name was free.
   double operator[](const std::string& name) const;
@@ -54,14 +54,14 @@ class Run {
   Certificate certificate_;
   std::vector<NamedValue> found_;
 };
-// Prints the solver, the loss before and after, why it ended, and what was found, in a few lines.
+// Prints solver, termination with its reason, the loss before and after, and the values found, in a few lines.
 std::ostream& operator<<(std::ostream& out, const Run& run);
 // Prints verdict, reason, residuals and curvature.
 std::ostream& operator<<(std::ostream& out, const Certificate& certificate);
 
-// Solves a problem. Where no control is free, it is solved on 64 control intervals or more, which leaves the motion as
-// it is: conditions that hold always are looked at there. A wrong problem, or a solver that cannot take it, throws
-// std::invalid_argument; a motion that fails is a run that is not converged, with its reason.
+// Solves a problem. If no control is free, it is solved on 64 control intervals or more, at which constraints of
+// kAlways are checked; this does not change the motion. Throws std::invalid_argument if the problem is wrong or the
+// solver does not support it. If the motion fails, the run has not converged, and has the reason.
 Run Solve(const Problem& problem, const RunOptions& options = {});
 Run Solve(const Scene& scene, const RunOptions& options = {});
 

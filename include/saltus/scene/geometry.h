@@ -1,4 +1,4 @@
-// Planar vectors, and the only gap and normal in the project: every contact model asks here.
+// Planar vectors, and the gap and normal of two discs or of a disc and a wall, for all contact models.
 #pragma once
 
 #include <Eigen/Core>
@@ -13,31 +13,31 @@ template <typename T>
 using Vec2 = Eigen::Matrix<T, 2, 1, Eigen::DontAlign>;
 using Vec2d = Vec2<double>;
 
-// a . b, where one of the two may have the base scalar.
+// Returns a . b; one of the two may have the base scalar.
 template <typename A, typename B>
 auto Dot(const Vec2<A>& a, const Vec2<B>& b) -> decltype(a[0] * b[0]) {
   return a[0] * b[0] + a[1] * b[1];
 }
 
-// a rotated by a quarter turn, counter-clockwise: the tangent that belongs to a normal.
+// Returns a rotated by a quarter turn, counter-clockwise: the tangent that belongs to a normal.
 template <typename T>
 Vec2<T> Perpendicular(const Vec2<T>& a) {
   return Vec2<T>(-a[1], a[0]);
 }
 
-// |a|, with derivative 0 at a = 0.
+// Returns |a|, with derivative 0 at a = 0.
 template <typename T>
 T Length(const Vec2<T>& a) {
   return SafeSqrt(T(a[0] * a[0] + a[1] * a[1]));
 }
 
-// s * a, where s and the entries of a may differ in type (base scalar times Jet and the reverse).
+// Returns s * a; s and the entries of a may differ in type (base scalar times Jet and the reverse).
 template <typename A, typename B>
 auto Scale(const A& s, const Vec2<B>& a) -> Vec2<decltype(s * a[0])> {
   return {s * a[0], s * a[1]};
 }
 
-// a / s entry by entry, with the scalar quotient's bits.
+// Returns a / s, with the bits of the scalar quotient in each entry.
 template <typename T>
 Vec2<T> Quotient(const Vec2<T>& a, const T& s) {
   return Vec2<T>(Divide(a[0], s), Divide(a[1], s));
@@ -63,14 +63,14 @@ struct Wall {
   bool curved() const { return side != 0; }
 };
 
-// Where a disc stands relative to another disc or to a wall.
+// Distance and normal of a disc relative to another disc or to a wall.
 template <typename T>
 struct Separation {
   T distance;      // m, between the centres, or from the centre to the wall; negative behind it
   Vec2<T> normal;  // unit vector towards the first disc; constant for a line, (1, 0) for coinciding centres
 };
 
-// Disc at `a` relative to a disc at `b`.
+// Returns the separation of a disc at `a` from a disc at `b`.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const Vec2<T>& b) {
   const Vec2<T> d = a - b;
@@ -79,13 +79,13 @@ Separation<T> Separate(const Vec2<T>& a, const Vec2<T>& b) {
   return {distance, Quotient(d, distance)};
 }
 
-// Disc at `a` relative to a half-plane.
+// Returns the separation of a disc at `a` from a half-plane.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const HalfPlane<Base<T>>& plane) {
   return {Dot(plane.normal, a) - plane.offset, plane.normal.template cast<T>()};
 }
 
-// Disc at `a` relative to a wall.
+// Returns the separation of a disc at `a` from a wall.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const Wall<Base<T>>& wall) {
   using S = Base<T>;

@@ -14,26 +14,26 @@ namespace saltus {
 
 inline constexpr char kNoMaterial[] = "default";  // the name of what has no material
 
-// The place of a pair in a list of all pairs, by the numbers of its materials: 0 for none, else 1 + the index into
-// Scene::materials. That of two things without a material is 0.
+// Returns the index of a pair in a list of all pairs, by the numbers of its materials: 0 for none, else 1 + the index
+// into Scene::materials. The pair of two things without a material has the index 0.
 constexpr int MaterialPairIndex(int a, int b) { return a < b ? b * (b + 1) / 2 + a : a * (a + 1) / 2 + b; }
 
-// The numbers of the materials of a pair, the lower one first. Precondition: index >= 0.
+// Returns the numbers of the materials of a pair, the lower one first. Precondition: index >= 0.
 std::pair<int, int> MaterialsOfPair(int index);
 
-// Restitution and friction by MaterialPairIndex(); none in a scene without materials.
+// Returns restitution and friction by MaterialPairIndex(); empty in a scene without materials.
 std::vector<PairContact> PairContactsOf(const Scene& scene);
 
-// Restitution and friction of two things with these materials, indices into Scene::materials; -1: none.
+// Returns restitution and friction of two things with these materials, indices into Scene::materials; -1: none.
 PairContact ContactBetween(const Scene& scene, int material, int other);
 
-// The pairs of materials of things that may touch, by MaterialPairIndex(), rising: of a body that moves and another
-// body or a wall. {0} in a scene without materials.
+// Returns the MaterialPairIndex() of all pairs of a body that moves and another body or a wall, in rising order. {0} in
+// a scene without materials.
 std::vector<int> PairsInUse(const Scene& scene);
-// Whether one of these has friction.
+// Whether any pair of materials in use has friction.
 bool HasFriction(const Scene& scene);
 
-// The pair as parameters name it, "rubber-steel".
+// Returns the name of a pair in names of parameters, such as "rubber-steel".
 std::string NameOfPair(int index, const Scene& scene);
 
 }  // namespace saltus

@@ -1,5 +1,5 @@
-// The nouns: what stands in a scene, what acts on it, and what is to be minimised. Plain doubles, SI units unless
-// Scene::units says otherwise.
+// The data of a scene: bodies and walls, contacts, the control, and the objective. Numbers are doubles in SI units
+// unless Scene::units states others.
 //
 // Accepted numbers: every one is finite and of magnitude at most kLargestMagnitude; those that must be positive (and
 // the length of a normal) are at least kSmallestPositive. Within these bounds dt, inverse masses, accelerations, free
@@ -24,7 +24,7 @@ inline constexpr double kOverlapTolerance = 1e-12;  // of the scene's length (un
 struct Inertia {
   enum class Kind { kNone, kSolid, kGiven };
   Kind kind = Kind::kNone;
-  double moment = 0;  // kg m^2, > 0, if given; else not used
+  double moment = 0;  // kg m^2, > 0; used for kGiven only
 
   bool operator==(const Inertia&) const = default;
 };
@@ -39,11 +39,11 @@ struct Body {
   Vec2d velocity = Vec2d::Zero();  // m/s
   Inertia inertia = {};
   double angle = 0;             // rad, counter-clockwise; zero if it cannot spin
-  double angular_velocity = 0;  // rad/s, counter-clockwise; likewise
+  double angular_velocity = 0;  // rad/s, counter-clockwise; zero if it cannot spin
   int material = -1;            // index into Scene::materials; -1: none, it has the numbers of Scene::contact
 
   bool Spins() const { return inertia.kind != Inertia::Kind::kNone; }
-  // kg m^2. Precondition: it spins.
+  // Returns the moment of inertia, kg m^2. Precondition: it spins.
   double MomentOfInertia() const {
     return inertia.kind == Inertia::Kind::kSolid ? 0.5 * mass * radius * radius : inertia.moment;
   }
@@ -93,17 +93,17 @@ struct EdgeArc {
   bool operator==(const EdgeArc&) const = default;
 };
 
-// Discs slide on a horizontal table, seen from above: each slows by friction * gravity against its velocity, and rests
-// in the end.
+// A horizontal table, seen from above, on which all discs slide: each decelerates by friction * gravity and comes to
+// rest.
 struct TableFriction {
   double friction = 0;    // >= 0
-  double gravity = 9.81;  // m/s^2, >= 0; across the plane of the scene
+  double gravity = 9.81;  // m/s^2, >= 0; normal to the plane of the scene
 
   bool operator==(const TableFriction&) const = default;
 };
 
-// A hole that discs fall into: one whose centre comes to the circle is out of play. It stays where it went in, at rest,
-// and touches nothing any more; no force moves it.
+// A pocket. A disc whose centre reaches the circle is out of play: it stays there, at rest, has no contacts, and no
+// force moves it.
 struct Pocket {
   std::string name;                // as of a body
   Vec2d position = Vec2d::Zero();  // m, of the centre
@@ -112,13 +112,13 @@ struct Pocket {
   bool operator==(const Pocket&) const = default;
 };
 
-// Contact parameters: restitution and friction of all that has no material, and the stiffness and damping of the whole
-// scene. A model reads those it knows.
+// Contact parameters: restitution and friction of everything without a material, and stiffness and damping of the whole
+// scene. Each contact model reads those that its law has.
 struct ContactParameters {
   double restitution = 1;  // e in [0, 1]
   double friction = 0;     // mu >= 0
   double stiffness = 1e4;  // N/m, compliant models
-  double damping = 0;      // N s/m, compliant models; >= 0, as stiffness
+  double damping = 0;      // N s/m, compliant models; >= 0
 
   bool operator==(const ContactParameters&) const = default;
 };
@@ -133,35 +133,35 @@ struct PairContact {
 
 // A material of bodies and walls.
 struct Material {
-  std::string name;     // as of a body, but without '-'; not "default", which is what has no material
-  PairContact contact;  // from two of these Scene::combine makes the numbers of a pair
+  std::string name;     // as of a body, but without '-'; not "default", the name of everything without a material
+  PairContact contact;  // combined by Scene::combine with that of another material
 
   bool operator==(const Material&) const = default;
 };
 
 // Two materials, or twice the same, whose restitution or friction is given and not combined.
 struct MaterialPair {
-  int a = -1, b = -1;  // indices into Scene::materials; -1: what has no material
+  int a = -1, b = -1;  // indices into Scene::materials; -1: no material
   std::optional<double> restitution = std::nullopt, friction = std::nullopt;
 
   bool operator==(const MaterialPair&) const = default;
 };
 
-// How the numbers of two materials make those of the pair that they are.
+// How restitution and friction of two materials are combined to those of their pair.
 enum class Combine { kMean, kProduct, kMin, kMax };
 
-// Which bodies are pushed and turned, and the constant force and torque on each with which optimisation starts.
+// The controlled bodies, and the constant force and torque on each from which optimisation starts.
 //
-// A control is made of forces only: a torque is there as torque / radius, the force at the rim that would turn the disc
-// so. In these, and only these, terms effort and bounds are the same for both.
+// A control has forces only: a torque is stored as torque / radius, the force at the rim with the same moment. The
+// effort counts it as this force.
 struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
-  // Bounds, > 0, one per controlled body, or none: N, of each component of the force, and of its length.
+  // Bounds of each component of the force, and of its norm, N, > 0; one per controlled body, or none.
   std::vector<double> max = {}, max_norm = {};
-  std::vector<int> turned = {};             // those of the bodies, which spin, that have a torque on them too
-  std::vector<double> initial_torque = {};  // N m, counter-clockwise, one per turned body
-  std::vector<double> max_torque = {};      // N m, > 0, of its magnitude; one per turned body, or none
+  std::vector<int> turned = {};             // those of `bodies` with a torque control too; they spin
+  std::vector<double> initial_torque = {};  // N m, counter-clockwise, one for each of `turned`
+  std::vector<double> max_torque = {};      // bound of its magnitude, N m, > 0; one for each of `turned`, or none
 
   bool IsBounded() const { return !max.empty() || !max_norm.empty() || !max_torque.empty(); }
 
@@ -175,19 +175,19 @@ struct TerminalTerm {
   Quantity quantity = Quantity::kPosition;
   // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
   std::optional<int> component = std::nullopt;
-  // m or m/s; not used with a component. Of an angle or angular velocity its first entry, rad or rad/s; the other is 0.
+  // m or m/s; not used with a component. An angle or angular velocity is the first entry, rad or rad/s; the other is 0.
   Vec2d target = Vec2d::Zero();
   double weight = 1;  // any sign with a component, else >= 0
-  bool hard = false;  // a constraint, q(T) = target: no part of the loss, and no component or weight
+  bool hard = false;  // q(T) = target is a constraint and no part of the loss; it has no component and no weight
 
-  // True if it is of an angle or an angular velocity, which is one number and has no component.
+  // Whether the quantity is an angle or an angular velocity, which is one number and has no component.
   bool IsOfSpin() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
 
   bool operator==(const TerminalTerm&) const = default;
 };
 
-// weight * the integral of |q(t) - r(t)|^2 dt, with q a position or a velocity: r goes straight from target to target,
-// and is constant outside their times.
+// A running cost: weight * integral of |q(t) - r(t)|^2 dt. q is a position or a velocity; r is linear between the
+// targets, and constant before and after them.
 struct RunningTerm {
   int body = 0;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
@@ -198,7 +198,7 @@ struct RunningTerm {
   bool operator==(const RunningTerm&) const = default;
 };
 
-// weight * |q(time) - target|^2; or a constraint, q(time) = target. Of a position or a velocity too.
+// A waypoint cost, weight * |q(time) - target|^2, or constraint, q(time) = target. q is a position or a velocity.
 struct ViaTerm {
   int body = 0;
   double time = 0;  // s, in (0, duration)
@@ -210,7 +210,7 @@ struct ViaTerm {
   bool operator==(const ViaTerm&) const = default;
 };
 
-// A final time that is free: weight * T is part of the loss.
+// A free final time T. The loss gains weight * T.
 struct FreeDuration {
   double min = 0, max = 0;  // s, 0 < min <= max
   double weight = 0;        // 1/s, >= 0
@@ -218,33 +218,33 @@ struct FreeDuration {
   bool operator==(const FreeDuration&) const = default;
 };
 
-// loss = sum of terminal, running and via terms + effort * sum over controlled bodies of the integral of |u|^2 dt, and
-// of that of (torque / radius)^2 for those that are turned
+// The objective. The loss is the sum of terminal, running and waypoint terms, and effort times the integral of |u|^2
+// over time, summed over the controlled bodies; u has the forces and torque / radius.
 struct Objective {
   std::vector<TerminalTerm> terminal;
   double effort = 0;  // >= 0
   std::vector<RunningTerm> running = {};
   std::vector<ViaTerm> via = {};
-  std::optional<FreeDuration> duration = std::nullopt;  // none: the scene's
+  std::optional<FreeDuration> duration = std::nullopt;  // none: the duration is that of the scene
 
-  // True if every term is a square, so that least-squares solvers apply: no term has a component.
+  // Whether every term is a square (no term has a component), so that least-squares solvers apply.
   bool IsSumOfSquares() const;
-  // True if a term is hard.
+  // Whether a term is hard.
   bool HasConstraints() const;
 
   bool operator==(const Objective&) const = default;
 };
 
-// The units of a scene's numbers: powers of two in SI units, so that going from one set of units to another
-// changes no bit. Units that are not named follow: that of a speed is length / time.
+// The units of a scene's numbers: powers of two in SI units, so that a conversion is exact. Other units are derived:
+// that of a speed is length / time.
 struct Units {
   double length = 1;             // m
   double time = 1;               // s
   double mass = 1;               // kg
   double loss = 1;               // of the loss
   Vec2d origin = Vec2d::Zero();  // m; where the position [0, 0] is
-  double loss_at_origin = 0;     // the loss where it is 0: linear terms measure positions from the origin
-  bool natural = false;          // those that belong to the scene (units.h)
+  double loss_at_origin = 0;     // offset of the loss: linear terms measure positions from the origin
+  bool natural = false;          // whether they are the natural units of the scene (units.h)
 
   double speed() const { return length / time; }
   double acceleration() const { return speed() / time; }
@@ -254,7 +254,7 @@ struct Units {
   bool operator==(const Units&) const = default;
 };
 
-// Two discs, or a disc and a plane (then b is its index), that must not touch: a constraint.
+// A constraint: two discs, or a disc and a plane (then b is its index), must not touch.
 struct NoContact {
   int a = 0, b = 0;
   bool plane = false;
@@ -272,14 +272,14 @@ struct SceneParameter {
     kDamping,
     kMass,
     kGravity,
-    kForce,          // on a disc, constant; of identification only
-    kLaw,            // of a learned law of impact, which stands in no scene; of identification only
+    kForce,          // N, constant force on a disc; for identification only
+    kLaw,            // a parameter of a learned law of impact, which no scene has; for identification only
     kRadius,         // m
     kPosition,       // m, of a fixed disc
     kPlaneOffset,    // m, by which the plane is moved along its normal
-    kPlaneAngle,     // rad, by which it is turned about its point, counter-clockwise
+    kPlaneAngle,     // rad, by which the plane is rotated about its point, counter-clockwise
     kSegmentOffset,  // m, by which the segment is moved to its left, seen from its first end
-    kSegmentAngle,   // rad, by which it is turned about its middle, counter-clockwise
+    kSegmentAngle,   // rad, by which the segment is rotated about its middle, counter-clockwise
   };
   Kind kind = Kind::kRestitution;
   int body = -1;  // of a mass, force, radius or position; or the index of a plane or a segment
@@ -290,7 +290,8 @@ struct SceneParameter {
   bool operator==(const SceneParameter&) const = default;
 };
 
-// A number of the scene that solvers choose beside what Optimize names. They begin at its value in the scene.
+// A parameter of the scene that solvers choose in addition to the unknowns that Optimize names. They start at its
+// value.
 struct DesignParameter {
   SceneParameter parameter;
   std::optional<double> min = std::nullopt, max = std::nullopt;  // in the parameter's unit; min < max
@@ -333,33 +334,33 @@ struct Scene {
   Objective objective;
   std::vector<NoContact> no_contact;
   Optimize optimize = Optimize::kNone;
-  // For kVelocity and kPosition: whose, at least one; else not used. Indices of bodies that are not fixed, without
-  // repetition.
+  // For kVelocity and kPosition: indices of the bodies whose velocity or position is free, at least one, none fixed,
+  // without repetition.
   std::vector<int> free;
-  // For kVelocity: whose angular velocities too. Indices of bodies that spin, without repetition.
+  // For kVelocity: indices of the bodies whose angular velocity is free too. They spin. Without repetition.
   std::vector<int> free_spin = {};
-  // Parameters that solvers may change too; none twice. Offsets and angles are 0 in the scene as it stands.
+  // Parameters that solvers may change too, without repetition. Offsets and angles are 0 in the given scene.
   std::vector<DesignParameter> design = {};
-  Units units = {};  // SI in every scene that users give
+  Units units = {};  // SI in scenes of users
 
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
   int num_turned() const { return static_cast<int>(control.turned.size()); }
-  // Numbers of a control in each of its intervals, one after the other: [u_x u_y] of each controlled body, and then
-  // torque / radius of each that is turned. All are forces, N.
+  // Returns how many numbers a control has in each interval: [u_x u_y] of each controlled body, and then torque /
+  // radius of each body with a torque control. All are forces, N.
   int control_width() const { return 2 * num_controlled() + num_turned(); }
-  // Where in a control the force on controlled body c in interval k begins.
+  // Returns the index in a control of the force on controlled body c in interval k.
   std::size_t ForceIndex(std::size_t k, int c) const { return k * control_width() + 2 * static_cast<std::size_t>(c); }
-  // Where torque / radius of turned body t in interval k stands.
+  // Returns the index in a control of torque / radius of body `control.turned[t]` in interval k.
   std::size_t TurnIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
-  // True if there is a disc that spins.
+  // Whether a disc spins.
   bool Spins() const;
-  // True if there are walls that end: segments, polygons or arcs.
+  // Whether there are segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 };
 
-// A rule of the scene that is broken, and where.
+// A violated rule of scenes, and its key.
 struct SceneError {
   std::string key;      // path in the scene file: "bodies[1].radius"
   std::string message;  // what was found and what was expected

@@ -15,7 +15,7 @@
 //   its
 //                                                middle, counter-clockwise
 //
-// Offsets and angles are 0 in the scene as it stands: to set one is to move the wall from there.
+// Offsets and angles are 0 in the given scene; a value moves the wall from its given place.
 #pragma once
 
 #include <span>
@@ -27,31 +27,32 @@
 
 namespace saltus {
 
-// The parameters of that name, one or both components; none if there are none.
+// Returns the parameters of that name, one or both components; empty if there are none.
 std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& scene);
-// "restitution", "mass.ball", "gravity.y", "position.post.x", "offset.wall". Precondition: it is one of the scene's.
+// Returns the name of a parameter, such as "restitution", "mass.ball" or "position.post.x". Precondition: the scene has
+// it.
 std::string NameOf(const SceneParameter& parameter, const Scene& scene);
 
-// The names of restitution and friction (of each pair of materials that may touch, if the scene has materials),
-// stiffness and damping, with commas.
+// Returns the names of restitution and friction (of each pair of materials that may touch, if the scene has materials),
+// stiffness and damping, separated by commas.
 std::string ContactParametersOf(const Scene& scene);
 
 // Returns its value, in the scene's units; 0 for a parameter of a law, and for the force on an uncontrolled disc.
 double ValueOf(const SceneParameter& parameter, const Scene& scene);
-// Does nothing for a parameter of a law. Restitution or friction of a pair of materials becomes one of Scene::pairs.
+// Sets its value; does nothing for a parameter of a law. That of a pair of materials becomes one of Scene::pairs.
 void SetValue(const SceneParameter& parameter, double value, Scene* scene);
 
-// The values that solvers may give a design parameter: between its own bounds, and within what its kind allows
-// (restitution from 0 to 1; mass, radius, friction, stiffness and damping not negative). Infinite without a bound.
+// The range of a design parameter: its bounds, and the range of its kind (restitution from 0 to 1; mass, radius,
+// friction, stiffness and damping not negative). Infinite without a bound.
 struct ParameterRange {
   double min = 0, max = 0;
 };
 ParameterRange RangeOf(const DesignParameter& design);
 
-// The values of Scene::design in the scene, in its order.
+// Returns the values of Scene::design in the scene, in its order.
 std::vector<double> DesignOf(const Scene& scene);
-// The scene with these values: one for each of Scene::design, or none, which leaves the scene as it is. Walls are
-// turned before they are moved.
+// Returns the scene with these values, one for each of Scene::design, or none, which leaves the scene as it is. Walls
+// are rotated before they are moved.
 Scene WithDesign(const Scene& scene, std::span<const double> values);
 
 }  // namespace saltus

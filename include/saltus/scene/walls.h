@@ -1,10 +1,9 @@
-// Obstacles that never move: lines and circles (geometry.h), each the part of its scene that a disc can
-// meet from one side. Planes have one part, segments two sides and two ends, arcs likewise, polygons one side each
-// edge.
+// Parts of walls: lines and circles (geometry.h), each of which a disc can touch from one side. Planes have one part,
+// segments and arcs two sides and two ends, polygons one side for each edge and their corners.
 //
-// A part counts where it is what is nearest: the side of a segment between the perpendiculars through its ends, an end
-// beyond those of all that meet there. At every place near an edge one part counts, and only one; in an angle that is
-// filled by the disc's side, one of each edge. Ends that several edges share are one part.
+// A part counts where it is the nearest part: the side of a segment between the perpendiculars through its ends, an end
+// beyond the perpendiculars of all edges that meet there. At every place near an edge exactly one part counts; in a
+// corner that discs enter, one of each edge. An end that several edges share is one part.
 #pragma once
 
 #include <algorithm>
@@ -16,9 +15,9 @@
 
 namespace saltus {
 
-// Where a part counts: what centres of discs satisfy.
+// The region of the centres of discs in which a part counts.
 struct WallExtent {
-  // normal . x >= offset, or > if it is open.
+  // The half-plane normal . x >= offset, or > if it is open.
   struct Bound {
     Vec2d normal = Vec2d::Zero();  // |normal| = 1
     double offset = 0;             // m
@@ -30,7 +29,7 @@ struct WallExtent {
   bool any = false;                // one of the bounds is enough
   std::vector<Bound> bounds = {};  // none: all around
 
-  // Whether it counts at x, or would within `tolerance`, m.
+  // Whether the part counts at x, or within `tolerance` of it, m.
   bool Covers(const Vec2d& x, double tolerance = 0) const {
     if (endless || bounds.empty()) return true;
     for (const Bound& bound : bounds) {
@@ -50,7 +49,7 @@ struct WallPart {
   bool table = false;                              // under all discs: its distance is infinite
   bool pocket = false;                             // met by the centres of discs, once: there they stay
 
-  // No disc whose centre is at x is nearer to the part; negative behind an endless one, m.
+  // Returns a lower bound of the distance of a disc's centre at x from the part, m; negative behind an endless one.
   double LeastDistance(const Vec2d& x) const {
     if (wall.curved()) {
       const double outside = (x - wall.center).norm() - wall.radius;
@@ -59,8 +58,8 @@ struct WallPart {
     if (extent.endless) return Dot(wall.normal, x) - wall.offset;
     return (x - Nearest(x)).norm();
   }
-  // How fast LeastDistance() can fall while a disc at x goes on straight with velocity v, m/s; not negative within an
-  // arc. Precondition: it is not endless.
+  // Returns a bound on the rate at which LeastDistance() decreases while a disc at x moves straight with velocity v,
+  // m/s; not negative within an arc. Precondition: the part is not endless.
   double Closing(const Vec2d& x, const Vec2d& v) const {
     const Vec2d away = x - (wall.curved() ? wall.center : Nearest(x));
     const double distance = away.norm();
@@ -81,7 +80,7 @@ struct WallPart {
 // finds nothing.
 std::vector<WallPart> WallPartsOf(const Scene& scene);
 
-// The names of these parts.
+// Returns the names of these parts.
 std::vector<std::string> WallNamesOf(const Scene& scene);
 
 }  // namespace saltus

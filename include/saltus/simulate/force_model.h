@@ -1,4 +1,4 @@
-// Contact models that are a force for each pair of discs that meet, or of a disc and a wall.
+// Contact models that are a force for each pair of two discs, or of a disc and a wall.
 //
 //   struct Springs {
 //     static constexpr auto kName = "springs";
@@ -10,10 +10,10 @@
 //   };
 //   saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = saltus::ForceContact(Springs{.stiffness = 1e5})}, {});
 //
-// The force on the second disc is the opposite one. Steps are semi-implicit Euler steps. Pairs further apart than the
-// sum of their radii are asked only where the scene's broad phase takes them for candidates: a force at a distance
-// needs the interface of contact/contact_model.h. A model that reads `friction` says so by `static constexpr bool
-// kFriction = true`; others do not take scenes with friction.
+// The force on the second disc is the opposite one. Steps are semi-implicit Euler steps. Force is called for pairs that
+// the broad phase takes for candidates, which need not include discs that do not overlap: a force at a distance needs
+// the interface of contact/contact_model.h. A model that reads `friction` has `static constexpr bool kFriction = true`;
+// others do not support scenes with friction.
 #pragma once
 
 #include <memory_resource>
@@ -26,7 +26,7 @@
 
 namespace saltus {
 
-// Two discs that meet, or a disc and a wall. T is double or a ceres::Jet.
+// The data of a pair of two discs, or of a disc and a wall. T is double or a ceres::Jet.
 template <typename T>
 struct Meeting {
   T gap;                          // m, below zero where they overlap
@@ -35,11 +35,11 @@ struct Meeting {
   T mass;                         // kg, 1 / (1/m_a + 1/m_b)
   ContactConstants<T> constants;  // restitution and friction of the two, stiffness and damping of the scene
 
-  // No force.
+  // Returns a force of zero.
   Vec2<T> Zero() const { return Vec2<T>(T(0.0), T(0.0)); }
 };
 
-// The contact model (contact/contact_model.h) of a struct with Force.
+// A contact model (contact/contact_model.h) from a struct with Force.
 template <typename F>
 struct ForceModel : F {
   static constexpr bool kReadsFriction = [] {

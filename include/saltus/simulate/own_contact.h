@@ -1,9 +1,9 @@
-// A user's own contact model, for everything that takes a contact model.
+// User-defined contact models, for every function that takes a Contact.
 //
 //   #include "my_model.h"
 //   saltus::Solve("gd", {.scene = scene, .contact = saltus::OwnContact<MyModel>()}, {});
 //
-// contact/contact_model.h says what a model has.
+// contact/contact_model.h lists the members of a model.
 #pragma once
 
 #include <memory>
@@ -94,14 +94,14 @@ ContactEntry MakeContactEntry() {
           }};
 }
 
-// The model with its options at their defaults; Contact::With() sets them. A model of that name in the registry is
-// another.
+// Makes a contact of a model with the defaults of its options; Contact::With() sets them. The registry may have another
+// model of the same name.
 template <ContactModel M>
 Contact OwnContact() {
   static const auto entry = std::make_shared<const ContactEntry>(MakeContactEntry<M>());
   return Contact(entry);
 }
-// Makes a contact of a model with the members that it has. Where discs spin, those of its Spinning are at their
+// Makes a contact of a model with the current values of its members. If discs spin, those of its Spinning have their
 // defaults.
 template <ContactModel M>
 Contact OwnContact(M model) {

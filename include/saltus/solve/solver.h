@@ -1,6 +1,6 @@
-// The request and the report of every solver, and the registry of solvers: one line each in solver.cc.
+// Solvers of scenes: request, options, report, and the registry.
 //
-// A solver knows no contact model: it gets a name and asks the registry of simulate/ for a simulator.
+// Solvers do not depend on contact models: they get a simulator from the registry of simulate/ by the model's name.
 #pragma once
 
 #include <cstddef>
@@ -28,68 +28,71 @@ struct SolveRequest {
   Scene scene;
   Contact contact;
   Precision precision = Precision::kDouble;
-  // Beside the scene's objective and constraints; for solvers that take them. In SI units, whatever the scene's.
+  // User-defined terms in addition to the scene's objective and constraints, in SI units; for solvers that support
+  // them.
   std::vector<OwnTerm> terms = {};
 };
 
-// Limits of a search over collision sequences, and where it begins. The limit that is reached first ends it.
+// Limits and starts of a search over collision sequences. The limit that is reached first ends it.
 struct SearchOptions {
-  // Most work of all its solves together: the gradients and Jacobians, each counted with about as many
-  // microseconds as it takes one core. No clock is read, so that the answer depends neither on the machine nor on the
-  // number of threads. 0: no limit.
+  // Limit of the work of all solves: gradients and Jacobians, each counted with about as many microseconds as it takes
+  // one core. No clock is read, so that the result depends neither on the machine nor on the number of threads. 0: no
+  // limit.
   double work = 2e7;
-  double seconds = 0;  // 0: no limit. Where this ends a search, its answer depends on the machine and its load
-  std::size_t memory = std::size_t{200} << 20;  // bytes, of what it keeps
-  int starts = 8;                               // at random, beside the initial guess
-  std::uint64_t seed = 1;                       // of these
+  double seconds = 0;  // limit of time; 0: none. A result that it ends depends on the machine and its load
+  std::size_t memory = std::size_t{200} << 20;  // limit of the memory, bytes
+  int starts = 8;                               // number of random starts, in addition to the initial guess
+  std::uint64_t seed = 1;                       // of the random starts
 };
-// Which of them is impossible, and what was expected; empty if none.
+// Returns the error in the options and what was expected; empty if there is none.
 std::string WhyNotValid(const SearchOptions& options);
 
-// A control to start from: K x C x 2 forces in N, for any K, on intervals that last `durations` (K numbers, s), or
-// equally long ones if there are none.
+// An initial guess of the control: K x C x 2 forces in N, for any K, on intervals that last `durations` (K numbers, s),
+// or on equal intervals if there are none.
 struct ControlGuess {
   std::vector<double> control, durations;
 };
 
 struct SolverOptions {
-  int iterations = 1000;        // at most
+  int iterations = 1000;        // largest number of iterations
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
-  // The rate is one per unit of time: divided by the length of a step, since a force that is held for a shorter time
-  // has a smaller derivative. Of a control only.
+  // Whether the learning rate is divided by the length of a step, because a force that acts for a shorter time has a
+  // smaller derivative. For controls only.
   bool rate_per_time = false;
 
-  bool keep_iterates = false;  // fill SolveReport::iterates (single shooting)
+  bool keep_iterates = false;  // whether SolveReport::iterates is filled (single shooting)
 
-  // Whether solvers in phases of a hybrid system that end without an optimum try again from few control intervals on,
+  // Whether solvers in phases of a hybrid system that end without an optimum try again with few control intervals,
   // whose number they double up to that of the guess, each time from the solution before.
   bool coarse_to_fine = true;
 
-  // For solvers along a collision sequence: which; if none is given, that of the initial guess. `search` lets
-  // mode_search leave it for others, and with none given those that mend it. Hybrid: {mode, guard}..., {last mode, -1}.
+  // The sequence of solvers along a collision sequence; if none is given, that of the initial guess. `search` lets
+  // mode_search change it, and without a given sequence also solvers with an active-set update of it. The sequence of a
+  // hybrid system is {mode, guard}..., {last mode, -1}.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
   SearchOptions search_options = {};  // of mode_search
 
-  // Where a control is optimized: what to start from in the place of the scene's. Solvers on a grid of equal steps take
-  // its mean over each of them. The intervals fill the scene's duration; if that is free, theirs is the first.
+  // An initial guess that replaces that of the scene, if a control is optimized. Solvers on a grid of equal steps take
+  // its mean over each of them. The sum of the intervals is the scene's duration or, if that is free, its initial
+  // guess.
   std::optional<ControlGuess> guess = std::nullopt;
 
-  // A replacement of the gradient, for solvers that take one; samples are evaluated on `threads` threads,
-  // as are the solves of a search. Results are the same for any number.
+  // A replacement of the gradient, for solvers that support one. `threads` threads evaluate its samples, and the solves
+  // of a search; results do not depend on their number.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;
 
-  std::size_t memory_limit = std::size_t{1} << 30;  // bytes, as Simulator::set_memory_limit
-  // Most impacts of one motion, for solvers by shooting: a motion that has more interrupts them.
+  std::size_t memory_limit = std::size_t{1} << 30;  // of Simulator::set_memory_limit, bytes
+  // Largest number of impacts of one motion, for solvers by shooting: a motion with more interrupts them.
   std::optional<int> most_impacts = std::nullopt;
 
-  // Called after each iteration with its number (0 is the initial guess) and the loss there. Return false to interrupt:
-  // the solver stops with kInterrupted and reports what it has.
+  // Called after each iteration with its number (0 is the initial guess) and the loss there. If it returns false, the
+  // solver stops with kInterrupted and reports the result so far.
   std::function<bool(int iteration, double loss)> callback = nullptr;
-  // Interrupts too, but in the middle of an iteration: what the last whole one has reached is reported.
+  // Interrupts within an iteration; the result of the last complete iteration is reported.
   StopRequest stop = nullptr;
-  // Called by solvers that take long with what they are at, for a person.
+  // Receives lines about what is being computed, for a user to read, from solvers that take long.
   std::function<void(const std::string&)> status = nullptr;
 };
 
@@ -100,14 +103,14 @@ struct LocalOptimum {
   std::vector<double> times;  // of the impacts, s
 };
 
-// Sequences that a search has tried, and bounds that it has proved.
+// Statistics of a search over sequences, and bounds that it has proved.
 struct Searched {
-  int sequences = 0;       // along which it solved
-  int starts = 0;          // motions of its own from which it began, the initial guess included
-  double work = 0;         // as SearchOptions::work
-  bool complete = false;   // it has ended by its own rule: no limit has kept it from anything
+  int sequences = 0;       // number of sequences along which it solved
+  int starts = 0;          // number of motions from which it started, with the initial guess
+  double work = 0;         // counted as SearchOptions::work
+  bool complete = false;   // whether the search ended by its own rule, and no limit restricted it
   double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts
-  // The result of a branch and bound over all controls, if one was run: the loss less the bound, and the boxes.
+  // The result of branch and bound over all controls, if it was run: the loss less the bound, and the number of boxes.
   struct Proof {
     double gap = 0;
     std::size_t boxes = 0;
@@ -115,84 +118,84 @@ struct Searched {
   std::optional<Proof> proof;
 };
 
-// The iterate of least loss, of a solver that returns another.
+// The iterate with the lowest loss, of a solver that returns its last iterate.
 struct BestIterate {
   double loss = 0;
-  int iteration = 0;                  // after how many it was met
-  std::vector<double> initial_state;  // B x 4; this and the control are left out if it is the one that is returned
+  int iteration = 0;                  // its number
+  std::vector<double> initial_state;  // B x 4; this and the rest are empty if the last iterate is the best
   std::vector<double> control;        // K x C x 2
-  std::vector<double> durations;      // as of SolveReport
-  std::vector<double> parameters;     // as of SolveReport
+  std::vector<double> durations;      // SolveReport::durations
+  std::vector<double> parameters;     // SolveReport::parameters
 };
 
-// kConverged: by the solver's own measure, on the loss under the contact model; if that is exact and the conditions of
-// the certificate apply, they hold as well, and it is no saddle.
+// The result of a solver. kConverged refers to the loss under the contact model and to the solver's own measure; under
+// the exact model, if a certificate applies, its conditions hold too, and the solution is no saddle.
 //
-// Losses are sums of squares without Ceres' half. Of a kNotApplicable run only names and reason are filled; a kFailed
-// one may have no losses, if the initial guess already has none.
+// Losses are sums of squares without the half of Ceres. A kNotApplicable run has names and reason only; a kFailed run
+// may have no losses, if the initial guess has none.
 struct SolveReport {
   std::string contact;
   std::string solver;
-  std::optional<Surrogate> surrogate;  // the run is biased: its direction was this, not the derivative of its loss
+  std::optional<Surrogate> surrogate;  // if set, the run is biased: the surrogate replaced the derivative of the loss
   Termination termination = Termination::kFailed;
-  std::string reason;  // for kFailed and kNotApplicable; otherwise may hold a remark
+  std::string reason;  // the reason of kFailed and kNotApplicable; otherwise a remark, if there is one
   double initial_loss = 0;
   double final_loss = 0;  // at `initial_state` and `control`, under the contact model
-  // The violation of the constraints at the initial guess and at the solution: the largest miss of a hard term or of a
-  // bound on the control, a multiple of the scene's natural units (units.h), or the violation of a user's
-  // constraint. It is infinite where discs touch that must not. Only solvers that take constraints fill them.
+  // The violation of the constraints at the initial guess and at the solution: the largest of hard terms and bounds on
+  // the control, in natural units of the scene (units.h), and of constraints of the user. It is infinite if discs touch
+  // that must not. Only solvers that support constraints set them.
   double initial_violation = 0, final_violation = 0;
   std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
   std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
   std::optional<BestIterate> best;            // of gradient descent, which returns its last iterate
   int iterations = 0;
-  int evaluations = 0;  // gradients (or Jacobians) computed
+  int evaluations = 0;  // number of computed gradients or Jacobians
   double seconds = 0;
   std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
-  // Step shooting: of each step, the largest component of its defect, a multiple of the scene's natural length or speed
-  // (units.h); one vector each time that defects were looked at, the last one at the solution. The loss is that of a
-  // rollout, whatever they are.
+  // Step shooting: the largest component of the defect of each step, in natural units of the scene (units.h); one
+  // vector each time that defects were computed, the last one at the solution. The loss is that of a rollout, with any
+  // defects.
   std::vector<std::vector<double>> defects;
-  std::vector<double> initial_state;       // B x 4
-  std::vector<double> control;             // K x C x 2
-  std::vector<double> durations;           // of the K control intervals, s; none if they are equal
-  std::vector<double> parameters;          // of a hybrid system; or the values of Scene::design
-  double integration_error = 0;            // of a hybrid system: relative, of final state and event times
-  std::optional<Certificate> certificate;  // of solvers that certify themselves, and of what has converged exactly
-  std::optional<Certificate> continuous;   // of hmp: the conditions in continuous time, at the optimum there
-  std::vector<LocalOptimum> optima;        // of mode_search: all it found, best first
-  std::optional<Searched> searched;        // of mode_search
+  std::vector<double> initial_state;  // B x 4
+  std::vector<double> control;        // K x C x 2
+  std::vector<double> durations;      // of the K control intervals, s; none if they are equal
+  std::vector<double> parameters;     // of a hybrid system; or the values of Scene::design
+  double integration_error = 0;       // of a hybrid system: relative error of final state and event times
+  std::optional<Certificate>
+      certificate;                        // of solvers with a certificate, and of runs that converged in exact dynamics
+  std::optional<Certificate> continuous;  // of hmp: the conditions in continuous time, at the optimum there
+  std::vector<LocalOptimum> optima;       // of mode_search: all optima, best first
+  std::optional<Searched> searched;       // of mode_search
 };
 
-inline constexpr double kFeasible = 1e-8;  // the largest violation of a motion that meets the constraints
+inline constexpr double kFeasible = 1e-8;  // the largest violation of a feasible motion
 
-// Whether a run ends worse than it began by more than rounding. Violations of constraints are compared first, and
-// losses where both motions meet the constraints: the loss of a guess that does not meet them says nothing.
+// Whether a run ends worse than it began by more than rounding: by the violation of constraints or, if both motions are
+// feasible, by the loss.
 bool EndsWorse(const SolveReport& report);
 
 struct SolverEntry {
   std::string_view name;     // the value of --solver
   std::string_view summary;  // one line
-  // Why it cannot take a request (not counting the contact model's own reasons); empty if it can.
+  // Returns why it does not support a request (apart from reasons of the contact model); empty if it does.
   std::string (*why_not)(const SolveRequest&);
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
-  bool exact_only = false;       // takes the event-driven contact model and no other
-  bool takes_surrogate = false;  // needs no more of a gradient than a direction
-  bool any_units = false;        // has no thresholds; the others work in the natural units of the scene (units.h)
-  bool constraints = false;      // takes what BeyondTerminalCost() names; why_not says which of it not
-  bool own_terms = false;        // takes SolveRequest::terms
-  bool design = false;           // takes Scene::design
-  // Finds optima in exact dynamics whose impacts are on boundaries of control intervals, if on any: Scene::design is
-  // then changed by a descent around it.
+  bool exact_only = false;       // supports the event-driven contact model only
+  bool takes_surrogate = false;  // uses the gradient as a direction only
+  bool any_units = false;        // has no thresholds; the others compute in the natural units of the scene (units.h)
+  bool constraints = false;      // supports what BeyondTerminalCost() names, with exceptions by why_not
+  bool own_terms = false;        // supports SolveRequest::terms
+  bool design = false;           // supports Scene::design
+  // Whether it finds optima in exact dynamics with impacts at boundaries of control intervals: a descent around it then
+  // changes Scene::design.
   bool given_design = false;
 };
 
 const std::vector<SolverEntry>& AllSolvers();
 const SolverEntry* FindSolver(std::string_view name);
 
-// Runs the solver of that name, after asking the model and the solver whether they can, and with the surrogate, if one
-// is given: if not, the report is kNotApplicable with the reason. So it is for unknown names, and where the scene, the
-// surrogate or an option is wrong.
+// Runs the solver of that name. The report is kNotApplicable with the reason if the model or the solver does not
+// support the request or the surrogate, if the name is unknown, or if the scene, the surrogate or an option is wrong.
 SolveReport Solve(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

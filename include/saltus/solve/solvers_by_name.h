@@ -1,4 +1,4 @@
-// Solvers that run only where they are named.
+// Solvers that run only if they are named.
 #pragma once
 
 #include <vector>
@@ -7,8 +7,7 @@
 
 namespace saltus {
 
-// Solvers that take long: `all` leaves them out, and AllSolvers() does not list them. FindSolver() and Solve() have
-// them.
+// Returns the solvers that take long. `all` and AllSolvers() leave them out; FindSolver() and Solve() have them.
 const std::vector<SolverEntry>& SolversByName();
 
 }  // namespace saltus

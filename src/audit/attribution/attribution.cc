@@ -128,7 +128,7 @@ class Attributor {
     model_->GetState(k, x);
     return x;
   }
-  // Returns a state without rotation that only the model knows.
+  // Returns a state without rotation that only the model has.
   std::vector<double> PlainStateAt(int k) const {
     std::vector<double> x = StateAt(k);
     if (model_->body_size() == size_) return x;

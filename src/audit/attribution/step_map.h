@@ -32,7 +32,7 @@ inline bool IsRate(Eigen::Index j) { return j == 2 || j == 3 || j == 5; }
 Eigen::VectorXd StateScales(const Scene& scene, const std::vector<int>& bodies, double time);
 
 // Runs `steps` steps from state `begin` under force(0), force(1), ..., and composes their linearization over `bodies`,
-// unless that is null. A rotation that only the model knows takes part, but is not in A.
+// unless that is null. A rotation that only the model has takes part, but is not in A.
 StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, const ForceOfStep& force, int steps,
                  const std::vector<int>* bodies);
 

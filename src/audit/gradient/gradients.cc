@@ -16,12 +16,7 @@ namespace {
 
 // Returns the reason why there is no gradient. Bounds and pairs that must not touch do not change the loss.
 std::string WhyNotGradient(const Scene& scene) {
-  Scene unbounded = scene;
-  unbounded.control.max.clear();
-  unbounded.control.max_norm.clear();
-  unbounded.control.max_torque.clear();
-  unbounded.no_contact.clear();
-  const std::string found = BeyondTerminalCost(unbounded);
+  const std::string found = BeyondTerminalLoss(scene.objective);
   return found.empty() ? "" : "the scene has " + found + ", of which there is no gradient by shooting";
 }
 

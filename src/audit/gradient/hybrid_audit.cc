@@ -599,7 +599,8 @@ std::string HybridAudit::Why() const {
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
   if (first_wrong < 0) {
     if (widths) return widths->Summary();
-    return verdict == Verdict::kUnknown ? "the error falls, but not yet below one percent" : "no single event is wrong";
+    return verdict == Verdict::kUnknown ? "the error falls, but not yet below one percent: begin with more steps"
+                                        : "no single event is wrong";
   }
   const SegmentError& first = segments[first_wrong];
   return "the first wrong step is " + std::to_string(first.step) + ", with the event of guard '" + first.guard +

@@ -134,7 +134,7 @@ class EventChanges {
     Report(c, ContactMode::kPocketed, at.time, ContactKind::kSustained);
   }
 
-  // Applies the impulse of an impact. `pressed`: the two are accelerated into each other and touch nothing else.
+  // Applies the impulse of an impact. `pressed`: the accelerations close the contact, and the two touch nothing else.
   void Impact(int q, const Instant<T>& at, bool pressed) {
     const Candidate& c = motion_.CandidateOf(q);
     ReleaseBoth(c, at);
@@ -182,8 +182,8 @@ class EventChanges {
     }
   }
 
-  // Applies the impulse of one impact. If a pressed pair would separate slowly, all its further bounces are applied at
-  // once: beyond the impulse of a resting contact, friction included, they sum up to a plastic impact.
+  // Applies the impulse of one impact. If a pair with closing accelerations would separate slowly, its further bounces
+  // are applied too: beyond the impulse of a resting contact, friction included, they sum up to a plastic impact.
   SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = motion_.LastSeparation(c);
     const Vec2<T> w = motion_.LastRelativeVelocity(c);

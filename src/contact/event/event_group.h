@@ -227,7 +227,7 @@ class EventGroup {
     push_and_turn();
   }
 
-  // Lets all discs of the group move for `length` s from the instant as their contact forces say, which turn with the
+  // Lets all discs of the group move for `length` s from the instant under their contact forces, which rotate with the
   // normals: by one Runge-Kutta step of order 8 (saltus/internal/runge_kutta_step.h). In between, the position is the
   // polynomial of degree 5 with the positions, velocities and accelerations of both ends. Positions and velocities are
   // computed as differences from a motion of constant acceleration, so that short sub-steps lose no digits.

@@ -22,7 +22,7 @@
 
 namespace saltus::internal {
 
-// `Law` says which restitution and friction an impact has; resting contacts have those of `in`.
+// `Law` gives the restitution and friction of an impact; resting contacts have those of `in`.
 template <typename T, int kRotation, typename Law>
 class EventStep {
  public:

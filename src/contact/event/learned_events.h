@@ -29,7 +29,7 @@ struct LearnedEvents {
                                           .event_driven = true,
                                           .rebound = Rebound::kEmergent,
                                           .sequential = true,
-                                          // Planes are where their event functions say.
+                                          // Planes are at the zeros of their event functions.
                                           .push_gap = std::numeric_limits<double>::infinity()};
   static constexpr int kRotation = 0;
   static constexpr int kLooks = 8;         // at an event function, in a step

@@ -92,7 +92,7 @@ struct Contact {
   T depth;
 };
 
-// The contact of a candidate when the discs are where `position(i)` says. It touches iff depth > 0.
+// Returns the contact of a candidate for discs at `position(i)`. It touches iff depth > 0.
 template <typename T, typename PositionOf>
 Contact<T> ContactAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   using S = Base<T>;

@@ -9,7 +9,7 @@
 // from forces of zero; the limit is that of primal_descent. With gauss_seidel=1 z follows every contact at once. With
 // incremental=1 only what changes of l and s is added, along n and t of its own iteration: with discs that meet
 // obliquely that is another limit than r = 0, so the last iterate is the result, whatever implicit is. With stiff
-// springs in a crowd alpha 1 may diverge; 1 over the contacts of a disc is safe.
+// springs among many contacts alpha 1 may diverge; 1 over the contacts of a disc is safe.
 //
 // With implicit=0 the last iterate is the result and derivatives pass through the iterations, as published. Momentum is
 // conserved.

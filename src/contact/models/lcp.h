@@ -15,8 +15,8 @@
 // Step<Jet> differentiates this exactly within fixed classes of rows (separating, clamping, at a bound of friction):
 // values come from the solver, derivatives from one Newton correction. Linearize is what the source publishes: the same
 // for v', but dp'/dp = X and dp'/dv = h X, where the bounce matrix X is the one closest to the identity with a^T X a =
-// -e for every bouncing contact. X is I without a bounce; it knows neither masses nor friction. Without friction
-// momentum and restitution hold exactly for a single contact that bounces.
+// -e for every bouncing contact. X is I without a bounce; it depends neither on masses nor on friction. Without
+// friction momentum and restitution hold exactly for a single contact that bounces.
 //
 // Discs that spin: rows, Lambda and M have their angular velocities, tangents the arms of the points of contact. X is
 // that of the normals, so it knows no spin.

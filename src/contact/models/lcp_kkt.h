@@ -237,7 +237,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
       rest -= length;
     }
     if (!(rest > 0)) return;
-    in.Fail("the step is not at its end after the most substeps");
+    in.Fail("the step does not reach its end within the most substeps: use more `steps`");
     for (const int disc : members.discs) x[disc].v = Vec2<T>::Constant(T(std::numeric_limits<double>::quiet_NaN()));
   }
 

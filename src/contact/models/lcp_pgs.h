@@ -10,7 +10,7 @@
 //
 // Both variants have the derivative of exactly this iteration, converged or not; it tends to that of the exact problem
 // with the rate of Gauss-Seidel. The reverse sweep keeps one number a row and sweep, and no tape. With erp > 0 bodies
-// leave faster than restitution says, and the gradient grows like erp / h; with erp = 0 overlaps are not corrected.
+// leave faster than by the restitution, and the gradient grows like erp / h; with erp = 0 overlaps are not corrected.
 // Not differentiable where a contact appears and where a row's clamp begins to act. Momentum is conserved.
 #pragma once
 

@@ -7,9 +7,9 @@
 //   gap(q') = s,  p_n s = kappa,  p_n, s > 0
 //   (mu p_n + p_t) (b + w_t) = kappa,  (mu p_n - p_t) (b - w_t) = kappa,  all factors > 0         w = relative velocity
 //
-// The second line says that nothing overlaps at the end of the step; the third is the planar friction cone with maximal
-// dissipation. kappa, N s m and N s m/s, relaxes both: the force acts at a distance, p_n = kappa / gap, and the contact
-// rebounds with about 3.55 sqrt(kappa / h). Restitution is not read: impacts are plastic.
+// The second line requires that nothing overlaps at the end of the step; the third is the planar friction cone with
+// maximal dissipation. kappa, N s m and N s m/s, relaxes both: the force acts at a distance, p_n = kappa / gap, and the
+// contact rebounds with about 3.55 sqrt(kappa / h). Restitution is not read: impacts are plastic.
 //
 // With kRestitution, contacts whose gap would be closed after a free step obey Newton's law instead of the second line,
 //   s = n . w(v') + e n . w(v), n at q, and open ones carry no impulse: impacts have the scene's restitution.

@@ -78,7 +78,8 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
       group.Report([&](int row) { return solution.classes[row]; });
       std::pmr::vector<T> impulse = ImpulsesInClasses(in, group, c, solution.x, solution.classes);
       if (!solution.converged) {
-        in.Fail("the programs for normal and friction impulses do not come to agree");
+        in.Fail(
+            "the programs for normal and friction impulses do not come to agree within `passes`: raise this option");
         impulse[0] = T(std::numeric_limits<double>::quiet_NaN());
       }
       group.Push(impulse, [&](int i, const Twist<T, kTurn>& change) { Kick(change, in.h, &next[i]); });

@@ -326,7 +326,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     }
   }
 
-  // Returns |r(z)| and marks the contacts whose springs are pressed at z.
+  // Returns |r(z)| and marks the contacts whose springs have a force at z.
   static double Mark(const Problem<double>& problem, std::span<const double> z, std::span<char> touched) {
     for (std::size_t c = 0; c < touched.size(); ++c) {
       if (problem.Locate(z, problem.contacts[c]).pressed) touched[c] = 1;

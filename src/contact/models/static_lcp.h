@@ -198,7 +198,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
 
   template <typename T>
   static std::vector<double> NoResult(const StepInput<T>& in, std::span<const State<T>> x, std::vector<double> found) {
-    in.Fail("contacts that stick do not settle");
+    in.Fail("the set of active contacts does not converge within `rounds`: raise this option");
     if (std::count(found.begin(), found.end(), 0.0) == std::ptrdiff_t(found.size())) found[0] = 1;
     const Rows<T> rows(in, x, found);
     found.resize(found.size() + rows.size(), std::numeric_limits<double>::quiet_NaN());

@@ -816,7 +816,7 @@ std::vector<ClosedContact> MechanicalHybrid::Stopped(const Mode& mode, const Gua
   return stopped;
 }
 
-// The status of all contacts after an event; empty if there is none, and then `why` says why.
+// The status of all contacts after an event; empty if there is none, and then `why` is the reason.
 std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
                                          std::string* why) const {
   std::string next = mode.status;
@@ -844,7 +844,7 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
 }
 
 // The status after a force has reached its limit. Where forces are unique the contact opens or slides; where they are
-// not, several reach their limits at once, and the problem of accelerations shortly after says which contacts do.
+// not, several reach their limits at once, and the problem of accelerations shortly after determines which contacts do.
 std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at,
                                               std::string* why) const {
   const int n = equations_.n();

@@ -114,7 +114,7 @@ class MechanicalHybrid final : public HybridFunctions {
   };
   std::vector<ContactSolution> SolveAccelerations(const Closing& closing, const Point& at) const;
   // The status of all contacts after `before`, of which those in `closing` close or open; empty if there is none or
-  // several, and then `why` says why.
+  // several, and then `why` is the reason.
   std::string Close(const std::string& before, const Closing& closing, const Point& at, std::string* why) const;
   // The contacts at x that have a gap of zero and neither approach nor part. `why`: of a contact that penetrates.
   Closing Touching(const Point& at, std::string* why) const;

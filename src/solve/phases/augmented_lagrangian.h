@@ -1,4 +1,4 @@
-// Constrained nonlinear least squares on Ceres, which knows no constraints:
+// Constrained nonlinear least squares on Ceres, which does not support constraints:
 //
 //   minimize sum |f(x)|^2 + sum v(x)   subject to   c(x) = 0,  d(x) <= 0
 //

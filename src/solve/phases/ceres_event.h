@@ -23,7 +23,7 @@ namespace saltus {
 // empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 
-// One solve along a plan by closed arcs, which know impacts apart from each other and no inequalities; the
+// One solve along a plan by closed arcs, which support impacts at different times and no inequalities; the
 // transcription takes the others. Precondition: as above, of the scene of `run`.
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on);
 

@@ -541,11 +541,7 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 }
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
-  const HybridFree& free = problem.free;
-  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
-    return "the problem leaves nothing to optimize";
-  }
-  return "";
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 SolveReport MendHybrid(HybridPhaseRun* run) {

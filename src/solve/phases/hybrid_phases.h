@@ -56,7 +56,7 @@ class HybridPhaseRun final : public SequenceRun {
   const HybridScales& scales() const { return scales_; }
   int num_steps() const { return problem_.guess.num_intervals; }
   int control_width() const { return problem_.system.num_controls(); }
-  // Returns a report if there is nothing to start from, which says why; otherwise std::nullopt.
+  // Returns a report if there is nothing to start from, with the reason; otherwise std::nullopt.
   std::optional<SolveReport> WhyNotStart();
 
   // Returns the input on which the motion depends.

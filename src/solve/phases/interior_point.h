@@ -20,7 +20,7 @@
 
 namespace saltus {
 
-// Whether this library was built with IPOPT. The second says how to get it, and is empty if it was.
+// Whether this library was built with IPOPT. The second returns how to get it; empty if it was.
 bool HasInteriorPoint();
 std::string WhyNoInteriorPoint();
 

@@ -118,9 +118,9 @@ std::optional<SolveReport> PhaseRun::WhyNoMotion() {
 std::optional<SolveReport> PhaseRun::WhyNotStart() {
   if (auto refused = WhyNoMotion()) return refused;
   if (!guess_.exact.only_impacts) {
-    return Refuse(
-        Termination::kNotApplicable,
-        "in the motion of the guess discs rest on or graze each other or a plane; this solver supports impacts only");
+    return Refuse(Termination::kNotApplicable,
+                  "in the motion of the guess discs rest on or graze each other or a plane; this solver supports "
+                  "impacts only: use ceres_lm, ceres_lbfgs or gd");
   }
   return std::nullopt;
 }

@@ -58,7 +58,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   const std::optional<ContactSequence>& given_sequence() const { return options_.sequence; }
   int num_steps() const { return scene_.steps; }
   int control_width() const { return scene_.control_width(); }
-  // Return a report if there is nothing to start from, which says why; otherwise std::nullopt. The second also refuses
+  // Return a report if there is nothing to start from, with the reason; otherwise std::nullopt. The second also refuses
   // a motion with other contacts than impacts, the third an empty sequence too.
   std::optional<SolveReport> WhyNoMotion();
   std::optional<SolveReport> WhyNotStart();

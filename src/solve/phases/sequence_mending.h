@@ -22,7 +22,7 @@
 // with their events; if the loss falls as an event leaves the end of its interval, solves go on with the intervals as
 // they are, and the event within one.
 //
-// It knows nothing of discs, modes or guards: see phase_plan.h for what it asks of a problem.
+// It does not depend on discs, modes or guards: see phase_plan.h for what it asks of a problem.
 #pragma once
 
 #include <algorithm>
@@ -322,7 +322,7 @@ class SequenceUpdate {
     for (Task& move : *moves) MakeRise(&move.start.times, DurationOf(move.start.trial));
   }
 
-  // Between two regimes the loss has a kink, which a solve that does not know of it never leaves.
+  // Between two regimes the loss has a kink, which a solve without regard to it never leaves.
   void SplitRegimes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
                     std::vector<Task>* moves) const {
     if (attempt.converged || !attempt.realized) return;

@@ -99,13 +99,9 @@ class HybridRun final : public ShootingRun {
 
 std::string WhyNotShot(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
-    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers";
+    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers: use ceres_phases or ipopt";
   }
-  const HybridFree& free = problem.free;
-  if (!free.control && free.initial.empty() && free.parameters.empty() && !free.duration) {
-    return "the problem leaves nothing to optimize";
-  }
-  return "";
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 bool IsBounded(const HybridFree& free) {
@@ -118,7 +114,8 @@ bool IsBounded(const HybridFree& free) {
 }
 
 std::string WhyNotLbfgs(const HybridProblem& problem) {
-  if (IsBounded(problem.free)) return "the problem has bounds, which its steps would leave";
+  if (IsBounded(problem.free))
+    return "the problem has bounds, which its steps would leave: use ceres_lm, ceres_phases or ipopt";
   return WhyNotShot(problem);
 }
 
@@ -250,7 +247,7 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input
   return found;
 }
 
-// Takes back what a certificate says of derivatives where squares are zero: they are small beside terms that are
+// Removes the verdict of a certificate on derivatives where squares are zero: they are small beside terms that are
 // rounding.
 void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
   const bool squares =
@@ -291,9 +288,7 @@ bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
 // ---------------------------------------------------------------------------------------------------------------- auto
 
 std::string WhyNotAny(const HybridProblem& problem) {
-  const HybridFree& free = problem.free;
-  const bool none = !free.control && free.initial.empty() && free.parameters.empty() && !free.duration;
-  return none ? "the problem leaves nothing to optimize" : "";
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 // Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
@@ -375,7 +370,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   const auto entry = std::find_if(
       HybridSolvers().begin(), HybridSolvers().end(), [&](const HybridSolverEntry& e) { return e.name == solver; });
   if (entry == HybridSolvers().end()) {
-    report.reason = "found '" + std::string(solver) + "', expected a solver of hybrid systems:";
+    report.reason = "solver: found '" + std::string(solver) + "', expected a solver of hybrid systems:";
     for (const HybridSolverEntry& known : HybridSolvers()) report.reason += " " + std::string(known.name);
     return report;
   }

@@ -28,10 +28,10 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
 // of weight 1 / dt at first: defects per time, in the mean over time.
 //
 // Without contact this converges. Through a collision it should not be trusted: with its defects open a trajectory need
-// not collide as the forces would have it. The Jacobian of a defect knows nothing of a collision in the step before or
-// after, so that a defect which carries a disc past a collision, or hits it without one, is never corrected through the
-// forces. Runs end at false minima, or with defects open. Losses in the report are therefore those of rollouts of the
-// forces, at every iterate.
+// not collide as the forces would have it. The Jacobian of a defect does not depend on a collision in the step before
+// or after, so that a defect which carries a disc past a collision, or hits it without one, is never corrected through
+// the forces. Runs end at false minima, or with defects open. Losses in the report are therefore those of rollouts of
+// the forces, at every iterate.
 //
 // kConverged means: every defect is below 1e-9, and the gradient of the rollout's loss has vanished. Precondition: the
 // objective is a sum of squares.
