@@ -33,16 +33,6 @@ std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std
 
 }  // namespace
 
-SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options) {
-  SolvedRun run;
-  run.report = Solve(solver, request, options);
-  const SolveReport& report = run.report;
-  if (!report.losses.empty()) {
-    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
-  }
-  return run;
-}
-
 const SolvedRun* Experiment::Find(const std::string& solver) const {
   for (const SolvedRun& run : runs) {
     if (run.report.solver == solver) return &run;

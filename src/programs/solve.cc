@@ -124,15 +124,8 @@ SolvedRuns SolveAll(const Request& request) {
           SolvedRun run = solver == kNoSolver
                               ? SimulateOnly(request, contact)
                               : SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
-          if (!request.feedback || !run.HasSolution()) return run;
-          keep(run);
-          const SolveReport& report = run.report;
-          run.feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
-                                       report.initial_state,
-                                       report.control,
-                                       report.durations,
-                                       *request.feedback,
-                                       tasks.size() == 1 ? request.threads : 1);
+          if (request.feedback) keep(run);
+          AddFeedback(request, options.threads, &run);
           return run;
         } catch (const std::bad_alloc&) {
           HoldMemoryBackAgain();

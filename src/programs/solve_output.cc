@@ -796,6 +796,27 @@ SolvedRun SolveAndCheck(const Scene& given, const std::string& solver, const Con
   return run;
 }
 
+SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options) {
+  SolvedRun run;
+  run.report = Solve(solver, request, options);
+  const SolveReport& report = run.report;
+  if (report.losses.empty()) return run;
+  const Scene scene = WithDesign(request.scene, report.parameters);
+  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  return run;
+}
+
+void AddFeedback(const Request& request, int threads, SolvedRun* run) {
+  if (!request.feedback || !run->HasSolution()) return;
+  const SolveReport& report = run->report;
+  run->feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
+                                report.initial_state,
+                                report.control,
+                                report.durations,
+                                *request.feedback,
+                                threads);
+}
+
 SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
   const Scene& scene = request.scene;
   SolvedRun run;
