@@ -93,10 +93,6 @@ void Page::AddFigure(const Figure& figure, const std::string& caption) {
   Add("figure", {{"figure", FigureToJson(figure)}, {"caption", caption}});
 }
 
-void Page::AddReplay(const Replay& replay, const std::string& caption) {
-  Add("replay", {{"replay", ReplayToJson(replay)}, {"caption", caption}});
-}
-
 void Page::SetResults(const Json& results) { document_["results"] = Thinned(results); }
 
 void Page::AddStyle(const std::string& label, const std::string& colour, Dash dash) {

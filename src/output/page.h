@@ -7,12 +7,12 @@
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "base/status.h"
 #include "base/table.h"
 #include "output/figure.h"
-#include "output/replay.h"
 
 namespace saltus {
 
@@ -55,7 +55,10 @@ class Page {
     if (!table.rows().empty()) AddTable(table, caption);
   }
   void AddFigure(const Figure& figure, const std::string& caption);
-  void AddReplay(const Replay& replay, const std::string& caption);
+  // Adds a replay, whose data ReplayToJson() in programs/scene_drawing.h returns.
+  void AddReplay(nlohmann::ordered_json replay, const std::string& caption) {
+    Add("replay", {{"replay", std::move(replay)}, {"caption", caption}});
+  }
   // Adds a figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Omitted if it has no data.
   void AddPlot(const std::string& plot, const std::string& caption) {
     Add("plot", {{"plot", plot}, {"caption", caption}});

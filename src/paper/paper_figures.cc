@@ -206,11 +206,11 @@ std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
 
 Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   const Scene& scene = experiments.scene(problem);
-  Replay replay = ReplayOf(scene);
+  Replay replay{scene};
   const MotionOptions options = ReplayOptions(scene, experiments.all().size());
   const auto add =
       [&](const Motion& motion, const MotionInput& input, const std::string& label, const std::string& style) {
-        if (!motion.times.empty()) replay.motions.push_back(ToReplayMotion(scene, motion, input, label, style));
+        if (!motion.times.empty()) replay.motions.emplace_back(motion, input, label, style);
       };
   for (const Experiment& experiment : experiments.all()) {
     const Scene& own = experiment.scene;

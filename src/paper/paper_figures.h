@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "output/figure.h"
-#include "output/replay.h"
 #include "paper/experiments.h"
+#include "programs/scene_drawing.h"
 
 namespace saltus {
 

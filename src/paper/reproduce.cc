@@ -47,7 +47,7 @@ void AddPublishedTable(const std::vector<PublishedRow>& rows, const std::string&
 
 void AddTask(const Experiments& experiments, const std::string& problem, Page* page) {
   const bool optimised = experiments.scene(problem).optimize != Optimize::kNone;
-  page->AddReplay(TaskReplay(experiments, problem),
+  page->AddReplay(ReplayToJson(TaskReplay(experiments, problem)),
                   optimised ? "The motions after gradient descent, each simulated with its contact model. Under exact "
                               "dynamics the same control or velocity may give another motion."
                             : "The motion under each contact model.");

@@ -589,11 +589,11 @@ std::vector<Tile> TilesOf(const AuditReport& audit) {
 void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
   const Scene& scene = request.scene;
   const MotionInput start = StartOf(scene);
-  Replay replay = ReplayOf(scene);
+  Replay replay{scene};
   const MotionOptions options = ReplayOptions(scene, std::min(audit.models.size() + 1, kMostModelMotions));
-  const auto add = [&](const Motion& motion, const std::string& label, const std::string& style) {
+  const auto add = [&](Motion motion, const std::string& label, const std::string& style) {
     if (motion.times.empty() || replay.motions.size() == kMostModelMotions) return;
-    replay.motions.push_back(ToReplayMotion(scene, motion, start, label, style));
+    replay.motions.emplace_back(std::move(motion), start, label, style);
     replay.motions.back().shown = replay.motions.size() <= kShownMotions;
   };
   add(SimulateExactMotion(scene, start, options), "exact dynamics", "analytic");
@@ -607,7 +607,7 @@ void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Motions");
-  page->AddReplay(replay,
+  page->AddReplay(ReplayToJson(replay),
                   "The motion from the initial guess under each contact model. A correct motion does not imply a "
                   "correct gradient.");
 }

@@ -5,11 +5,11 @@
 #include <string>
 #include <vector>
 
-#include "output/replay.h"
+#include "programs/scene_drawing.h"
 
 namespace saltus {
 
-// The motions of a file. Colours and dashes are not set.
+// The motions of a file, whose colours and dashes are not set.
 struct ReplayFile {
   Replay drawn;
   std::vector<std::string> models;  // of each motion, the contact model that it is of; may be empty
@@ -29,7 +29,7 @@ struct ReplayFile {
 // and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
 // such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
 // them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B). Throws InputError with the key.
-// `drawn` stands in for what the file says of bodies.
-ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn);
+// `scene` stands in for what the file says of bodies.
+ReplayFile ReadReplayFile(const std::string& path, const std::optional<Scene>& scene);
 
 }  // namespace saltus

@@ -1,11 +1,16 @@
-// Scenes and their motions as figures and replays.
+// Scenes as figures, and motions of discs that a reader can play in a page.
+//
+// The data of a replay are JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
+// velocities and forces 1e-6 of the largest, of angles 1e-5 rad); each column is written as its second differences,
+// which free flight makes 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where
+// discs fly, at most 4 or so where they do not. Times are written in full.
 #pragma once
 
 #include <string>
 #include <vector>
 
 #include "output/figure.h"
-#include "output/replay.h"
+#include "programs/json_output.h"
 #include "programs/motion.h"
 #include "saltus/scene/scene.h"
 
@@ -14,23 +19,40 @@ namespace saltus {
 // Draws discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);
 
+// The covariance of positions about a motion.
+struct ReplaySpread {
+  std::string label;                // "closed loop"
+  std::vector<double> times;        // s, rising
+  std::vector<double> covariances;  // times.size() x discs x 3: of x, of x and y, of y, m^2
+};
+
+struct ReplayMotion {
+  // Takes the remark from the motion, and the style from its name (palette.h).
+  ReplayMotion(Motion drawn, MotionInput from, std::string name, std::string_view style_of_model);
+
+  Motion motion;      // with one state at least
+  MotionInput input;  // what it was simulated from: its control, which may be empty, is drawn too
+  std::string label;
+  std::string remark;  // may be empty
+  bool shown = true;   // at first; the reader may change it
+  std::string colour;
+  Dash dash = Dash::kSolid;
+  std::vector<ReplaySpread> spreads = {};
+};
+
+// The discs, walls and targets of a scene, and motions of these discs.
+struct Replay {
+  Scene scene;
+  std::vector<ReplayMotion> motions = {};
+};
+
 // The most numbers of states that fit into a page: about 3 MB.
 inline constexpr std::size_t kMostReplayNumbers = std::size_t{1} << 21;
-
-// The scene's walls, their parts in the order of WallPartsOf(). Precondition: ValidateStructure(scene) finds nothing.
-void AddWalls(const Scene& scene, Replay* replay);
-
-// The discs, walls and targets of a scene, without motions.
-Replay ReplayOf(const Scene& scene);
 
 // Returns how many nodes each of `motions` motions may have in a page.
 MotionOptions ReplayOptions(const Scene& scene, std::size_t motions);
 
-// Splits rows (control_rows.h) into forces and torques.
-void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMotion* motion);
-
-// `input` is what the motion was simulated from: its control is drawn too. Precondition: the motion has states.
-ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const MotionInput& input,
-                            const std::string& label, std::string_view style_of_model);
+// Preconditions: ValidateStructure(replay.scene) finds nothing; at least one disc and one motion.
+Json ReplayToJson(const Replay& replay);
 
 }  // namespace saltus

@@ -508,19 +508,18 @@ RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>
 void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
                   Page* page) {
   const Scene scene = runs.empty() ? request.scene : WithDesign(request.scene, runs[0]->report.parameters);
-  Replay replay = ReplayOf(scene);
+  Replay replay{scene};
   const auto add = [&](size_t i, const Motion& motion, bool exact) {
     if (motion.times.empty()) return;
     const SolveReport& run = runs[i]->report;
     const RunStyle style = StyleOfRun(request, run);
-    ReplayMotion drawn = ToReplayMotion(
-        scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+    const std::string label = LabelOfRun(run) + (exact ? ", in exact dynamics" : "");
+    ReplayMotion& drawn = replay.motions.emplace_back(motion, InputOf(run), label, run.contact);
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
     if (runs[i]->feedback && (exact || IsExact(run.contact)))
       drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
-    replay.motions.push_back(std::move(drawn));
   };
   for (size_t i = 0; i < motions.own.size(); ++i) {
     add(i, motions.own[i], false);
@@ -528,7 +527,7 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Replay");
-  page->AddReplay(replay,
+  page->AddReplay(ReplayToJson(replay),
                   "The motions" + std::string(runs.size() > motions.own.size() ? " of lowest exact loss" : "") +
                       ". Forces are green, impulses red. The space bar plays and pauses; arrow keys step, with shift "
                       "from impact to impact.");
