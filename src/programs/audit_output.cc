@@ -43,10 +43,6 @@ namespace {
 
 constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
 
-// Reserves room for all keys that an object will have. One that has to grow copies its contents, as its keys are
-// constant: for a long horizon, gradients of millions of numbers.
-void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
-
 // After an interrupt a long derivative by the control is left out: its text takes a second for each million steps.
 Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
   if (gradient.control.size() <= kMostAfterInterrupt || !InterruptGuard::Interrupted()) {
@@ -149,7 +145,7 @@ void AddBlackBox(const BlackBoxFindings& found, Json* item) {
 
 Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
-  MakeRoom(&item);
+  Reserve(64, &item);
   if (audit.black_box) AddBlackBox(*audit.black_box, &item);
   AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
@@ -226,11 +222,11 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
   Json document = {{"scene", request.scene.name},
                    {"steps", request.scene.steps},
                    {"precision", request.precision == Precision::kFloat ? "float" : "double"}};
-  MakeRoom(&document);
+  Reserve(64, &document);
   if (report.reference) {
     Json& reference =
         document["reference"] = {{"contact", report.reference->contact}, {"loss", report.reference->loss}};
-    MakeRoom(&reference);
+    Reserve(64, &reference);
     reference["gradient"] = DerivativesToJson(request.scene, report.reference->gradient);
     reference["events"] = EventsToJson(report.reference->events);
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);

@@ -64,30 +64,29 @@ struct Refusal {
   std::string reason;
 };
 
+// Appends the names of a refusal to those of the first in the list with which it shares all else.
+void Join(std::vector<std::string> Refusal::*names, std::vector<std::string> Refusal::*others, const Refusal& added,
+          std::vector<Refusal>* list) {
+  const auto same = std::ranges::find_if(
+      *list, [&](const Refusal& one) { return one.*others == added.*others && one.reason == added.reason; });
+  if (same == list->end()) {
+    list->push_back(added);
+  } else {
+    ((*same).*names).insert(((*same).*names).end(), (added.*names).begin(), (added.*names).end());
+  }
+}
+
 std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
   std::vector<Refusal> of_contacts, refusals;
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination != Termination::kNotApplicable) continue;
-    const std::string contact = LabelOf(report.contact, report.surrogate);
-    const auto same = std::ranges::find_if(of_contacts, [&](const Refusal& other) {
-      return other.contacts[0] == contact && other.reason == report.reason;
-    });
-    if (same == of_contacts.end()) {
-      of_contacts.push_back({{contact}, {report.solver}, report.reason});
-    } else {
-      same->solvers.push_back(report.solver);
-    }
+    Join(&Refusal::solvers,
+         &Refusal::contacts,
+         {{LabelOf(report.contact, report.surrogate)}, {report.solver}, report.reason},
+         &of_contacts);
   }
-  for (const Refusal& one : of_contacts) {
-    const auto same = std::ranges::find_if(
-        refusals, [&](const Refusal& other) { return other.solvers == one.solvers && other.reason == one.reason; });
-    if (same == refusals.end()) {
-      refusals.push_back(one);
-    } else {
-      same->contacts.push_back(one.contacts[0]);
-    }
-  }
+  for (const Refusal& one : of_contacts) Join(&Refusal::contacts, &Refusal::solvers, one, &refusals);
   return refusals;
 }
 

@@ -322,13 +322,6 @@ void WriteSolution(const Request& request, const SolvedRun& run) {
   throw std::bad_alloc();
 }
 
-// Makes room for so many further keys. An object that grows copies its values, states too, and a copy that is destroyed
-// where memory runs out ends the program.
-void Reserve(size_t keys, Json* object) {
-  auto& items = object->get_ref<Json::object_t&>();
-  items.reserve(items.size() + keys);
-}
-
 // Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
 // "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
 void AddStates(const Request& request, const SolvedRun& run, Json* item) {
@@ -488,47 +481,33 @@ std::vector<ReplaySpread> SpreadsOf(const Scene& scene, const FeedbackStudy& stu
   return spreads;
 }
 
-// The motions that are shown, of the best runs: each under its own model, and the best in exact dynamics.
-struct RunMotions {
-  std::vector<Motion> own;
-  Motion exact;
-};
-
-RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>& runs) {
-  RunMotions motions;
+// Adds the motions of the best runs: each under its own model, and the best in exact dynamics.
+void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, Page* page) {
   const size_t shown = std::min(runs.size(), kMostMotions);
+  if (shown == 0) return;
   const MotionOptions options = ReplayOptions(request.scene, shown + 1);
-  for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
-  if (shown == 0) return motions;
-  const SolveReport& best = runs[0]->report;
-  motions.exact = IsExact(best.contact) ? motions.own[0] : MotionOf(request, best, true, options);
-  return motions;
-}
-
-void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
-                  Page* page) {
-  const Scene scene = runs.empty() ? request.scene : WithDesign(request.scene, runs[0]->report.parameters);
-  Replay replay{scene};
-  const auto add = [&](size_t i, const Motion& motion, bool exact) {
-    if (motion.times.empty()) return;
+  Replay replay{WithDesign(request.scene, runs[0]->report.parameters)};
+  const auto add = [&](size_t i, bool exact) {
     const SolveReport& run = runs[i]->report;
+    Motion motion = MotionOf(request, run, exact, options);
+    if (motion.times.empty()) return;
     const RunStyle style = StyleOfRun(request, run);
     const std::string label = LabelOfRun(run) + (exact ? ", in exact dynamics" : "");
-    ReplayMotion& drawn = replay.motions.emplace_back(motion, InputOf(run), label, run.contact);
+    ReplayMotion& drawn = replay.motions.emplace_back(std::move(motion), InputOf(run), label, run.contact);
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
     if (runs[i]->feedback && (exact || IsExact(run.contact)))
       drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
   };
-  for (size_t i = 0; i < motions.own.size(); ++i) {
-    add(i, motions.own[i], false);
-    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, motions.exact, true);
+  for (size_t i = 0; i < shown; ++i) {
+    add(i, false);
+    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, true);
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Replay");
   page->AddReplay(ReplayToJson(replay),
-                  "The motions" + std::string(runs.size() > motions.own.size() ? " of lowest exact loss" : "") +
+                  "The motions" + std::string(runs.size() > shown ? " of lowest exact loss" : "") +
                       ". Forces are green, impulses red. The space bar plays and pauses; arrow keys step, with shift "
                       "from impact to impact.");
 }
@@ -568,7 +547,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
       page->AddList(warnings);
     }
   }
-  AddRunReplay(request, runs, MotionsOf(request, runs), page);
+  AddRunReplay(request, runs, page);
   if (!studies.empty()) {
     page->AddPlot(
         "spreads",
