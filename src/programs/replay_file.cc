@@ -76,95 +76,59 @@ class ReplayReader : InputReader {
     return found != object.end() && found->is_string() ? found->get<std::string>() : otherwise;
   }
 
-  void AddDisc(const std::string& name, double radius, bool fixed, const std::string& key) {
-    if (!(radius > 0) || !std::isfinite(radius)) Fail(key, "a radius that is positive");
-    scene().bodies.push_back({.name = name, .radius = radius, .fixed = fixed});
+  void Read(const Json& value, const std::string& key, double* number) const { *number = NumberIn(value, key); }
+  void Read(const Json& value, const std::string& key, Vec2d* vector) const { *vector = VectorIn(value, key); }
+  void Read(const Json& value, const std::string& key, std::vector<Vec2d>* vectors) const {
+    for (const Json& item : value) vectors->push_back(VectorIn(item, key));
+  }
+  void Read(const Json& value, const std::string&, bool* is) const { *is = value.is_boolean() && value.get<bool>(); }
+  void Read(const Json& value, const std::string&, std::string* text) const {
+    if (value.is_string()) *text = value.get<std::string>();
+  }
+  void Read(const Json& value, const std::string&, EdgePolygon::Solid* solid) const {
+    if (value == "outside") *solid = EdgePolygon::Solid::kOutside;
   }
 
-  void ReadBodies(const Json& document) {
+  void CheckRadius(const Body& disc, const std::string& key) const {
+    if (!(disc.radius > 0) || !std::isfinite(disc.radius)) Fail(key, "a radius that is positive");
+  }
+
+  // Reads the discs and the walls. Names, and whether a disc is fixed and where a polygon is solid, may be missing.
+  void ReadDrawn(const Json& document) {
     const auto bodies = document.find("bodies");
     if (bodies == document.end() || !bodies->is_array() || bodies->empty()) {
       Fail("bodies", "a list of { \"name\", \"radius\" }, or --scene=FILE");
     }
-    for (size_t i = 0; i < bodies->size(); ++i) {
-      const std::string key = "bodies[" + std::to_string(i) + "]";
-      const Json& body = (*bodies)[i];
-      if (!body.is_object() || !body.contains("radius")) Fail(key, "{ \"name\", \"radius\" }");
-      const auto fixed = body.find("fixed");
-      AddDisc(TextIn(body, "name", "disc " + std::to_string(i + 1)),
-              NumberIn(body["radius"], key + ".radius"),
-              fixed != body.end() && fixed->is_boolean() && fixed->get<bool>(),
-              key);
-    }
-  }
-
-  // Calls read(item, key, name) for each of the list `list`, whose items must have all of `keys`.
-  template <typename F>
-  void ForEach(const Json& document, const std::string& list, const std::string& noun,
-               const std::vector<const char*>& keys, const F& read) const {
-    const auto items = document.find(list);
-    for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
-      const std::string key = list + "[" + std::to_string(i) + "]";
-      std::string expected;
-      bool whole = (*items)[i].is_object();
-      for (const char* one : keys) {
-        expected += (expected.empty() ? "{ \"" : ", \"") + std::string(one) + "\"";
-        whole = whole && (one == std::string_view("name") || (*items)[i].contains(one));
+    VisitDrawn(scene(), [&]<typename T>(const std::string& list, const std::string& noun, std::vector<T>& things) {
+      const auto items = document.find(list);
+      if (items != document.end() && !items->is_array()) Fail(list, "a list");
+      for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
+        const Json& item = (*items)[i];
+        const std::string place = list + "[" + std::to_string(i) + "]";
+        T& thing = things.emplace_back();
+        thing.name = noun + " " + std::to_string(i + 1);
+        std::string expected;
+        bool whole = item.is_object();
+        VisitDrawnFields(thing, [&](const std::string& key, const auto&) {
+          if (key == "fixed" || key == "solid") return;
+          expected += (expected.empty() ? "{ \"" : ", \"") + key + "\"";
+          whole = whole && (key == "name" || item.contains(key));
+        });
+        if (!whole) Fail(place, expected + " }");
+        VisitDrawnFields(thing, [&](const std::string& key, auto& value) {
+          if (item.contains(key)) Read(item[key], place + "." + key, &value);
+        });
+        if constexpr (std::is_same_v<T, Body>) CheckRadius(thing, place);
       }
-      if (!whole) Fail(key, expected + " }");
-      read((*items)[i], key, TextIn((*items)[i], "name", noun + " " + std::to_string(i + 1)));
-    }
-  }
-
-  void ReadWalls(const Json& document) {
-    Scene& walls = scene();
-    using Key = const std::string&;
-    ForEach(
-        document, "planes", "plane", {"name", "point", "normal"}, [&](const Json& plane, Key key, std::string name) {
-          walls.planes.push_back(
-              {name, VectorIn(plane["point"], key + ".point"), VectorIn(plane["normal"], key + ".normal")});
-        });
-    ForEach(
-        document, "segments", "segment", {"name", "from", "to"}, [&](const Json& segment, Key key, std::string name) {
-          walls.segments.push_back(
-              {name, VectorIn(segment["from"], key + ".from"), VectorIn(segment["to"], key + ".to")});
-        });
-    ForEach(document, "polygons", "polygon", {"name", "points"}, [&](const Json& polygon, Key key, std::string name) {
-      const bool outside = TextIn(polygon, "solid", "inside") == "outside";
-      walls.polygons.push_back({name, {}, outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside});
-      for (const Json& point : polygon["points"])
-        walls.polygons.back().points.push_back(VectorIn(point, key + ".points"));
     });
-    ForEach(document,
-            "arcs",
-            "arc",
-            {"name", "center", "radius", "from", "to"},
-            [&](const Json& arc, Key key, std::string name) {
-              walls.arcs.push_back({name,
-                                    VectorIn(arc["center"], key + ".center"),
-                                    NumberIn(arc["radius"], key + ".radius"),
-                                    NumberIn(arc["from"], key + ".from"),
-                                    NumberIn(arc["to"], key + ".to")});
-            });
-    ForEach(document,
-            "pockets",
-            "pocket",
-            {"name", "position", "radius"},
-            [&](const Json& pocket, Key key, std::string name) {
-              walls.pockets.push_back(
-                  {name, VectorIn(pocket["position"], key + ".position"), NumberIn(pocket["radius"], key + ".radius")});
-            });
-    if (const auto error = ValidateStructure(walls)) throw InputError(where() + ": " + error->ToString());
+    if (const auto error = ValidateStructure(scene())) throw InputError(where() + ": " + error->ToString());
   }
 
   void ReadDocument(const std::string& text) {
     Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (!document.is_object()) Fail("the document", "an object");
-    if (!given_) {
-      ReadBodies(document);
-      ReadWalls(document);
-    }
+    if (!given_) ReadDrawn(document);
     const auto runs = document.find("runs");
     if (runs == document.end()) return ReadRun(document, "");
     if (!runs->is_array()) Fail("runs", "a list");
@@ -312,7 +276,9 @@ class ReplayReader : InputReader {
     if (radius == arrays.end()) Fail("radius", "one radius for each disc, or --scene=FILE");
     const std::vector<double> radii = Numbers(radius->second, "radius");
     for (size_t i = 0; i < radii.size(); ++i) {
-      AddDisc(i < names.size() ? names[i] : "disc " + std::to_string(i + 1), radii[i], false, "radius");
+      const std::string name = i < names.size() ? names[i] : "disc " + std::to_string(i + 1);
+      scene().bodies.push_back({.name = name, .radius = radii[i]});
+      CheckRadius(scene().bodies.back(), "radius");
     }
   }
 

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "output/figure.h"
@@ -15,6 +16,44 @@
 #include "saltus/scene/scene.h"
 
 namespace saltus {
+
+// Calls visit(key, field) for the fields of a disc or a wall that documents with states have.
+template <typename Thing, typename Visit>
+void VisitDrawnFields(Thing& thing, const Visit& visit) {
+  using T = std::remove_const_t<Thing>;
+  visit("name", thing.name);
+  if constexpr (std::is_same_v<T, Body>) {
+    visit("radius", thing.radius);
+    visit("fixed", thing.fixed);
+  } else if constexpr (std::is_same_v<T, Plane>) {
+    visit("point", thing.point);
+    visit("normal", thing.normal);
+  } else if constexpr (std::is_same_v<T, Pocket>) {
+    visit("position", thing.position);
+    visit("radius", thing.radius);
+  } else if constexpr (std::is_same_v<T, EdgePolygon>) {
+    visit("points", thing.points);
+    visit("solid", thing.solid);
+  } else {
+    if constexpr (std::is_same_v<T, EdgeArc>) {
+      visit("center", thing.center);
+      visit("radius", thing.radius);
+    }
+    visit("from", thing.from);
+    visit("to", thing.to);
+  }
+}
+
+// Calls visit(key, noun, list) for the discs and the walls of a scene, by their keys in scene files.
+template <typename SceneOrConst, typename Visit>
+void VisitDrawn(SceneOrConst& scene, const Visit& visit) {
+  visit("bodies", "disc", scene.bodies);
+  visit("planes", "plane", scene.planes);
+  visit("pockets", "pocket", scene.pockets);
+  visit("segments", "segment", scene.segments);
+  visit("polygons", "polygon", scene.polygons);
+  visit("arcs", "arc", scene.arcs);
+}
 
 // Draws discs at their start, walls and targets.
 Panel ScenePanel(const Scene& scene, const std::string& title);

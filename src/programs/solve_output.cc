@@ -341,39 +341,24 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   add("exact_", motions.exact);
 }
 
-// Adds what is needed to draw states: "bodies" with names and radii, "planes", and the walls that end, if there are
-// any, by their keys in scene files.
+// Adds what is needed to draw states: discs and planes, and pockets and walls that end, if there are any.
 void AddDrawn(const Scene& scene, Json* document) {
-  const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
-  Json& bodies = list("bodies");
-  for (const Body& body : scene.bodies) {
-    bodies.push_back({{"name", body.name}, {"radius", body.radius}, {"fixed", body.fixed}});
-  }
-  Json& planes = list("planes");
-  for (const Plane& plane : scene.planes) {
-    planes.push_back({{"name", plane.name}, {"point", plane.point}, {"normal", plane.normal}});
-  }
-  if (!scene.pockets.empty()) {
-    Json& pockets = list("pockets");
-    for (const Pocket& pocket : scene.pockets) {
-      pockets.push_back({{"name", pocket.name}, {"position", pocket.position}, {"radius", pocket.radius}});
+  VisitDrawn(scene, [&]<typename T>(const char* key, const char*, const std::vector<T>& things) {
+    if (std::is_same_v<T, Pocket> && things.empty()) return;
+    const bool ends = !std::is_same_v<T, Body> && !std::is_same_v<T, Plane> && !std::is_same_v<T, Pocket>;
+    if (ends && !scene.HasEdges()) return;
+    Json& list = (*document)[key] = Json::array();
+    for (const T& thing : things) {
+      Json& item = list.emplace_back(Json::object());
+      VisitDrawnFields(thing, [&](const char* field, const auto& value) {
+        if constexpr (requires { value == EdgePolygon::Solid::kInside; }) {
+          item[field] = value == EdgePolygon::Solid::kInside ? "inside" : "outside";
+        } else {
+          item[field] = value;
+        }
+      });
     }
-  }
-  if (!scene.HasEdges()) return;
-  Json& segments = list("segments");
-  for (const EdgeSegment& segment : scene.segments) {
-    segments.push_back({{"name", segment.name}, {"from", segment.from}, {"to", segment.to}});
-  }
-  Json& polygons = list("polygons");
-  for (const EdgePolygon& polygon : scene.polygons) {
-    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-    polygons.push_back({{"name", polygon.name}, {"points", polygon.points}, {"solid", inside ? "inside" : "outside"}});
-  }
-  Json& arcs = list("arcs");
-  for (const EdgeArc& arc : scene.arcs) {
-    arcs.push_back(
-        {{"name", arc.name}, {"center", arc.center}, {"radius", arc.radius}, {"from", arc.from}, {"to", arc.to}});
-  }
+  });
 }
 
 // "contact solver", or the contact model alone where nothing was solved.
