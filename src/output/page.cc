@@ -60,9 +60,9 @@ void Page::Add(const char* kind, Json part) {
 }
 
 void Page::AddList(const std::vector<std::string>& items) {
-  Json list = Json::array();
-  for (const std::string& item : items) list.push_back({{"text", item}});
-  Add("list", {{"items", std::move(list)}});
+  std::vector<Moment> notes;
+  for (const std::string& item : items) notes.push_back({.text = item, .motion = ""});
+  AddMoments(notes);
 }
 
 void Page::AddMoments(const std::vector<Moment>& moments) {

@@ -36,13 +36,13 @@ class Page {
   void AddHeading(const std::string& text) { Add("heading", {{"text", text}}); }
   void AddParagraph(const std::string& text) { Add("text", {{"text", text}}); }
   void AddPreformatted(const std::string& text) { Add("code", {{"text", text}}); }
-  void AddList(const std::vector<std::string>& items);
-  // A list of moments, which the first replay of the page shows: the motion of a label at a time, s; no label: a note.
+  // An item of a list; with a label the moment of a motion, s, which the first replay of the page then shows.
   struct Moment {
     std::string text, motion;
     double time = 0;
   };
   void AddMoments(const std::vector<Moment>& moments);
+  void AddList(const std::vector<std::string>& items);
   void AddTiles(const std::vector<Tile>& tiles);
   // Adds links to files beside the page.
   void AddLinks(const std::vector<std::string>& files) { Add("links", {{"files", files}}); }

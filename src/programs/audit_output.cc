@@ -248,6 +248,14 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
 
 namespace {
 
+// Returns the entries by equal parts of the control, or none if the steps of the gradient are no multiple of these.
+std::vector<double> EntriesIn(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals) {
+  if (quantity == Quantity::kControl && gradient.num_steps % intervals != 0) return {};
+  return EntriesOf(scene, gradient, quantity, intervals);
+}
+
+Cell CellAt(const std::vector<double>& entries, size_t i) { return entries.empty() ? Cell() : Cell(entries[i]); }
+
 // Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
 Table EntryTable(const Scene& scene, const AuditReport& report) {
   Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
@@ -256,18 +264,14 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
     const int intervals = audit.refinement->intervals;
     for (const QuantityStudy& study : audit.refinement->quantities) {
       const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
-      // The scene's own steps need not be a multiple of the intervals of control.
-      std::vector<double> own;
-      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
-        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
-      }
+      const std::vector<double> own = EntriesIn(scene, audit.gradient, study.quantity, intervals);
       for (size_t i = 0; i < names.size(); ++i) {
         const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
         table.AddRow({audit.gradient.contact,
                       QuantityToString(study.quantity),
                       names[i],
                       study.exact[i],
-                      own.empty() ? Cell() : Cell(own[i]),
+                      CellAt(own, i),
                       study.finest[i],
                       flips ? "yes" : "no"});
       }
@@ -301,8 +305,8 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
                       QuantityToString(quantity),
                       names[i],
                       values[i],
-                      errors.empty() ? Cell() : Cell(errors[i]),
-                      exact.empty() ? Cell() : Cell(exact[i])});
+                      CellAt(errors, i),
+                      CellAt(exact, i)});
       }
     }
   }
