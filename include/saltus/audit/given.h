@@ -9,14 +9,13 @@
 
 namespace saltus {
 
-// Entries that are not known are left out, as are lists at their ends.
+// Numbers that are not known are NaN, and lists may end early.
 struct GivenGradient {
   std::string name;
-  double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
-  std::vector<std::optional<Vec2d>> position, velocity;    // per disc of the scene
-  std::vector<std::vector<std::optional<Vec2d>>> control;  // per control interval and controlled disc
-  std::vector<std::vector<std::optional<double>>> torque;  // by the torque, 1/(N m): likewise and per turned disc
-  int intervals = 0;                                       // of the control, equal parts of the horizon; 0: one a step
+  double tolerance = 0;                    // absolute, for numbers that were rounded when they were printed
+  std::vector<double> position, velocity;  // B x 2, by x and y of each disc of the scene
+  std::vector<double> control;             // by the rows of a control (control_rows.h)
+  int intervals = 0;                       // of the control, equal parts of the horizon; 0: one a step
 };
 
 struct GivenEntry {
