@@ -56,7 +56,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
   SolveReport& report = run->report;
   std::vector<std::vector<double>> looked_at;
-  for (const int k : DescentAudit::ExaminedIterations()) {
+  for (const int k : ExaminedIterations()) {
     if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
   }
   report.iterates = std::move(looked_at);
@@ -378,8 +378,6 @@ Series SolverSeries(const std::string& solver, std::vector<double> x, std::vecto
 }
 
 }  // namespace
-
-std::vector<PaperFigure> SolverComparison::Figures() const { return {LearningCurves(), ControlProfiles(), Defects()}; }
 
 PaperFigure SolverComparison::LearningCurves() const {
   Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};

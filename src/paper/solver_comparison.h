@@ -10,17 +10,10 @@
 #include <string>
 #include <vector>
 
-#include "base/table.h"
 #include "paper/experiments.h"
-#include "paper/paper_figures.h"
+#include "paper/section.h"
 
 namespace saltus {
-
-struct CaptionedTable {
-  std::string name;  // of its files
-  std::string caption;
-  Table table;
-};
 
 class SolverComparison {
  public:
@@ -41,12 +34,9 @@ class SolverComparison {
   // empty if it was not run.
   std::vector<std::vector<double>> IteratesOf(const std::string& contact) const;
 
-  std::vector<CaptionedTable> Tables() const;
+  Section Results() const { return {Findings(), Tables(), {LearningCurves(), ControlProfiles(), Defects()}}; }
   // Returns the table of task 3 under exact dynamics: three solvers compared with the optimum.
   Table Headline() const;
-  std::vector<PaperFigure> Figures() const;
-  // Returns the findings, in one sentence or two each.
-  std::vector<std::string> Findings() const;
 
  private:
   // One scene and the runs on it.
@@ -63,6 +53,8 @@ class SolverComparison {
   };
 
   void PlanOthers(Others others);
+  std::vector<CaptionedTable> Tables() const;
+  std::vector<std::string> Findings() const;
   std::string FindingOnOthers() const;
   Table TaskTable(const Task& task) const;
   Table StepShootingTable() const;

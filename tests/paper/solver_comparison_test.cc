@@ -23,7 +23,7 @@ class Comparison : public testing::Test {
     ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
   }
 
-  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
+  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Results().tables, name); }
 
   static SolverComparison* comparison_;
 };
@@ -97,7 +97,7 @@ TEST_F(Comparison, TheLagrangianNeverConverges) {
 }
 
 TEST_F(Comparison, FiguresHaveALineForEachSolver) {
-  const std::vector<PaperFigure> figures = comparison_->Figures();
+  const std::vector<PaperFigure> figures = comparison_->Results().figures;
   ASSERT_EQ(figures.size(), 3u);
   size_t exact_solvers = 0;
   for (const SolverEntry& solver : AllSolvers()) {
@@ -111,7 +111,7 @@ TEST_F(Comparison, FiguresHaveALineForEachSolver) {
 }
 
 TEST_F(Comparison, FindingsNameModelAndSolver) {
-  const std::vector<std::string> findings = comparison_->Findings();
+  const std::vector<std::string> findings = comparison_->Results().findings;
   ASSERT_GE(findings.size(), 4u);
   EXPECT_THAT(findings[0], HasSubstr("`event`"));
   EXPECT_THAT(findings[1], HasSubstr("`ceres_lm`"));
