@@ -84,16 +84,15 @@ void AddFigures(const Section& section, Page* page) {
 struct Parts {
   std::vector<PublishedRow> rows;
   std::vector<PaperFigure> figures;  // those of MakePaperFigures()
-  Table headline{{{""}}};
-  Section solvers, strike;
-  std::optional<Section> formulations, descents, fits;
+  std::optional<ComparedSolvers> solvers;
+  std::optional<Section> strike, formulations, descents, fits;
   std::optional<PaperFigure> law;
   double seconds = 0;  // the time of the experiments
 };
 
 // Writes report.html: all tables and figures with explanations. Throws OutputError if it cannot be written.
 void WritePaperReport(const Experiments& experiments, const Parts& parts, const std::string& output_dir) {
-  const auto& [rows, figures, headline, solvers, strike, formulations, descents, fits, law, seconds] = parts;
+  const auto& [rows, figures, solvers, strike, formulations, descents, fits, law, seconds] = parts;
   Page page(
       "Gradients through contact, reproduced",
       "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have Correct Gradients "
@@ -131,8 +130,9 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
   AddTask(experiments, "ground_wall", &page);
 
   page.AddHeading("Task 3: two balls");
-  page.AddTable(headline, "Task 3 under exact dynamics (`event`): three solvers compared with the analytic optimum.");
-  AddFigure(solvers.figures, "solver_controls", &page);
+  page.AddTable(solvers->headline,
+                "Task 3 under exact dynamics (`event`): three solvers compared with the analytic optimum.");
+  AddFigure(solvers->figures, "solver_controls", &page);
   page.AddParagraph(
       "The force with which one ball hits the other towards the origin, with a penalty on effort; in the paper 1000 "
       "updates at a rate of 10. None of the nine models has a correct gradient in this task, because a force acts at "
@@ -159,9 +159,9 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "loss` is that of the same solution under exact dynamics, the only one that may be compared between models, and "
       "`gap` its difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not "
       "correct the gradient.");
-  page.AddList(solvers.findings);
-  for (const char* figure : {"solver_comparison", "defects"}) AddFigure(solvers.figures, figure, &page);
-  AddTables(solvers, &page);
+  page.AddList(solvers->findings);
+  for (const char* figure : {"solver_comparison", "defects"}) AddFigure(solvers->figures, figure, &page);
+  AddTables(*solvers, &page);
   AddFigure(figures, "solver_learning", &page);
 
   page.AddHeading("Solvers through the impact");
@@ -169,9 +169,9 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "The same problem with solvers that shoot through the impact, and with solvers in which the impact time is a "
       "variable; then with bounds on the force. The optima with bounds follow from the minimum principle: the force "
       "is the projection of a linear function of time onto the bounds.");
-  page.AddList(strike.findings);
-  AddTables(strike, &page);
-  AddFigures(strike, &page);
+  page.AddList(strike->findings);
+  AddTables(*strike, &page);
+  AddFigures(*strike, &page);
 
   if (formulations) {
     page.AddHeading("All contact models");
@@ -263,25 +263,21 @@ int Reproduce(const std::vector<std::string>& arguments) {
   if (!experiments.Run(threads, progress)) return kAnswerFailed;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
   parts.seconds = elapsed();
-  const bool compared = RunStage("comparison with the published values", [&] {
+  const bool published = RunStage("comparison with the published values", [&] {
     CompareWithPublished(experiments, &parts.rows);
     for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(parts.rows, name));
     WriteNotebookFiles(experiments, output_dir);
   });
-  if (!compared) return kAnswerFailed;
-  using Others = SolverComparison::Others;
-  const Others others = FLAGS_every_solver       ? Others::kEverySolver
-                        : FLAGS_all_formulations ? Others::kQuick
-                                                 : Others::kNone;
-  SolverComparison comparison(experiments, others);
-  if (!comparison.Run(threads, progress)) return kAnswerFailed;
-  parts.headline = comparison.Headline();
-  parts.solvers = comparison.Results();
-  take(parts.solvers);
-  const std::optional<Section> strike = CompareStrikes(experiments.scene("two_balls"), references, threads, progress);
-  if (!strike) return kAnswerFailed;
-  parts.strike = *strike;
-  take(parts.strike);
+  if (!published) return kAnswerFailed;
+  const OtherSolvers others = FLAGS_every_solver       ? OtherSolvers::kEverySolver
+                              : FLAGS_all_formulations ? OtherSolvers::kQuick
+                                                       : OtherSolvers::kNone;
+  parts.solvers = CompareSolvers(experiments, others, threads, progress);
+  if (!parts.solvers) return kAnswerFailed;
+  take(*parts.solvers);
+  parts.strike = CompareStrikes(experiments.scene("two_balls"), references, threads, progress);
+  if (!parts.strike) return kAnswerFailed;
+  take(*parts.strike);
   if (FLAGS_all_formulations) {
     const std::vector<std::string> contacts = NameList(AllContactModels());
     parts.formulations = AuditFormulations({{"Task 1: one bounce", experiments.scene("bounce_once")},
@@ -294,12 +290,13 @@ int Reproduce(const std::vector<std::string>& arguments) {
     if (!parts.formulations) return kAnswerFailed;
     take(*parts.formulations);
     const KnownIterates known = [&](size_t task, const std::string& contact) {
-      return task == 1 ? comparison.IteratesOf(contact) : std::vector<std::vector<double>>();
+      const auto found = parts.solvers->iterates.find(contact);
+      return task == 1 && found != parts.solvers->iterates.end() ? found->second : std::vector<std::vector<double>>();
     };
     parts.descents =
         AuditDescents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
                       contacts,
-                      {comparison.slow().begin(), comparison.slow().end()},
+                      {parts.solvers->slow.begin(), parts.solvers->slow.end()},
                       known,
                       threads,
                       progress);
