@@ -202,7 +202,12 @@ int AuditMain(int argc, char** argv) {
     };
     const auto write = [&] {
       DoAll({[&] { WriteAuditFiles(request, report, document()); },
-             [&] { WriteAuditReport(request, report, document()); }});
+             [&] {
+               WriteReport(request, [&](Page* page) {
+                 AddAuditSections(request, report, page);
+                 page->SetResults(document());
+               });
+             }});
     };
     if (request.output_dir.empty()) {
       print();

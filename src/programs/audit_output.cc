@@ -685,11 +685,4 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   }
 }
 
-void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document) {
-  if (request.output_dir.empty()) return;
-  Page page = StartPage(request.scene);
-  AddAuditSections(request, audit, &page);
-  FinishPage(request, document, &page);
-}
-
 }  // namespace saltus

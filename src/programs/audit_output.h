@@ -39,7 +39,4 @@ class Page;
 // first contact that makes it wrong.
 void AddAuditSections(const Request& request, const AuditReport& audit, Page* page);
 
-// Writes report.html in --output_dir, if there is one. Throws OutputError.
-void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document);
-
 }  // namespace saltus

@@ -418,38 +418,34 @@ void AddResiduals(const Identified& identified, Page* page) {
 
 }  // namespace
 
-void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document) {
-  if (request.output_dir.empty()) return;
-  const Scene& scene = request.scene;
-  Page page = StartPage(scene);
-  page.AddHeading("Fits");
-  page.AddTableIfAny(FitTable(document), "The fit of each contact model.");
-  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page.AddList(remarks);
-  page.AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
-  page.AddTableIfAny(
+void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
+  page->AddHeading("Fits");
+  page->AddTableIfAny(FitTable(document), "The fit of each contact model.");
+  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
+  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page->AddTableIfAny(
       ComparisonTable(identified),
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
   const Table law = LawTable(identified);
   if (!law.rows().empty()) {
-    page.AddHeading("Law of impact");
+    page->AddHeading("Law of impact");
     const Figure figure = LawFigure(*LawOf(identified), identified.known_law);
-    page.AddFigure(figure, "The law with its 95 % confidence band.");
-    page.AddTable(law, "The law at speeds that the impacts had, in m/s.");
+    page->AddFigure(figure, "The law with its 95 % confidence band.");
+    page->AddTable(law, "The law at speeds that the impacts had, in m/s.");
   }
   const Table events = EventTable(scene, identified);
   if (!events.rows().empty()) {
-    page.AddHeading("Event functions");
-    page.AddTable(events,
-                  "Impacts by the learned event functions; `beyond` is the distance of the surface from the scene's "
-                  "plane, `turned` "
-                  "the angle between their normals.");
+    page->AddHeading("Event functions");
+    page->AddTable(events,
+                   "Impacts by the learned event functions; `beyond` is the distance of the surface from the scene's "
+                   "plane, `turned` "
+                   "the angle between their normals.");
   }
-  page.AddHeading("Motions");
-  AddMotions(scene, identified, &page);
-  AddResiduals(identified, &page);
-  page.AddTableIfAny(OutlierTable(document),
-                     "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
-  FinishPage(request, document, &page);
+  page->AddHeading("Motions");
+  AddMotions(scene, identified, page);
+  AddResiduals(identified, page);
+  page->AddTableIfAny(OutlierTable(document),
+                      "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
 }
 
 namespace {

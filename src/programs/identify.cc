@@ -182,7 +182,12 @@ int IdentifyMain(int argc, char** argv) {
       PrintTables(request.scene, identified, document);
     };
     DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
-           [&] { WriteIdentifyReport(request, identified, document); },
+           [&] {
+             WriteReport(request, [&](Page* page) {
+               AddIdentifySections(request.scene, identified, document, page);
+               page->SetResults(document);
+             });
+           },
            print});
     PrintReportPath(request);
     return ExitCodeOf(identified);

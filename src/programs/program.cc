@@ -634,11 +634,13 @@ Page StartPage(const Scene& scene) {
                   Cell(scene.duration).Display(6) + " s");
 }
 
-void FinishPage(const Request& request, const Json& results, Page* page) {
-  page->AddHeading("Scene");
-  page->AddPreformatted(WriteScene(request.scene));
-  page->SetResults(results);
-  OrOutputError(page->Write(PathOfReport(request)));
+void WriteReport(const Request& request, const std::function<void(Page*)>& add) {
+  if (request.output_dir.empty()) return;
+  Page page = StartPage(request.scene);
+  add(&page);
+  page.AddHeading("Scene");
+  page.AddPreformatted(WriteScene(request.scene));
+  OrOutputError(page.Write(PathOfReport(request)));
 }
 
 void PrintReportPath(const Request& request) {

@@ -179,8 +179,8 @@ std::string FirstOf(const std::vector<std::string>& names);
 
 Page StartPage(const Scene& scene);
 
-// Adds the results and the scene, and writes report.html into --output_dir. Throws OutputError.
-void FinishPage(const Request& request, const Json& results, Page* page);
+// Writes report.html into --output_dir, if there is one: what `add` adds, and the scene. Throws OutputError.
+void WriteReport(const Request& request, const std::function<void(Page*)>& add);
 
 // The path of the report as the last line, if one was asked for: on stdout, or on stderr if that is JSON.
 void PrintReportPath(const Request& request);

@@ -249,7 +249,14 @@ int SolveMain(int argc, char** argv) {
         PrintSolveTable(request, solved);
       }
     };
-    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
+    DoAll({[&] { WriteSolutions(request, solved); },
+           [&] {
+             WriteReport(request, [&](Page* page) {
+               AddSolveSections(request, solved, page);
+               page->SetResults(SolveToJson(WithoutStates(request), solved));
+             });
+           },
+           print});
     PrintReportPath(request);
     return SolveExitCode(solved);
   });

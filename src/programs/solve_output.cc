@@ -564,13 +564,6 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
   page->AddLinks(files);
 }
 
-void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
-  if (request.output_dir.empty()) return;
-  Page page = StartPage(request.scene);
-  AddSolveSections(request, solved, &page);
-  FinishPage(request, SolveToJson(WithoutStates(request), solved), &page);
-}
-
 double LargestDefect(const SolveReport& report) {
   if (report.defects.empty()) return 0;
   const std::vector<double>& last = report.defects.back();

@@ -73,7 +73,4 @@ class Page;
 // Adds the table of runs, certificates, replay, trajectories, controls and learning curves.
 void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page);
 
-// Writes report.html in --output_dir, if there is one. Throws OutputError.
-void WriteSolveReport(const Request& request, const SolvedRuns& solved);
-
 }  // namespace saltus
