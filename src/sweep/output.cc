@@ -20,22 +20,19 @@ int64_t CountStatus(const std::vector<StoredPoint>& points, PointStatus status) 
   return std::ranges::count_if(points, [&](const StoredPoint& point) { return point.result.status == status; });
 }
 
-// Whether a column has text in some row; other columns have numbers.
-bool IsTextColumn(const std::vector<StoredPoint>& points, size_t column) {
-  return std::ranges::any_of(points, [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
-}
-
+// Returns an array of texts if some row has one, and of numbers otherwise.
 NpyArray ColumnArray(const std::vector<StoredPoint>& points, size_t column) {
-  NpyArray array{{static_cast<int64_t>(points.size())}, {}};
-  if (IsTextColumn(points, column)) {
-    std::vector<std::string> texts;
-    for (const StoredPoint& point : points) texts.push_back(CellOf(point.result.row[column]).Exact());
-    array.data = std::move(texts);
-  } else {
-    std::vector<double> numbers;
-    for (const StoredPoint& point : points) numbers.push_back(ToNumber(point.result.row[column]));
-    array.data = std::move(numbers);
+  std::vector<std::string> texts;
+  std::vector<double> numbers;
+  bool text = false;
+  for (const StoredPoint& point : points) {
+    const SweepValue& value = point.result.row[column];
+    text = text || value.is_string();
+    texts.push_back(CellOf(value).Exact());
+    numbers.push_back(ToNumber(value));
   }
+  NpyArray array{{std::ssize(points)}, std::move(numbers)};
+  if (text) array.data = std::move(texts);
   return array;
 }
 
