@@ -151,31 +151,26 @@ std::string WhyNoAnswer(const SolveReport& report) {
 }
 
 Table RunTable(const SolvedRuns& solved) {
-  const bool free_durations =
-      std::ranges::any_of(solved.runs, [](const SolvedRun& run) { return run.duration.has_value(); });
-  Table table(
-      ColumnsOf(std::string("contact; solver; initial loss:10; final loss:10; exact loss:10; ") +
-                (free_durations ? "duration (s):6; " : "") + "iterations; gradients; seconds:3; termination; remark"),
-      2);
+  Table table(ColumnsOf("contact; solver; initial loss:10; final loss:10; exact loss:10; duration (s):6; iterations; "
+                        "gradients; seconds:3; termination; remark"),
+              2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination == Termination::kNotApplicable) continue;  // below
     const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
     const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
     const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
-    std::vector<Cell> row = {LabelOf(report.contact, report.surrogate),
-                             report.solver,
-                             of_solver(report.initial_loss),
-                             of_run(report.final_loss),
-                             run.exact.ok ? of_run(run.exact.loss) : Cell()};
-    if (free_durations) row.emplace_back(run.duration);
-    row.insert(row.end(),
-               {of_solver(report.iterations),
-                of_solver(report.evaluations),
-                of_run(report.seconds),
-                TerminationInWords(report),
-                ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
-    table.AddRow(std::move(row));
+    table.AddRow({LabelOf(report.contact, report.surrogate),
+                  report.solver,
+                  of_solver(report.initial_loss),
+                  of_run(report.final_loss),
+                  run.exact.ok ? of_run(run.exact.loss) : Cell(),
+                  run.duration,
+                  of_solver(report.iterations),
+                  of_solver(report.evaluations),
+                  of_run(report.seconds),
+                  TerminationInWords(report),
+                  ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
   }
   for (const Refusal& refusal : RefusalsOf(solved)) {
     std::vector<Cell> row(table.columns().size());

@@ -126,10 +126,10 @@ TEST(RunTable, ShowsDurationsThatWereFree) {
   report.contact = "event";
   report.solver = "ceres_phases";
   report.termination = Termination::kConverged;
-  const std::size_t columns = RunTable(solved).columns().size();
+  const std::size_t columns = RunTable(solved).ColumnsWithContent().size();
   solved.runs.back().duration = 0.488;
   const Table table = RunTable(solved);
-  EXPECT_EQ(table.columns().size(), columns + 1);
+  EXPECT_EQ(table.ColumnsWithContent().size(), columns + 1);
   EXPECT_EQ(table.columns()[5].header, "duration (s)");
   EXPECT_EQ(table.rows()[0][5].Exact(), "0.488");
 }
