@@ -254,9 +254,12 @@ int Reproduce(const std::vector<std::string>& arguments) {
     WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
   };
   std::vector<PaperFigure> figures;
-  const auto take = [&](const Section& section) {
-    for (const CaptionedTable& table : section.tables) write_table(table.name, table.caption, table.table);
-    figures.insert(figures.end(), section.figures.begin(), section.figures.end());
+  // Takes the section of a stage; returns false if there is none, as the stage was interrupted.
+  const auto take = [&](const auto& section) {
+    if (!section) return false;
+    for (const CaptionedTable& table : section->tables) write_table(table.name, table.caption, table.table);
+    figures.insert(figures.end(), section->figures.begin(), section->figures.end());
+    return true;
   };
   const int threads = ThreadsFromFlags();
   const ProgressMode progress = ProgressFromFlags();
@@ -273,11 +276,9 @@ int Reproduce(const std::vector<std::string>& arguments) {
                               : FLAGS_all_formulations ? OtherSolvers::kQuick
                                                        : OtherSolvers::kNone;
   parts.solvers = CompareSolvers(experiments, others, threads, progress);
-  if (!parts.solvers) return kAnswerFailed;
-  take(*parts.solvers);
+  if (!take(parts.solvers)) return kAnswerFailed;
   parts.strike = CompareStrikes(experiments.scene("two_balls"), references, threads, progress);
-  if (!parts.strike) return kAnswerFailed;
-  take(*parts.strike);
+  if (!take(parts.strike)) return kAnswerFailed;
   if (FLAGS_all_formulations) {
     const std::vector<std::string> contacts = NameList(AllContactModels());
     parts.formulations = AuditFormulations({{"Task 1: one bounce", experiments.scene("bounce_once")},
@@ -287,8 +288,7 @@ int Reproduce(const std::vector<std::string>& arguments) {
                                            simulators,
                                            threads,
                                            progress);
-    if (!parts.formulations) return kAnswerFailed;
-    take(*parts.formulations);
+    if (!take(parts.formulations)) return kAnswerFailed;
     const KnownIterates known = [&](size_t task, const std::string& contact) {
       const auto found = parts.solvers->iterates.find(contact);
       return task == 1 && found != parts.solvers->iterates.end() ? found->second : std::vector<std::vector<double>>();
@@ -300,11 +300,9 @@ int Reproduce(const std::vector<std::string>& arguments) {
                       known,
                       threads,
                       progress);
-    if (!parts.descents) return kAnswerFailed;
-    take(*parts.descents);
+    if (!take(parts.descents)) return kAnswerFailed;
     parts.fits = FitParameters(contacts, threads, progress);
-    if (!parts.fits) return kAnswerFailed;
-    take(*parts.fits);
+    if (!take(parts.fits)) return kAnswerFailed;
     if (!RunStage("a law of impact", [&] { parts.law = LearnALaw(); })) return kAnswerFailed;
     if (parts.law) figures.push_back(*parts.law);
   }
