@@ -22,38 +22,33 @@ constexpr double kChord = 2 * std::numbers::pi / 180;
 
 std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
 
-Outline OutlineOf(const EdgeSegment& segment) { return {segment.name, {Pair(segment.from), Pair(segment.to)}}; }
-
-Outline OutlineOf(const EdgePolygon& polygon) {
-  const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-  Outline outline{polygon.name, {}, inside ? Outline::Solid::kInside : Outline::Solid::kOutside};
-  for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
-  outline.points.push_back(outline.points.front());
-  return outline;
-}
-
-Outline OutlineOf(const EdgeArc& arc) {
-  Outline outline{arc.name, {}};
-  const int chords = std::max(1, static_cast<int>(std::ceil((arc.to - arc.from) / kChord)));
-  for (int i = 0; i <= chords; ++i) {
-    const double angle = arc.from + (arc.to - arc.from) * i / chords;
-    outline.points.push_back(
-        {arc.center[0] + arc.radius * std::cos(angle), arc.center[1] + arc.radius * std::sin(angle)});
-  }
-  return outline;
-}
-
-Outline OutlineOf(const Pocket& pocket) {
-  return OutlineOf(EdgeArc{pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
-}
-
 // In the order of the scene; arcs as chords, two degrees each at most.
 std::vector<Outline> OutlinesOf(const Scene& scene) {
   std::vector<Outline> outlines;
-  for (const EdgeSegment& segment : scene.segments) outlines.push_back(OutlineOf(segment));
-  for (const EdgePolygon& polygon : scene.polygons) outlines.push_back(OutlineOf(polygon));
-  for (const EdgeArc& arc : scene.arcs) outlines.push_back(OutlineOf(arc));
-  for (const Pocket& pocket : scene.pockets) outlines.push_back(OutlineOf(pocket));
+  for (const EdgeSegment& segment : scene.segments) {
+    outlines.push_back({segment.name, {Pair(segment.from), Pair(segment.to)}});
+  }
+  for (const EdgePolygon& polygon : scene.polygons) {
+    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
+    Outline& outline = outlines.emplace_back();
+    outline.name = polygon.name;
+    outline.solid = inside ? Outline::Solid::kInside : Outline::Solid::kOutside;
+    for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
+    outline.points.push_back(outline.points.front());
+  }
+  const auto add_arc = [&](const EdgeArc& arc) {
+    Outline& outline = outlines.emplace_back();
+    outline.name = arc.name;
+    const int chords = std::max(1, static_cast<int>(std::ceil((arc.to - arc.from) / kChord)));
+    for (int i = 0; i <= chords; ++i) {
+      const double angle = arc.from + (arc.to - arc.from) * i / chords;
+      outline.points.push_back(Pair(arc.center + arc.radius * Vec2d(std::cos(angle), std::sin(angle))));
+    }
+  };
+  for (const EdgeArc& arc : scene.arcs) add_arc(arc);
+  for (const Pocket& pocket : scene.pockets) {
+    add_arc({pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
+  }
   return outlines;
 }
 
