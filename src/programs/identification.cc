@@ -1,7 +1,6 @@
 #include "programs/identification.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <cstdint>
 #include <map>
@@ -453,21 +452,13 @@ namespace {
 constexpr int kLawUnits = 4, kProfileUnits = 3, kMostUnits = 16;
 constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
 
-// "network:8" is a network of eight units; of "network" there are `units`. None if what follows the colon is no number
-// of units.
-struct KindAndUnits {
-  std::string kind;
-  int units = 0;
-};
-std::optional<KindAndUnits> SplitUnits(const std::string& text, int units) {
-  const std::size_t colon = text.find(':');
-  KindAndUnits split{text.substr(0, colon), units};
-  if (colon == std::string::npos) return split;
-  const std::string digits = text.substr(colon + 1);
-  split.units = 0;
-  std::from_chars(digits.data(), digits.data() + digits.size(), split.units);
-  if (digits != std::to_string(split.units) || split.units < 1 || split.units > kMostUnits) return std::nullopt;
-  return split;
+// Returns the units of "kind:N", or `usual` of "kind"; 0 of other texts and if N is no number of units.
+int UnitsOf(const std::string& text, const std::string& kind, int usual) {
+  if (text == kind) return usual;
+  for (int units = 1; units <= kMostUnits; ++units) {
+    if (text == kind + ":" + std::to_string(units)) return units;
+  }
+  return 0;
 }
 
 std::string Expected(const std::string& kinds) {
@@ -484,19 +475,17 @@ std::optional<RobustLoss> ParseRobustLoss(const std::string& name) {
 }
 
 std::variant<ImpactLaw, std::string> ParseLaw(const std::string& text, const Scene& scene) {
-  const std::optional<KindAndUnits> split = SplitUnits(text, kLawUnits);
   const double speed = NaturalUnits(scene).speed();
   const double restitution = std::clamp(scene.contact.restitution, kInside, 1 - kInside);
-  if (split && split->kind == "network") return RestitutionNetwork(split->units, speed, restitution);
-  if (split && split->kind == "impulse") {
-    return ImpulseNetwork(split->units, speed, restitution, std::max(scene.contact.friction, kInside));
+  if (const int units = UnitsOf(text, "network", kLawUnits)) return RestitutionNetwork(units, speed, restitution);
+  if (const int units = UnitsOf(text, "impulse", kLawUnits)) {
+    return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
   }
   return Expected("network or impulse, and maybe :N");
 }
 
 std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, const Scene& scene) {
-  const std::optional<KindAndUnits> split = SplitUnits(text, kProfileUnits);
-  if (split && split->kind == "profile") return ProfileEvents(scene, split->units);
+  if (const int units = UnitsOf(text, "profile", kProfileUnits)) return ProfileEvents(scene, units);
   if (text == "affine") return AffineEvents(scene);
   return Expected("affine or profile, which maybe has :N");
 }
