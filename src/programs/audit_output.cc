@@ -26,20 +26,7 @@ std::vector<double> OfLevels(const std::vector<RefinementLevel>& levels, double 
   return numbers;
 }
 
-}  // namespace
-
-Table GivenTable(const std::vector<GivenEntry>& entries) {
-  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
-  for (const GivenEntry& entry : entries) {
-    table.AddRow(
-        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
-  }
-  return table;
-}
-
 // ---- JSON, under the keys that the reference documents
-
-namespace {
 
 constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
 

@@ -23,6 +23,7 @@ DEFINE_bool(audit, false, "audit the system's own time-stepping scheme, or those
 
 DECLARE_string(solver);
 DECLARE_int32(steps);
+DECLARE_bool(rate_per_time);
 DECLARE_bool(width_sweep);
 
 namespace saltus {
@@ -92,7 +93,7 @@ std::optional<FeedbackOptions> ReadFeedback(const HybridProblem& problem) {
 
 std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   if (FLAGS_solver.empty()) {
-    const std::string name = IsGiven("learning_rate") || IsGiven("rate_per_time") ? "gd" : "auto";
+    const std::string name = IsGiven("learning_rate") || FLAGS_rate_per_time ? "gd" : "auto";
     const auto entry = std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
     if (!entry->why_not(problem).empty()) return {};
     return {name};

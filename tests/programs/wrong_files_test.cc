@@ -166,7 +166,7 @@ TEST(RunTable, SaysEachReasonOnce) {
   const Table table = RunTable(solved);
   std::vector<std::string> rows;
   for (const std::vector<Cell>& row : table.rows()) {
-    rows.push_back(row[0].Exact() + "|" + row[1].Exact() + "|" + row[8].Exact() + "|" + row[9].Exact());
+    rows.push_back(row[0].Exact() + "|" + row[1].Exact() + "|" + row[9].Exact() + "|" + row[10].Exact());
   }
   EXPECT_THAT(rows,
               testing::ElementsAre("event|ceres_event|failed|no control",
