@@ -6,6 +6,7 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <span>
 
 #include "base/file.h"
 #include "base/number_text.h"
@@ -39,10 +40,10 @@ class ReplayReader : InputReader {
  public:
   ReplayReader(const std::string& path, const std::optional<Scene>& scene)
       : InputReader(path), given_(scene.has_value()) {
-    if (scene) file_.drawn.scene = *scene;
+    if (scene) replay_.scene = *scene;
   }
 
-  ReplayFile Read() {
+  Replay Read() {
     const StatusOr<std::string> bytes = ReadFile(where());
     if (!bytes.ok()) throw InputError(bytes.status().message());
     if (bytes->starts_with("PK")) {
@@ -50,15 +51,15 @@ class ReplayReader : InputReader {
     } else {
       ReadDocument(*bytes);
     }
-    if (file_.drawn.motions.empty()) {
+    if (replay_.motions.empty()) {
       Fail("states", "times and states; saltus_solve prints them with --states, and writes them with --output_dir");
     }
-    return std::move(file_);
+    return std::move(replay_);
   }
 
  private:
-  Scene& scene() { return file_.drawn.scene; }
-  const Scene& scene() const { return file_.drawn.scene; }
+  Scene& scene() { return replay_.scene; }
+  const Scene& scene() const { return replay_.scene; }
   size_t num_discs() const { return scene().bodies.size(); }
 
   double NumberIn(const Json& value, const std::string& key) const {
@@ -151,7 +152,7 @@ class ReplayReader : InputReader {
       ReplayMotion drawn({}, {}, label + exact, contact);
       drawn.motion.arcs = !prefix.empty();
       read(prefix, &drawn);
-      Add(std::move(drawn), contact, place + prefix);
+      Add(std::move(drawn), place + prefix);
     }
   }
 
@@ -361,7 +362,7 @@ class ReplayReader : InputReader {
     }
   }
 
-  void Add(ReplayMotion drawn, const std::string& model, const std::string& place) {
+  void Add(ReplayMotion drawn, const std::string& place) {
     Motion& motion = drawn.motion;
     const size_t rows = motion.states.size() / (kState * num_discs());
     if (rows == 0 || rows != motion.times.size()) {
@@ -372,30 +373,29 @@ class ReplayReader : InputReader {
     if (!std::ranges::all_of(motion.times, finite)) Fail(place + "times", "finite numbers");
     if (!std::ranges::is_sorted(motion.times)) Fail(place + "times", "times that do not fall");
     std::ranges::stable_sort(motion.touches, {}, &TouchSpan::begin);
-    file_.drawn.motions.push_back(std::move(drawn));
-    file_.models.push_back(model);
+    replay_.motions.push_back(std::move(drawn));
   }
 
   bool given_;
   bool has_control_ = false;  // the file has the whole scene
-  ReplayFile file_;
+  Replay replay_;
 };
 
 std::string StemOf(const std::string& path) { return std::filesystem::path(path).stem().string(); }
 
 // A style for each motion: that of its contact model, unless another motion has it.
-void SetStyles(std::vector<ReplayMotion>* motions, std::vector<std::string> models) {
+void SetStyles(std::vector<ReplayMotion>* motions) {
+  const auto has = [&](size_t end, std::string_view model) {
+    return std::ranges::any_of(std::span(*motions).first(end), [&](const auto& one) { return one.model == model; });
+  };
   size_t next = 1;  // the first is of no contact model
   for (size_t i = 0; i < motions->size(); ++i) {
-    const bool taken =
-        models[i].empty() || std::find(models.begin(), models.begin() + i, models[i]) != models.begin() + i;
-    while (taken && std::ranges::find(models, ModelStyles()[next].model) != models.end() &&
-           next + 1 < ModelStyles().size()) {
-      ++next;
-    }
-    if (taken) models[i] = ModelStyles()[next].model;
-    (*motions)[i].colour = StyleOf(models[i]).colour;
-    (*motions)[i].dash = StyleOf(models[i]).dash;
+    ReplayMotion& drawn = (*motions)[i];
+    const bool taken = drawn.model.empty() || has(i, drawn.model);
+    while (taken && has(motions->size(), ModelStyles()[next].model) && next + 1 < ModelStyles().size()) ++next;
+    if (taken) drawn.model = ModelStyles()[next].model;
+    drawn.colour = StyleOf(drawn.model).colour;
+    drawn.dash = StyleOf(drawn.model).dash;
   }
 }
 
@@ -425,25 +425,23 @@ void Thin(size_t most_rows, ReplayMotion* drawn) {
 // else what the first file says of them. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene) {
   Replay replay;
-  std::vector<std::string> models;
   for (const std::string& path : paths) {
-    const ReplayFile file = ReadReplayFile(path, scene);
-    if (replay.scene.bodies.empty()) replay.scene = file.drawn.scene;
+    Replay file = ReadReplayFile(path, scene);
+    if (replay.scene.bodies.empty()) replay.scene = file.scene;
     const auto same = [](const Body& l, const Body& r) { return l.name == r.name && l.radius == r.radius; };
-    if (!std::ranges::equal(replay.scene.bodies, file.drawn.scene.bodies, same)) {
+    if (!std::ranges::equal(replay.scene.bodies, file.scene.bodies, same)) {
       throw InputError(path + ": its discs are not those of " + paths[0]);
     }
-    for (size_t i = 0; i < file.drawn.motions.size(); ++i) {
-      replay.motions.push_back(file.drawn.motions[i]);
-      models.push_back(file.models[i]);
-      if (paths.size() > 1) replay.motions.back().label = StemOf(path) + ": " + replay.motions.back().label;
+    for (ReplayMotion& drawn : file.motions) {
+      if (paths.size() > 1) drawn.label = StemOf(path) + ": " + drawn.label;
+      replay.motions.push_back(std::move(drawn));
     }
   }
   const size_t width = kState * replay.scene.bodies.size(), motions = replay.motions.size();
   for (ReplayMotion& drawn : replay.motions) {
     Thin(std::max<size_t>(2, kMostReplayNumbers / (width * motions)), &drawn);
   }
-  SetStyles(&replay.motions, std::move(models));
+  SetStyles(&replay.motions);
   return replay;
 }
 
@@ -465,7 +463,7 @@ int WriteReplay() {
 
 }  // namespace
 
-ReplayFile ReadReplayFile(const std::string& path, const std::optional<Scene>& scene) {
+Replay ReadReplayFile(const std::string& path, const std::optional<Scene>& scene) {
   return ReplayReader(path, scene).Read();
 }
 

@@ -267,6 +267,7 @@ ReplayMotion::ReplayMotion(Motion drawn, MotionInput from, std::string name, std
     : motion(std::move(drawn)),
       input(std::move(from)),
       label(std::move(name)),
+      model(style_of_model),
       remark(motion.failure),
       colour(StyleOf(style_of_model).colour),
       dash(StyleOf(style_of_model).dash) {}

@@ -66,12 +66,13 @@ struct ReplaySpread {
 };
 
 struct ReplayMotion {
-  // Takes the remark from the motion, and the style from its name (palette.h).
+  // Takes the remark from the motion, and the style from the name of a contact model (palette.h).
   ReplayMotion(Motion drawn, MotionInput from, std::string name, std::string_view style_of_model);
 
   Motion motion;      // with one state at least
   MotionInput input;  // what it was simulated from: its control, which may be empty, is drawn too
   std::string label;
+  std::string model;   // whose style it has
   std::string remark;  // may be empty
   bool shown = true;   // at first; the reader may change it
   std::string colour;
