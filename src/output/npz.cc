@@ -5,11 +5,11 @@
 
 #include <algorithm>
 #include <bit>
-#include <charconv>
 #include <cstring>
 #include <limits>
 #include <memory>
 #include <new>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string_view>
 #include <type_traits>
@@ -139,57 +139,40 @@ std::string Header(std::string_view descriptor, const std::vector<int64_t>& shap
   return header + dictionary;
 }
 
-// The fields of a header. It is parsed by hand, because std::regex needs stack for every character.
 struct HeaderFields {
-  std::string_view descriptor, shape;
-  bool fortran_order = false;
+  std::string descriptor;
+  std::vector<int64_t> shape;
 };
 
-// Removes `prefix` from the front of `text`; returns false if it does not begin so.
-bool Take(std::string_view prefix, std::string_view* text) {
-  if (!text->starts_with(prefix)) return false;
-  text->remove_prefix(prefix.size());
-  return true;
-}
-
-// Removes the text up to `mark`, and the mark; returns the text.
-std::string_view TakeUntil(char mark, std::string_view* text) {
-  const size_t end = std::min(text->find(mark), text->size());
-  const std::string_view taken = text->substr(0, end);
-  text->remove_prefix(std::min(end + 1, text->size()));
-  return taken;
-}
-
-// Parses {'descr': '...', 'fortran_order': False, 'shape': (...), } and spaces up to the end of the line.
-std::optional<HeaderFields> ParseHeader(std::string_view text) {
-  HeaderFields fields;
-  if (!Take("{'descr': '", &text)) return std::nullopt;
-  fields.descriptor = TakeUntil('\'', &text);
-  if (!Take(", 'fortran_order': ", &text)) return std::nullopt;
-  fields.fortran_order = Take("True", &text);
-  if (!fields.fortran_order && !Take("False", &text)) return std::nullopt;
-  if (!Take(", 'shape': (", &text)) return std::nullopt;
-  fields.shape = TakeUntil(')', &text);
-  if (fields.shape.find_first_not_of("0123456789, ") != std::string_view::npos) return std::nullopt;
-  Take(",", &text);
-  if (!Take(" }", &text) || !text.ends_with('\n')) return std::nullopt;
-  if (text.find_first_not_of(' ') != text.size() - 1) return std::nullopt;
-  return fields;
-}
-
-// Parses the numbers between the brackets.
-std::optional<std::vector<int64_t>> ParseShape(std::string_view text) {
-  constexpr std::string_view kDigits = "0123456789";
-  std::vector<int64_t> shape;
-  for (size_t at = text.find_first_of(kDigits); at != std::string_view::npos; at = text.find_first_of(kDigits)) {
-    text.remove_prefix(at);
-    int64_t dimension = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), dimension);
-    if (error != std::errc()) return std::nullopt;
-    shape.push_back(dimension);
-    text.remove_prefix(static_cast<size_t>(end - text.data()));
+// Parses a header, a dictionary in Python: {'descr': '<f8', 'fortran_order': False, 'shape': (2, 3), } and a line end.
+// It becomes JSON by other marks, and without commas at ends.
+StatusOr<HeaderFields> ParseHeader(const std::string& header) {
+  std::string json;
+  for (const char c : header) {
+    if (c == ')' || c == '}') {
+      json.resize(json.find_last_not_of(' ') + 1);
+      if (json.ends_with(',')) json.pop_back();
+    }
+    json += c == '\'' ? '"' : c == '(' ? '[' : c == ')' ? ']' : c;
   }
-  return shape;
+  for (const std::string word : {"True", "False"}) {
+    if (const size_t at = json.find(": " + word); at != std::string::npos) json[at + 2] += 'a' - 'A';
+  }
+  const nlohmann::json fields = nlohmann::json::parse(json, nullptr, /*allow_exceptions=*/false);
+  const bool whole = header.ends_with('\n') && fields.is_object() &&
+                     fields.value("descr", nlohmann::json()).is_string() &&
+                     fields.value("fortran_order", nlohmann::json()).is_boolean() &&
+                     fields.value("shape", nlohmann::json()).is_array();
+  if (!whole) return Status::Error("NPY header not understood: " + header);
+  if (fields["fortran_order"].get<bool>()) return Status::Error("NPY data in Fortran order");
+  HeaderFields parsed{fields["descr"], {}};
+  for (const nlohmann::json& dimension : fields["shape"]) {
+    if (!dimension.is_number_unsigned() || dimension.get<uint64_t>() > std::numeric_limits<int64_t>::max()) {
+      return Status::Error("NPY shape out of range: " + fields["shape"].dump());
+    }
+    parsed.shape.push_back(dimension.get<int64_t>());
+  }
+  return parsed;
 }
 
 template <typename T>
@@ -312,18 +295,14 @@ StatusOr<NpyArray> DecodeNpy(const std::string& bytes) {
   }
   const size_t length = static_cast<unsigned char>(bytes[8]) + 256u * static_cast<unsigned char>(bytes[9]);
   if (bytes.size() < kPrefix + length) return Status::Error("NPY header is cut off");
-  const std::string_view header = std::string_view(bytes).substr(kPrefix, length);
-  const std::optional<HeaderFields> fields = ParseHeader(header);
-  if (!fields) return Status::Error("NPY header not understood: " + std::string(header));
-  if (fields->fortran_order) return Status::Error("NPY data in Fortran order");
-  std::optional<std::vector<int64_t>> shape = ParseShape(fields->shape);
-  if (!shape) return Status::Error("NPY shape out of range: (" + std::string(fields->shape) + ")");
+  StatusOr<HeaderFields> fields = ParseHeader(bytes.substr(kPrefix, length));
+  if (!fields.ok()) return fields.status();
+  auto& [descriptor, shape] = *fields;
   const std::string_view data = std::string_view(bytes).substr(kPrefix + length);
-  const std::string descriptor(fields->descriptor);
-  if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(*shape), data);
-  if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(*shape), data);
-  if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(*shape), data);
-  if (descriptor.starts_with(kNpyTextType)) return DecodeText(std::move(*shape), descriptor, data);
+  if (descriptor == Descriptor<double>()) return DecodeData<double>(std::move(shape), data);
+  if (descriptor == Descriptor<float>()) return DecodeData<float>(std::move(shape), data);
+  if (descriptor == Descriptor<int64_t>()) return DecodeData<int64_t>(std::move(shape), data);
+  if (descriptor.starts_with(kNpyTextType)) return DecodeText(std::move(shape), descriptor, data);
   return Status::Error("NPY type '" + descriptor + "'; expected <f8, <f4, <i8 or <U");
 }
 

@@ -60,9 +60,9 @@ void Page::Add(const char* kind, Json part) {
 }
 
 void Page::AddList(const std::vector<std::string>& items) {
-  Json list = Json::array();
-  for (const std::string& item : items) list.push_back({{"text", item}});
-  Add("list", {{"items", std::move(list)}});
+  std::vector<Moment> notes;
+  for (const std::string& item : items) notes.push_back({.text = item, .motion = ""});
+  AddMoments(notes);
 }
 
 void Page::AddMoments(const std::vector<Moment>& moments) {
@@ -91,10 +91,6 @@ void Page::AddTable(const Table& table, const std::string& caption, const std::v
 
 void Page::AddFigure(const Figure& figure, const std::string& caption) {
   Add("figure", {{"figure", FigureToJson(figure)}, {"caption", caption}});
-}
-
-void Page::AddReplay(const Replay& replay, const std::string& caption) {
-  Add("replay", {{"replay", ReplayToJson(replay)}, {"caption", caption}});
 }
 
 void Page::SetResults(const Json& results) { document_["results"] = Thinned(results); }

@@ -7,12 +7,12 @@
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "base/status.h"
 #include "base/table.h"
 #include "output/figure.h"
-#include "output/replay.h"
 
 namespace saltus {
 
@@ -36,13 +36,13 @@ class Page {
   void AddHeading(const std::string& text) { Add("heading", {{"text", text}}); }
   void AddParagraph(const std::string& text) { Add("text", {{"text", text}}); }
   void AddPreformatted(const std::string& text) { Add("code", {{"text", text}}); }
-  void AddList(const std::vector<std::string>& items);
-  // A list of moments, which the first replay of the page shows: the motion of a label at a time, s; no label: a note.
+  // An item of a list; with a label the moment of a motion, s, which the first replay of the page then shows.
   struct Moment {
     std::string text, motion;
     double time = 0;
   };
   void AddMoments(const std::vector<Moment>& moments);
+  void AddList(const std::vector<std::string>& items);
   void AddTiles(const std::vector<Tile>& tiles);
   // Adds links to files beside the page.
   void AddLinks(const std::vector<std::string>& files) { Add("links", {{"files", files}}); }
@@ -55,7 +55,10 @@ class Page {
     if (!table.rows().empty()) AddTable(table, caption);
   }
   void AddFigure(const Figure& figure, const std::string& caption);
-  void AddReplay(const Replay& replay, const std::string& caption);
+  // Adds a replay, whose data ReplayToJson() in programs/scene_drawing.h returns.
+  void AddReplay(nlohmann::ordered_json replay, const std::string& caption) {
+    Add("replay", {{"replay", std::move(replay)}, {"caption", caption}});
+  }
   // Adds a figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Omitted if it has no data.
   void AddPlot(const std::string& plot, const std::string& caption) {
     Add("plot", {{"plot", plot}, {"caption", caption}});

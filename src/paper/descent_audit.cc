@@ -36,37 +36,15 @@ SingleShooting ExactShooting(const Scene& scene, int num_steps) {
   return SingleShooting(MakeSimulator(ExactModel()->name, exact, Precision::kDouble));
 }
 
-}  // namespace
+// One descent, examined at some of its iterates.
+struct Descent {
+  size_t task = 0;
+  std::string contact;
+  std::vector<std::vector<double>> known;                        // iterates that are looked at, or nothing
+  std::vector<double> iterations, angles, exact_losses, losses;  // angles in degrees
+};
 
-// Returns about equally many iterations in every power of ten.
-std::vector<int> DescentAudit::ExaminedIterations() {
-  std::vector<int> at;
-  for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
-  at.push_back(kPublishedIterations);
-  return at;
-}
-
-DescentAudit::DescentAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
-                           const std::vector<std::string>& slow)
-    : tasks_(std::move(tasks)) {
-  for (size_t task = 0; task < tasks_.size(); ++task) {
-    for (const std::string& contact : contacts) {
-      if (std::ranges::find(slow, contact) != slow.end()) continue;
-      if (WhyNotApplicable(contact, tasks_[task].scene).empty()) descents_.push_back({task, contact, {}, {}, {}, {}});
-    }
-  }
-  left_out_ = slow;
-}
-
-void DescentAudit::UseIterates(size_t task, const std::string& contact, std::vector<std::vector<double>> iterates) {
-  if (iterates.size() != ExaminedIterations().size()) return;  // it has ended early
-  for (Descent& descent : descents_) {
-    if (descent.task == task && descent.contact == contact) descent.known = std::move(iterates);
-  }
-}
-
-void DescentAudit::Follow(Descent* descent) const {
-  const Scene& scene = tasks_[descent->task].scene;
+void Follow(const Scene& scene, Descent* descent) {
   SingleShooting own(MakeSimulator(descent->contact, scene, Precision::kDouble));
   SingleShooting exact = ExactShooting(scene, own.simulator().num_steps());
   own.set_stop(AskedToStop);
@@ -96,23 +74,10 @@ void DescentAudit::Follow(Descent* descent) const {
   }
 }
 
-bool DescentAudit::Run(int threads, ProgressMode mode) {
-  // Known descents come last, and the others in reverse order, because slow models are the last in the registry.
-  std::vector<Descent*> jobs;
-  for (Descent& descent : descents_) jobs.push_back(&descent);
-  std::ranges::stable_sort(jobs, [](const Descent* l, const Descent* r) {
-    return std::pair(l->known.empty(), l) > std::pair(r->known.empty(), r);
-  });
-  std::vector<std::string> names;
-  for (const Descent* job : jobs) names.push_back(tasks_[job->task].scene.name + " " + job->contact);
-  Progress progress(mode, stderr, "descent beside the exact gradient", jobs.size());
-  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) { Follow(jobs[i]); });
-}
-
-PaperFigure DescentAudit::ToFigure() const {
+PaperFigure FigureOf(const std::vector<TitledScene>& tasks, const std::vector<Descent>& descents) {
   Figure figure{.columns = 3, .width = 1500, .legend = Legend::kBelow};
-  for (size_t number = 0; number < tasks_.size(); ++number) {
-    const Task& task = tasks_[number];
+  for (size_t number = 0; number < tasks.size(); ++number) {
+    const TitledScene& task = tasks[number];
     const Axis iteration{.label = "iteration, from 1", .log = true};
     Panel angle{.title = task.title + ": angle to the exact gradient",
                 .x = iteration,
@@ -122,7 +87,7 @@ PaperFigure DescentAudit::ToFigure() const {
     Panel own{.title = task.title + ": loss under the model",
               .x = iteration,
               .y = {.label = "loss under the model", .log = true}};
-    for (const Descent& descent : descents_) {
+    for (const Descent& descent : descents) {
       if (descent.task != number) continue;
       angle.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.angles));
       loss.series.push_back(Series::ForModel(descent.contact, descent.iterations, descent.exact_losses));
@@ -137,32 +102,69 @@ PaperFigure DescentAudit::ToFigure() const {
       figure};
 }
 
-std::vector<std::string> DescentAudit::Findings() const {
+std::vector<std::string> FindingsOf(const std::vector<TitledScene>& tasks, const std::vector<Descent>& descents,
+                                    const std::vector<std::string>& left_out) {
   std::vector<std::string> findings;
-  for (size_t number = 0; number < tasks_.size(); ++number) {
+  for (size_t number = 0; number < tasks.size(); ++number) {
     double least = std::numeric_limits<double>::infinity();
-    for (const Descent& descent : descents_) {
+    for (const Descent& descent : descents) {
       if (descent.task != number) continue;
       for (const double loss : descent.exact_losses) least = std::min(least, loss);
     }
     std::vector<std::string> right, wrong_side, succeed, fail;
-    for (const Descent& descent : descents_) {
+    for (const Descent& descent : descents) {
       if (descent.task != number || descent.angles.empty()) continue;
       (descent.angles.front() < kAhead ? right : wrong_side).push_back(descent.contact);
       const double first = descent.exact_losses.front(), last = descent.exact_losses.back();
       const bool gained = first - last >= kMostOfIt * (first - least);
       (gained ? succeed : fail).push_back(descent.contact);
     }
-    findings.push_back(tasks_[number].title +
+    findings.push_back(tasks[number].title +
                        ": at the start the angle between the gradient and the exact one is less than " +
                        Cell(kAhead).Display(2) + " degrees under " + JoinedNames(right) + ", and larger under " +
                        JoinedNames(wrong_side) + ".");
-    findings.push_back(tasks_[number].title + ": after the last iteration the exact loss has decreased by at least " +
+    findings.push_back(tasks[number].title + ": after the last iteration the exact loss has decreased by at least " +
                        Cell(100 * kMostOfIt).Display(3) + " % of the largest decrease under " + JoinedNames(succeed) +
                        "; and by less under " + JoinedNames(fail) + ".");
   }
-  if (!left_out_.empty()) findings.push_back("Left out, as their gradients take long: " + JoinedNames(left_out_) + ".");
+  if (!left_out.empty()) findings.push_back("Left out, as their gradients take long: " + JoinedNames(left_out) + ".");
   return findings;
+}
+
+}  // namespace
+
+std::vector<int> ExaminedIterations() {
+  std::vector<int> at;
+  for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
+  at.push_back(kPublishedIterations);
+  return at;
+}
+
+std::optional<Section> AuditDescents(const std::vector<TitledScene>& tasks, const std::vector<std::string>& contacts,
+                                     const std::vector<std::string>& slow, const KnownIterates& known, int threads,
+                                     ProgressMode mode) {
+  std::vector<Descent> descents;
+  for (size_t task = 0; task < tasks.size(); ++task) {
+    for (const std::string& contact : contacts) {
+      if (std::ranges::find(slow, contact) != slow.end()) continue;
+      if (!WhyNotApplicable(contact, tasks[task].scene).empty()) continue;
+      std::vector<std::vector<double>> iterates = known(task, contact);
+      if (iterates.size() != ExaminedIterations().size()) iterates.clear();  // it has ended early
+      descents.push_back({task, contact, std::move(iterates), {}, {}, {}, {}});
+    }
+  }
+  // Known descents come last, and the others in reverse order, because slow models are the last in the registry.
+  std::vector<Descent*> jobs;
+  for (Descent& descent : descents) jobs.push_back(&descent);
+  std::ranges::stable_sort(jobs, [](const Descent* l, const Descent* r) {
+    return std::pair(l->known.empty(), l) > std::pair(r->known.empty(), r);
+  });
+  std::vector<std::string> names;
+  for (const Descent* job : jobs) names.push_back(tasks[job->task].scene.name + " " + job->contact);
+  Progress progress(mode, stderr, "descent beside the exact gradient", jobs.size());
+  const auto follow = [&](int i, const SayNote&) { Follow(tasks[jobs[i]->task].scene, jobs[i]); };
+  if (!RunJobs(names, threads, &progress, follow)) return std::nullopt;
+  return Section{FindingsOf(tasks, descents, slow), {}, {FigureOf(tasks, descents)}};
 }
 
 }  // namespace saltus

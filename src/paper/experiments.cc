@@ -33,16 +33,6 @@ std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std
 
 }  // namespace
 
-SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options) {
-  SolvedRun run;
-  run.report = Solve(solver, request, options);
-  const SolveReport& report = run.report;
-  if (!report.losses.empty()) {
-    run.exact = SimulateExactly(request.scene, report.initial_state, report.control, report.durations);
-  }
-  return run;
-}
-
 const SolvedRun* Experiment::Find(const std::string& solver) const {
   for (const SolvedRun& run : runs) {
     if (run.report.solver == solver) return &run;
@@ -164,22 +154,6 @@ std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const d
   return positions;
 }
 
-void WriteVelocityRun(const Experiment& experiment, const SolveReport& report, const std::string& path) {
-  std::vector<double> velocities;
-  for (const std::vector<double>& z : report.iterates) velocities.insert(velocities.end(), z.begin(), z.end());
-  const std::vector<double> trajectory = TrajectoryAt(experiment, report.iterates[report.iterates.size() - 2]);
-  OrOutputError(WriteNpz(path,
-                         {{"loss", LossArray(report)},
-                          {"init_vel", {{static_cast<int64_t>(report.iterates.size()), 2}, velocities}},
-                          {"last_traj", {{static_cast<int64_t>(trajectory.size() / 2), 2}, trajectory}}}));
-}
-
-void WriteControlRun(const SolveReport& report, const std::string& path) {
-  OrOutputError(WriteNpz(path,
-                         {{"loss", LossArray(report)},
-                          {"ctrls", {{static_cast<int64_t>(report.control.size() / 2), 2}, report.control}}}));
-}
-
 // Returns a stiffness as the notebooks spell it: Python's floats, 1000.0, except for the lowest, 100.
 std::string StiffnessName(double stiffness) {
   return std::to_string(static_cast<long>(stiffness)) + (stiffness == 100 ? "" : ".0");
@@ -195,17 +169,23 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
     const SolvedRun* run = experiment.Find("gd");
     if (published == PublishedNames().end() || experiment.precision != published->second.precision) continue;
     if (run == nullptr || run->report.losses.size() < 2) continue;
-    const std::string name = published->second.name;
+    const SolveReport& report = run->report;
     const Scene& scene = experiment.scene;
+    const std::string model = published->second.name;
+    std::string name = "two_balls_1_" + model;
+    NpzArrays arrays = {{"loss", LossArray(report)}};
     if (scene.optimize == Optimize::kVelocity) {
-      const std::string suffix = scene.contact.friction > 0 ? "_mu_0.1" : "";
-      WriteVelocityRun(experiment, run->report, results + "/ground_wall_" + name + suffix + ".npz");
-    } else if (experiment.contact == "compliant_warp") {
-      const std::string suffix = "_kn_" + StiffnessName(scene.contact.stiffness);
-      WriteControlRun(run->report, results + "/two_balls_1_" + name + suffix + ".npz");
+      name = "ground_wall_" + model + (scene.contact.friction > 0 ? "_mu_0.1" : "");
+      std::vector<double> velocities;
+      for (const std::vector<double>& z : report.iterates) velocities.insert(velocities.end(), z.begin(), z.end());
+      const std::vector<double> trajectory = TrajectoryAt(experiment, report.iterates[report.iterates.size() - 2]);
+      arrays["init_vel"] = {{std::ssize(report.iterates), 2}, velocities};
+      arrays["last_traj"] = {{std::ssize(trajectory) / 2, 2}, trajectory};
     } else {
-      WriteControlRun(run->report, results + "/two_balls_1_" + name + ".npz");
+      if (experiment.contact == "compliant_warp") name += "_kn_" + StiffnessName(scene.contact.stiffness);
+      arrays["ctrls"] = {{std::ssize(report.control) / 2, 2}, report.control};
     }
+    OrOutputError(WriteNpz(results + "/" + name + ".npz", arrays));
   }
 }
 

@@ -64,9 +64,6 @@ class Experiments {
   std::map<std::string, int> index_;
 };
 
-// Solves, and simulates the result exactly.
-SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options);
-
 // Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
 // below `output_dir`. Throws InputError if a file cannot be written.
 void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);

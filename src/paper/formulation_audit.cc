@@ -92,76 +92,29 @@ double Rounded(double cost) {
   return std::round(cost / digit) * digit;
 }
 
-}  // namespace
+// The results of one task.
+struct Results {
+  TitledScene task;
+  AuditReport report;
+  std::vector<double> costs;  // of each model, in those of `direct`; 0 if it cannot take the scene
+};
 
-FormulationAudit::FormulationAudit(std::vector<Task> tasks, std::vector<std::string> contacts,
-                                   std::vector<SimulatorCommand> simulators)
-    : contacts_(std::move(contacts)), simulators_(std::move(simulators)) {
-  for (const SimulatorCommand& simulator : simulators_) contacts_.push_back(simulator.name);
-  CHECK(std::ranges::find(contacts_, kUnit) != contacts_.end());
-  for (Task& task : tasks) {
-    Results& results = tasks_.emplace_back();
-    results.task = std::move(task);
-    results.report.models.resize(contacts_.size());
-  }
-}
-
-ModelAudit FormulationAudit::Audit(size_t model, const Results& results) const {
-  const Scene& scene = results.task.scene;
-  const std::optional<ModelGradient>& reference = results.report.reference;
-  AuditOptions options;
-  options.refinement.samples = kSamples;
-  options.refinement.parameters = false;  // they enter no verdict, and take most of the time
-  options.attribution = false;
-  options.stop = AskedToStop;
-  const size_t first = contacts_.size() - simulators_.size();
-  if (model < first) return AuditModel(contacts_[model], scene, Precision::kDouble, reference, options);
-  return AuditBlackBox(OpenSimulator(simulators_[model - first], /*copies=*/1), scene, reference, options);
-}
-
-bool FormulationAudit::Run(int threads, ProgressMode mode) {
-  for (Results& results : tasks_) results.report.reference = ExactGradientOf(results.task.scene);
-  const int count = static_cast<int>(tasks_.size() * contacts_.size());
-  std::vector<std::string> names, costs;
-  // Jobs begin with the last model: slow models are the last, and no core should wait for them in the end.
-  const auto model_of = [&](int i) { return contacts_.size() - 1 - i / tasks_.size(); };
-  for (int i = 0; i < count; ++i) {
-    names.push_back(tasks_[i % tasks_.size()].task.scene.name + " " + contacts_[model_of(i)]);
-  }
-  for (const Results& results : tasks_) costs.push_back("times of " + results.task.scene.name);
-  Progress progress(mode, stderr, "all formulations", count + tasks_.size());
-  const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
-    const size_t model = model_of(i);
-    Results& results = tasks_[i % tasks_.size()];
-    results.report.models[model] = Audit(model, results);
-  });
-  if (!audited) return false;
-  // The costs are measured on one thread, so that nothing else of this program disturbs them.
-  return RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
-    const std::vector<std::string> models(contacts_.begin(),
-                                          contacts_.end() - static_cast<std::ptrdiff_t>(simulators_.size()));
-    tasks_[i].costs = MeasureCosts(models, tasks_[i].task.scene);
-    tasks_[i].costs.resize(contacts_.size());
-  });
-}
-
-double FormulationAudit::ErrorByInitialState(const Results& results, size_t model) const {
+// Returns |g - g_exact| / |g_exact| over initial positions and velocities.
+double ErrorByInitialState(const Results& results, size_t model) {
   const ModelGradient& gradient = results.report.models[model].gradient;
   if (!gradient.ok() || !results.report.reference) return std::nan("");
   const std::vector<double>& own = gradient.gradient.initial;
   const std::vector<double>& exact = results.report.reference->gradient.initial;
-  double difference = 0, scale = 0;
-  for (size_t i = 0; i < exact.size(); ++i) {
-    difference += (own[i] - exact[i]) * (own[i] - exact[i]);
-    scale += exact[i] * exact[i];
-  }
-  return std::sqrt(difference / scale);
+  std::vector<double> difference = exact;
+  for (size_t i = 0; i < exact.size(); ++i) difference[i] -= own[i];
+  return Norm(difference) / Norm(exact);
 }
 
-std::string FormulationAudit::ClassesOf(size_t model) const {
+// Returns "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
+std::string ClassesOf(const std::vector<Results>& all, size_t model) {
   std::vector<std::pair<std::string, std::vector<std::string>>> classes;  // and the numbers of their tasks
-  for (size_t task = 0; task < tasks_.size(); ++task) {
-    const ModelAudit& audit = tasks_[task].report.models[model];
+  for (size_t task = 0; task < all.size(); ++task) {
+    const ModelAudit& audit = all[task].report.models[model];
     if (!audit.recognition) continue;
     const std::string found = ContactClassToString(audit.recognition->contact_class);
     auto known = std::ranges::find_if(classes, [&](const auto& entry) { return entry.first == found; });
@@ -175,10 +128,10 @@ std::string FormulationAudit::ClassesOf(size_t model) const {
 }
 
 // Returns the geometric mean of the cost over the tasks.
-double FormulationAudit::CostOf(size_t model) const {
+double CostOf(const std::vector<Results>& all, size_t model) {
   double sum = 0;
   int count = 0;
-  for (const Results& results : tasks_) {
+  for (const Results& results : all) {
     if (results.costs[model] <= 0) continue;
     sum += std::log(results.costs[model]);
     ++count;
@@ -186,9 +139,9 @@ double FormulationAudit::CostOf(size_t model) const {
   return count > 0 ? std::exp(sum / count) : std::nan("");
 }
 
-CaptionedTable FormulationAudit::ToTable() const {
+CaptionedTable TableOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {
   std::vector<Column> columns = ColumnsOf("contact; class");
-  for (size_t task = 1; task <= tasks_.size(); ++task) {
+  for (size_t task = 1; task <= all.size(); ++task) {
     const std::string number = ", task " + std::to_string(task);
     columns.push_back({"loss" + number, 7});
     columns.push_back({"error" + number, 2});
@@ -196,9 +149,9 @@ CaptionedTable FormulationAudit::ToTable() const {
   }
   columns.push_back({"cost of a step"});
   Table table(columns);
-  for (size_t model = 0; model < contacts_.size(); ++model) {
-    std::vector<Cell> row = {contacts_[model], ClassesOf(model)};
-    for (const Results& results : tasks_) {
+  for (size_t model = 0; model < contacts.size(); ++model) {
+    std::vector<Cell> row = {contacts[model], ClassesOf(all, model)};
+    for (const Results& results : all) {
       const ModelAudit& audit = results.report.models[model];
       if (!audit.gradient.ok()) {
         row.insert(row.end(), {Cell(), Cell(), Cell(audit.gradient.reason).With(Tone::kMuted)});
@@ -209,12 +162,12 @@ CaptionedTable FormulationAudit::ToTable() const {
                   ErrorByInitialState(results, model),
                   Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))});
     }
-    const double cost = CostOf(model);
+    const double cost = CostOf(all, model);
     row.push_back(std::isnan(cost) ? Cell() : Cell(Rounded(cost)));
     table.AddRow(std::move(row));
   }
   std::vector<Cell> exact = {"exact", Cell()};
-  for (const Results& results : tasks_) {
+  for (const Results& results : all) {
     exact.insert(exact.end(), {results.report.reference->loss, Cell(), Cell()});
   }
   exact.emplace_back();
@@ -228,16 +181,16 @@ CaptionedTable FormulationAudit::ToTable() const {
       std::move(table)};
 }
 
-PaperFigure FormulationAudit::ToFigure() const {
+PaperFigure FigureOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {
   Figure figure{.width = 1200, .panel_height = 420, .legend = Legend::kBelow};
-  for (const Results& results : tasks_) {
+  for (const Results& results : all) {
     Panel panel{.title = results.task.title,
                 .x = {.label = "cost of a step and its gradient (direct = 1)", .log = true, .min = 0.8},
                 .y = {.label = "relative error of the gradient", .log = true, .min = kLeastErrorShown / 2}};
-    for (size_t model = 0; model < contacts_.size(); ++model) {
+    for (size_t model = 0; model < contacts.size(); ++model) {
       const double error = ErrorByInitialState(results, model);
       if (std::isnan(error) || results.costs[model] <= 0) continue;
-      Series series = Series::ForModel(contacts_[model], {results.costs[model]}, {std::max(error, kLeastErrorShown)});
+      Series series = Series::ForModel(contacts[model], {results.costs[model]}, {std::max(error, kLeastErrorShown)});
       series.line = false;
       panel.series.push_back(std::move(series));
     }
@@ -251,17 +204,17 @@ PaperFigure FormulationAudit::ToFigure() const {
           figure};
 }
 
-std::vector<std::string> FormulationAudit::Classes() const {
+std::vector<std::string> FindingsOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {
   std::map<ContactClass, std::vector<std::string>> members;
-  for (size_t model = 0; model < contacts_.size(); ++model) {
+  for (size_t model = 0; model < contacts.size(); ++model) {
     std::map<ContactClass, std::vector<std::string>> tasks;
-    for (size_t task = 0; task < tasks_.size(); ++task) {
-      const ModelAudit& audit = tasks_[task].report.models[model];
+    for (size_t task = 0; task < all.size(); ++task) {
+      const ModelAudit& audit = all[task].report.models[model];
       if (audit.recognition) tasks[audit.recognition->contact_class].push_back(std::to_string(task + 1));
     }
     for (const auto& [found, in] : tasks) {
       const std::string where = tasks.size() > 1 ? " in task " + Joined(in, " and ") : "";
-      members[found].push_back("`" + contacts_[model] + "`" + where);
+      members[found].push_back("`" + contacts[model] + "`" + where);
     }
   }
   std::vector<std::string> classes;
@@ -269,6 +222,53 @@ std::vector<std::string> FormulationAudit::Classes() const {
     classes.push_back(std::string(ContactClassToString(found)) + " (" + Joined(names, ", ") + "): " + MeaningOf(found));
   }
   return classes;
+}
+
+}  // namespace
+
+std::optional<Section> AuditFormulations(const std::vector<TitledScene>& tasks, std::vector<std::string> contacts,
+                                         const std::vector<SimulatorCommand>& simulators, int threads,
+                                         ProgressMode mode) {
+  CHECK(std::ranges::find(contacts, kUnit) != contacts.end());
+  const std::vector<std::string> models = contacts;
+  for (const SimulatorCommand& simulator : simulators) contacts.push_back(simulator.name);
+  std::vector<Results> all;
+  for (const TitledScene& task : tasks) {
+    all.push_back({task, {ExactGradientOf(task.scene), {}}, {}});
+    all.back().report.models.resize(contacts.size());
+  }
+  const int count = static_cast<int>(all.size() * contacts.size());
+  std::vector<std::string> names, costs;
+  // Jobs begin with the last model: slow models are the last, and no core should wait for them in the end.
+  const auto model_of = [&](int i) { return contacts.size() - 1 - i / all.size(); };
+  for (int i = 0; i < count; ++i) {
+    names.push_back(all[i % all.size()].task.scene.name + " " + contacts[model_of(i)]);
+  }
+  for (const Results& results : all) costs.push_back("times of " + results.task.scene.name);
+  Progress progress(mode, stderr, "all formulations", count + all.size());
+  AuditOptions options;
+  options.refinement.samples = kSamples;
+  options.refinement.parameters = false;  // they enter no verdict, and take most of the time
+  options.attribution = false;
+  options.stop = AskedToStop;
+  const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
+    const size_t model = model_of(i);
+    auto& [task, report, unused] = all[i % all.size()];
+    report.models[model] = model < models.size()
+                               ? AuditModel(models[model], task.scene, Precision::kDouble, report.reference, options)
+                               : AuditBlackBox(OpenSimulator(simulators[model - models.size()], /*copies=*/1),
+                                               task.scene,
+                                               report.reference,
+                                               options);
+  });
+  if (!audited) return std::nullopt;
+  // The costs are measured on one thread, so that nothing else of this program disturbs them.
+  const bool measured = RunJobs(costs, 1, &progress, [&](int i, const SayNote&) {
+    all[i].costs = MeasureCosts(models, all[i].task.scene);
+    all[i].costs.resize(contacts.size());
+  });
+  if (!measured) return std::nullopt;
+  return Section{FindingsOf(all, contacts), {TableOf(all, contacts)}, {FigureOf(all, contacts)}};
 }
 
 }  // namespace saltus

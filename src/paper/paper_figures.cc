@@ -32,31 +32,18 @@ void ForEachModel(const Experiments& experiments, const std::string& problem, do
   }
 }
 
-// The x and y of every disc along a motion under some decision variables.
-struct Path {
-  std::vector<double> x, y;
-};
-std::vector<Path> PathsOf(const Experiment& experiment, const std::vector<double>& initial,
-                          const std::vector<double>& control) {
-  const std::unique_ptr<Simulator> simulator =
-      MakeSimulator(experiment.contact, experiment.scene, experiment.precision);
-  std::vector<Path> paths(simulator->num_bodies());
-  if (!simulator->Rollout(initial, control)) return paths;
-  std::vector<double> x(simulator->state_size());
-  for (int k = 0; k <= simulator->num_steps(); ++k) {
-    simulator->GetState(k, x);
-    for (int i = 0; i < simulator->num_bodies(); ++i) {
-      paths[i].x.push_back(x[i * simulator->body_size()]);
-      paths[i].y.push_back(x[i * simulator->body_size() + 1]);
+// Adds the paths of the discs of a motion under the experiment's contact model.
+void AddPaths(const Experiment& experiment, const MotionInput& input, const std::string& label,
+              const std::string& colour, Dash dash, Panel* panel) {
+  const Motion motion =
+      SimulateMotion(experiment.scene, experiment.contact, input, {.precision = experiment.precision});
+  const size_t width = 4 * experiment.scene.bodies.size();
+  for (size_t begin = 0; begin < width; begin += 4) {
+    Series& path = panel->series.emplace_back(Series{.label = label, .colour = colour, .dash = dash});
+    for (size_t i = begin; i < motion.states.size(); i += width) {
+      path.x.push_back(motion.states[i]);
+      path.y.push_back(motion.states[i + 1]);
     }
-  }
-  return paths;
-}
-
-void AddPaths(const std::vector<Path>& paths, const std::string& label, const std::string& colour, Dash dash,
-              Panel* panel) {
-  for (const Path& path : paths) {
-    panel->series.push_back({.label = label, .x = path.x, .y = path.y, .colour = colour, .dash = dash});
   }
 }
 
@@ -70,13 +57,14 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
   const Experiment* first = Shown(experiments, problem, 0, "direct_toi");
   if (first == nullptr) return panel;
   const int steps = first->gradient.num_steps;
-  AddPaths(
-      PathsOf(*first, InitialState(scene), InitialControl(scene, steps)), "initial", "#888888", Dash::kDashed, &panel);
+  const MotionInput initial{InitialState(scene), InitialControl(scene, steps), {}};
+  AddPaths(*first, initial, "initial", "#888888", Dash::kDashed, &panel);
   for (const std::string contact : {"direct_toi", "direct"}) {
     const Experiment* experiment = Shown(experiments, problem, 0, contact);
     const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run == nullptr) continue;
-    AddPaths(PathsOf(*experiment, run->report.initial_state, run->report.control),
+    AddPaths(*experiment,
+             {run->report.initial_state, run->report.control, {}},
              "optimised, " + contact,
              ColourOf(contact),
              Dash::kSolid,
@@ -206,11 +194,11 @@ std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
 
 Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   const Scene& scene = experiments.scene(problem);
-  Replay replay = ReplayOf(scene);
+  Replay replay{scene};
   const MotionOptions options = ReplayOptions(scene, experiments.all().size());
   const auto add =
       [&](const Motion& motion, const MotionInput& input, const std::string& label, const std::string& style) {
-        if (!motion.times.empty()) replay.motions.push_back(ToReplayMotion(scene, motion, input, label, style));
+        if (!motion.times.empty()) replay.motions.emplace_back(motion, input, label, style);
       };
   for (const Experiment& experiment : experiments.all()) {
     const Scene& own = experiment.scene;

@@ -4,17 +4,11 @@
 #include <string>
 #include <vector>
 
-#include "output/figure.h"
-#include "output/replay.h"
 #include "paper/experiments.h"
+#include "paper/section.h"
+#include "programs/scene_drawing.h"
 
 namespace saltus {
-
-struct PaperFigure {
-  std::string name;     // of its files
-  std::string caption;  // one or two sentences
-  Figure figure;
-};
 
 std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments);
 

@@ -7,6 +7,7 @@
 #include "base/table.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"
+#include "saltus/identify/identify.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 
@@ -90,22 +91,21 @@ double LargestError(const LearnedLaw& learned, const KnownLaw& truth) {
   return largest;
 }
 
-}  // namespace
+// A fit to exact motion, in which both a model's motion and its gradient matter, or to the model's own motion, in which
+// only its gradient matters.
+enum class Of { kExactMotion, kOwnMotion };
+struct Fit {
+  std::string contact;
+  Of of = Of::kExactMotion;
+  std::optional<IdentifyReport> report = {};  // none: the model has no motion of the true parameters
+};
 
-ParameterFits::ParameterFits(const std::vector<std::string>& contacts) : truth_(TrueScene()) {
-  for (const std::string& contact : contacts) {
-    if (!WhyNotApplicable(contact, truth_).empty()) continue;
-    if (FindContactModel(contact)->rebound == Rebound::kPlastic) continue;
-    contacts_.push_back(contact);
-    for (const Of of : {kExactMotion, kOwnMotion}) fits_.push_back({contact, of, std::nullopt});
-  }
-}
-
-void ParameterFits::Compute(Fit* fit) const {
-  const Recording recording = Record(fit->of == kExactMotion ? std::string(ExactModel()->name) : fit->contact, truth_);
+void Compute(const Scene& truth, Fit* fit) {
+  const bool exact = fit->of == Of::kExactMotion;
+  const Recording recording = Record(exact ? std::string(ExactModel()->name) : fit->contact, truth);
   if (recording.samples.empty()) return;
-  Scene guess = truth_;
-  for (const Unknown& unknown : Unknowns()) SetValue(unknown, kOff * ValueOf(unknown, truth_), &guess);
+  Scene guess = truth;
+  for (const Unknown& unknown : Unknowns()) SetValue(unknown, kOff * ValueOf(unknown, truth), &guess);
   IdentifyOptions options;
   options.loss = RobustLoss::kNone;  // there are no outliers
   options.starts = 1;                // so that iterations are those of the gradients at hand
@@ -114,25 +114,16 @@ void ParameterFits::Compute(Fit* fit) const {
   fit->report = Identify(fit->contact, guess, {recording}, Unknowns(), options);
 }
 
-bool ParameterFits::Run(int threads, ProgressMode mode) {
-  std::vector<std::string> names;
-  for (const Fit& fit : fits_) {
-    names.push_back(fit.contact + (fit.of == kExactMotion ? " to exact motion" : " to its own motion"));
-  }
-  Progress progress(mode, stderr, "fits of parameters", fits_.size());
-  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) { Compute(&fits_[i]); });
+const Fit* Find(const std::vector<Fit>& fits, const std::string& contact, Of of) {
+  const auto found = std::ranges::find_if(fits, [&](const Fit& fit) { return fit.contact == contact && fit.of == of; });
+  return found == fits.end() || !found->report ? nullptr : &*found;
 }
 
-const ParameterFits::Fit* ParameterFits::Find(const std::string& contact, Of of) const {
-  const auto found =
-      std::ranges::find_if(fits_, [&](const Fit& fit) { return fit.contact == contact && fit.of == of; });
-  return found == fits_.end() || !found->report ? nullptr : &*found;
-}
-
-std::optional<double> ParameterFits::Fit::LargestBias(const Scene& truth) const {
+// Returns the largest |value - true value| / true value of all parameters; std::nullopt if one is not determined.
+std::optional<double> LargestBias(const Fit& fit, const Scene& truth) {
   double largest = 0;
-  if (report->estimates.empty()) return std::nullopt;
-  for (const Estimate& estimate : report->estimates) {
+  if (fit.report->estimates.empty()) return std::nullopt;
+  for (const Estimate& estimate : fit.report->estimates) {
     if (estimate.determination != Determination::kDetermined) return std::nullopt;
     const double value = ValueOf(estimate.unknown, truth);
     largest = std::max(largest, std::abs(estimate.value - value) / value);
@@ -140,20 +131,21 @@ std::optional<double> ParameterFits::Fit::LargestBias(const Scene& truth) const 
   return largest;
 }
 
-bool ParameterFits::Fit::IsHonest(const Scene& truth) const {
-  return LargestBias(truth) && std::ranges::all_of(report->estimates, [&](const Estimate& at) {
+// Whether all are determined, and as close to the truth as the stated standard errors promise.
+bool IsHonest(const Fit& fit, const Scene& truth) {
+  return LargestBias(fit, truth) && std::ranges::all_of(fit.report->estimates, [&](const Estimate& at) {
            return std::abs(at.value - ValueOf(at.unknown, truth)) < kHonest * at.standard_error;
          });
 }
 
-CaptionedTable ParameterFits::ToTable() const {
+CaptionedTable TableOf(const std::vector<Fit>& fits, const Scene& truth) {
   Table table(ColumnsOf("contact; recording of; restitution:4; its error:2; its standard error:2; mass:4; its error:2; "
                         "its standard error:2; misfit:3; iterations; evaluations; milliseconds:3; verdict"),
               2);
-  for (const Fit& fit : fits_) {
+  for (const Fit& fit : fits) {
     if (!fit.report) continue;
     const IdentifyReport& report = *fit.report;
-    std::vector<Cell> row = {fit.contact, fit.of == kExactMotion ? "exact motion" : "its own motion"};
+    std::vector<Cell> row = {fit.contact, fit.of == Of::kExactMotion ? "exact motion" : "its own motion"};
     for (std::size_t p = 0; p < Unknowns().size(); ++p) {
       const bool known = p < report.estimates.size() && report.estimates[p].determination == Determination::kDetermined;
       if (!known) {
@@ -161,18 +153,18 @@ CaptionedTable ParameterFits::ToTable() const {
         continue;
       }
       const Estimate& estimate = report.estimates[p];
-      const double error = estimate.value - ValueOf(estimate.unknown, truth_);
+      const double error = estimate.value - ValueOf(estimate.unknown, truth);
       const double sigmas = std::abs(error) / estimate.standard_error;
       const Tone tone = sigmas < 3 ? Tone::kGood : sigmas < 10 ? Tone::kWarning : Tone::kBad;
       row.insert(row.end(), {estimate.value, Cell(error).With(tone), estimate.standard_error});
     }
-    const bool fits = report.verdict == FitVerdict::kFits;
+    const bool good = report.verdict == FitVerdict::kFits;
     row.insert(row.end(),
                {report.misfit,
                 report.iterations,
                 report.evaluations,
                 1e3 * report.seconds,
-                Cell(WhyNot(report)).With(fits ? Tone::kGood : Tone::kBad)});
+                Cell(WhyNot(report)).With(good ? Tone::kGood : Tone::kBad)});
     table.AddRow(std::move(row));
   }
   return {"parameter_fits",
@@ -183,15 +175,15 @@ CaptionedTable ParameterFits::ToTable() const {
           std::move(table)};
 }
 
-PaperFigure ParameterFits::ToFigure() const {
+PaperFigure FigureOf(const std::vector<Fit>& fits, const std::vector<std::string>& contacts, const Scene& truth) {
   Figure figure{.columns = 2, .width = 1200, .panel_height = 420, .legend = Legend::kBelow};
-  for (const Of of : {kExactMotion, kOwnMotion}) {
-    Panel panel{.title = of == kExactMotion ? "Recording of exact motion" : "Recording of the model's own motion",
+  for (const Of of : {Of::kExactMotion, Of::kOwnMotion}) {
+    Panel panel{.title = of == Of::kExactMotion ? "Recording of exact motion" : "Recording of the model's own motion",
                 .x = {.label = "evaluations of motion and gradient", .log = true},
                 .y = {.label = "largest relative error of a parameter", .log = true, .min = kLeastBiasShown / 2}};
-    for (const std::string& contact : contacts_) {
-      const Fit* fit = Find(contact, of);
-      const std::optional<double> bias = fit == nullptr ? std::nullopt : fit->LargestBias(truth_);
+    for (const std::string& contact : contacts) {
+      const Fit* fit = Find(fits, contact, of);
+      const std::optional<double> bias = fit == nullptr ? std::nullopt : LargestBias(*fit, truth);
       if (!bias) continue;
       Series series = Series::ForModel(
           contact, {static_cast<double>(fit->report->evaluations)}, {std::max(*bias, kLeastBiasShown)});
@@ -207,18 +199,20 @@ PaperFigure ParameterFits::ToFigure() const {
           figure};
 }
 
-std::vector<std::string> ParameterFits::Findings() const {
+std::vector<std::string> FindingsOf(const std::vector<Fit>& fits, const std::vector<std::string>& contacts,
+                                    const Scene& truth) {
   std::vector<std::string> found, stuck, honest;
   std::vector<int> evaluations;
-  for (const std::string& contact : contacts_) {
-    const Fit *exact = Find(contact, kExactMotion), *own = Find(contact, kOwnMotion);
+  for (const std::string& contact : contacts) {
+    const Fit *exact = Find(fits, contact, Of::kExactMotion), *own = Find(fits, contact, Of::kOwnMotion);
     if (exact == nullptr || own == nullptr) continue;
     (own->report->misfit < kStuck ? found : stuck).push_back(contact);
-    if (exact->IsHonest(truth_)) honest.push_back(contact);
+    if (IsHonest(*exact, truth)) honest.push_back(contact);
     if (contact != ExactModel()->name) evaluations.push_back(own->report->evaluations);
   }
   std::string cost;
-  if (const Fit* exact = Find(std::string(ExactModel()->name), kOwnMotion); exact != nullptr && !evaluations.empty()) {
+  if (const Fit* exact = Find(fits, std::string(ExactModel()->name), Of::kOwnMotion);
+      exact != nullptr && !evaluations.empty()) {
     const auto middle = evaluations.begin() + static_cast<std::ptrdiff_t>(evaluations.size() / 2);
     std::nth_element(evaluations.begin(), middle, evaluations.end());
     cost = " `event` takes " + std::to_string(exact->report->evaluations) +
@@ -235,6 +229,28 @@ std::vector<std::string> ParameterFits::Findings() const {
           JoinedNames(honest) +
           ". Under the others the motion is another one, or the fit ended elsewhere, which the stated confidence does "
           "not include."};
+}
+
+}  // namespace
+
+std::optional<Section> FitParameters(const std::vector<std::string>& contacts, int threads, ProgressMode mode) {
+  const Scene truth = TrueScene();
+  std::vector<std::string> fitted, names;
+  std::vector<Fit> fits;
+  for (const std::string& contact : contacts) {
+    if (!WhyNotApplicable(contact, truth).empty()) continue;
+    if (FindContactModel(contact)->rebound == Rebound::kPlastic) continue;
+    fitted.push_back(contact);
+    for (const Of of : {Of::kExactMotion, Of::kOwnMotion}) {
+      fits.push_back({contact, of});
+      names.push_back(contact + (of == Of::kExactMotion ? " to exact motion" : " to its own motion"));
+    }
+  }
+  Progress progress(mode, stderr, "fits of parameters", fits.size());
+  if (!RunJobs(names, threads, &progress, [&](int i, const SayNote&) { Compute(truth, &fits[i]); })) {
+    return std::nullopt;
+  }
+  return Section{FindingsOf(fits, fitted, truth), {TableOf(fits, truth)}, {FigureOf(fits, fitted, truth)}};
 }
 
 std::optional<PaperFigure> LearnALaw() {

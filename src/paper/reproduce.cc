@@ -47,7 +47,7 @@ void AddPublishedTable(const std::vector<PublishedRow>& rows, const std::string&
 
 void AddTask(const Experiments& experiments, const std::string& problem, Page* page) {
   const bool optimised = experiments.scene(problem).optimize != Optimize::kNone;
-  page->AddReplay(TaskReplay(experiments, problem),
+  page->AddReplay(ReplayToJson(TaskReplay(experiments, problem)),
                   optimised ? "The motions after gradient descent, each simulated with its contact model. Under exact "
                               "dynamics the same control or velocity may give another motion."
                             : "The motion under each contact model.");
@@ -72,36 +72,27 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
   return tiles;
 }
 
-void AddFits(const ParameterFits& fits, const std::vector<PaperFigure>& figures, Page* page) {
-  page->AddHeading("Parameter identification with wrong gradients");
-  page->AddParagraph(
-      "Gradients are also used to identify parameters from recordings, by nonlinear least squares. In this example a "
-      "ball bounces off the floor and hits a second ball, which then reaches a wall; both are observed 60 times a "
-      "second with 2 mm of noise. Each model fits the restitution, a mass and the four initial vectors to two "
-      "recordings: one of the exact motion, and one of the model's own motion under the true parameters. The second "
-      "tests the gradient alone. Plastic models cannot represent a bounce and are left out.");
-  page->AddList(fits.Findings());
-  AddFigure(figures, "parameter_fits", page);
-  const CaptionedTable table = fits.ToTable();
-  page->AddTable(table.table, table.caption);
+void AddTables(const Section& section, Page* page) {
+  for (const CaptionedTable& table : section.tables) page->AddTable(table.table, table.caption);
 }
 
-void AddLaw(const PaperFigure& law, const std::vector<PaperFigure>& figures, Page* page) {
-  page->AddHeading("A learned law of impact");
-  page->AddParagraph(
-      "The restitution need not be constant. Here it is a small network of the speed of approach in exact events "
-      "(`neural_event`), whose weights are unknowns of the same least squares; derivatives pass through the impact "
-      "times. The network starts as a constant and has no information on the form of the law.");
-  AddFigure(figures, law.name, page);
+void AddFigures(const Section& section, Page* page) {
+  for (const PaperFigure& figure : section.figures) page->AddFigure(figure.figure, figure.caption);
 }
 
-// Writes report.html: all tables and figures with explanations, and those of `figures` that it has a place for. Throws
-// OutputError if it cannot be written. `seconds` is the time of the experiments.
-void WritePaperReport(const Experiments& experiments, const std::vector<PublishedRow>& rows,
-                      const std::vector<PaperFigure>& figures, const SolverComparison& comparison,
-                      const StrikeComparison& strike, const std::optional<FormulationAudit>& formulations,
-                      const std::optional<DescentAudit>& descents, const std::optional<ParameterFits>& fits,
-                      const std::optional<PaperFigure>& law, double seconds, const std::string& output_dir) {
+// The parts of the report.
+struct Parts {
+  std::vector<PublishedRow> rows;
+  std::vector<PaperFigure> figures;  // those of MakePaperFigures()
+  std::optional<ComparedSolvers> solvers;
+  std::optional<Section> strike, formulations, descents, fits;
+  std::optional<PaperFigure> law;
+  double seconds = 0;  // the time of the experiments
+};
+
+// Writes report.html: all tables and figures with explanations. Throws OutputError if it cannot be written.
+void WritePaperReport(const Experiments& experiments, const Parts& parts, const std::string& output_dir) {
+  const auto& [rows, figures, solvers, strike, formulations, descents, fits, law, seconds] = parts;
   Page page(
       "Gradients through contact, reproduced",
       "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have Correct Gradients "
@@ -139,9 +130,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddTask(experiments, "ground_wall", &page);
 
   page.AddHeading("Task 3: two balls");
-  page.AddTable(comparison.Headline(),
+  page.AddTable(solvers->headline,
                 "Task 3 under exact dynamics (`event`): three solvers compared with the analytic optimum.");
-  AddFigure(figures, "solver_controls", &page);
+  AddFigure(solvers->figures, "solver_controls", &page);
   page.AddParagraph(
       "The force with which one ball hits the other towards the origin, with a penalty on effort; in the paper 1000 "
       "updates at a rate of 10. None of the nine models has a correct gradient in this task, because a force acts at "
@@ -158,8 +149,8 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
         "A short step against a gradient decreases the exact loss if and only if the angle between this gradient and "
         "the exact one is less than 90 degrees: a gradient that is not exact may still decrease the loss. Where the "
         "angle is larger, the descent decreases the loss under the contact model while the exact loss may increase.");
-    page.AddList(descents->Findings());
-    AddFigure(figures, "descent_audit", &page);
+    page.AddList(descents->findings);
+    AddFigures(*descents, &page);
   }
 
   page.AddHeading("Other solvers");
@@ -168,11 +159,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "loss` is that of the same solution under exact dynamics, the only one that may be compared between models, and "
       "`gap` its difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not "
       "correct the gradient.");
-  page.AddList(comparison.Findings());
-  for (const PaperFigure& figure : comparison.Figures()) {
-    if (figure.name != "solver_controls") AddFigure(figures, figure.name, &page);
-  }
-  for (const CaptionedTable& table : comparison.Tables()) page.AddTable(table.table, table.caption);
+  page.AddList(solvers->findings);
+  for (const char* figure : {"solver_comparison", "defects"}) AddFigure(solvers->figures, figure, &page);
+  AddTables(*solvers, &page);
   AddFigure(figures, "solver_learning", &page);
 
   page.AddHeading("Solvers through the impact");
@@ -180,9 +169,9 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
       "The same problem with solvers that shoot through the impact, and with solvers in which the impact time is a "
       "variable; then with bounds on the force. The optima with bounds follow from the minimum principle: the force "
       "is the projection of a linear function of time onto the bounds.");
-  page.AddList(strike.Findings());
-  for (const CaptionedTable& table : strike.Tables()) page.AddTable(table.table, table.caption);
-  for (const PaperFigure& figure : strike.Figures()) AddFigure(figures, figure.name, &page);
+  page.AddList(strike->findings);
+  AddTables(*strike, &page);
+  AddFigures(*strike, &page);
 
   if (formulations) {
     page.AddHeading("All contact models");
@@ -190,14 +179,31 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
         "All contact models on the same scenes. A correct motion is not sufficient for a correct gradient: the "
         "verdict depends on how a model represents contact. The audit distinguishes a few classes, by the behaviour "
         "of the first contact as steps shrink and by the linearization of its steps, not by the model's name.");
-    page.AddList(formulations->Classes());
-    const CaptionedTable table = formulations->ToTable();
-    page.AddTable(table.table, table.caption);
-    AddFigure(figures, "formulations", &page);
+    page.AddList(formulations->findings);
+    AddTables(*formulations, &page);
+    AddFigures(*formulations, &page);
   }
 
-  if (fits) AddFits(*fits, figures, &page);
-  if (law) AddLaw(*law, figures, &page);
+  if (fits) {
+    page.AddHeading("Parameter identification with wrong gradients");
+    page.AddParagraph(
+        "Gradients are also used to identify parameters from recordings, by nonlinear least squares. In this example a "
+        "ball bounces off the floor and hits a second ball, which then reaches a wall; both are observed 60 times a "
+        "second with 2 mm of noise. Each model fits the restitution, a mass and the four initial vectors to two "
+        "recordings: one of the exact motion, and one of the model's own motion under the true parameters. The second "
+        "tests the gradient alone. Plastic models cannot represent a bounce and are left out.");
+    page.AddList(fits->findings);
+    AddFigures(*fits, &page);
+    AddTables(*fits, &page);
+  }
+  if (law) {
+    page.AddHeading("A learned law of impact");
+    page.AddParagraph(
+        "The restitution need not be constant. Here it is a small network of the speed of approach in exact events "
+        "(`neural_event`), whose weights are unknowns of the same least squares; derivatives pass through the impact "
+        "times. The network starts as a constant and has no information on the form of the law.");
+    page.AddFigure(law->figure, law->caption);
+  }
 
   page.AddHeading("Optima of the follow-up paper");
   page.AddParagraph(
@@ -206,23 +212,6 @@ void WritePaperReport(const Experiments& experiments, const std::vector<Publishe
   AddPublishedTable(rows, "L4DC", &page);
 
   OrOutputError(page.Write(output_dir + "/report.html"));
-}
-
-FormulationAudit AuditFormulations(const Experiments& experiments, std::vector<SimulatorCommand> simulators) {
-  return FormulationAudit({{"Task 1: one bounce", experiments.scene("bounce_once")},
-                           {"Task 2: ground and wall", experiments.scene("ground_wall")},
-                           {"Task 3: two balls", experiments.scene("two_balls")}},
-                          NameList(AllContactModels()),
-                          std::move(simulators));
-}
-
-DescentAudit AuditDescents(const Experiments& experiments, const SolverComparison& comparison) {
-  DescentAudit descents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
-                        NameList(AllContactModels()),
-                        {comparison.slow().begin(), comparison.slow().end()});
-  for (const std::string& contact : NameList(AllContactModels()))
-    descents.UseIterates(1, contact, comparison.IteratesOf(contact));
-  return descents;
 }
 
 // Draws and writes each figure as SVG and as PNG. Returns false if interrupted.
@@ -247,14 +236,15 @@ std::string GivenOrShipped(const std::string& given, const std::string& folder) 
 
 int Reproduce(const std::vector<std::string>& arguments) {
   const auto start = std::chrono::steady_clock::now();
-  std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+  const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
   if (!simulators.empty() && !FLAGS_all_formulations) {
     throw InputError("--simulate: simulators stand among all formulations; expected no --noall_formulations with it");
   }
   const std::string output_dir = OutputDirFromFlags().empty() ? "report" : OutputDirFromFlags();
   MakeDirectory(output_dir);
-  std::vector<PublishedRow> rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
-  std::vector<BoundedReference> references =
+  Parts parts;
+  parts.rows = ReadPublished(GivenOrShipped(FLAGS_data_dir, "data") + "/published.csv");
+  const std::vector<BoundedReference> references =
       ReadBoundedReferences(GivenOrShipped(FLAGS_data_dir, "data") + "/constrained_references.json");
   Experiments experiments(GivenOrShipped(FLAGS_problems_dir, "problems"));
   const InterruptGuard guard;
@@ -263,77 +253,75 @@ int Reproduce(const std::vector<std::string>& arguments) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
     WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
   };
-  const auto write_tables = [&](const std::vector<CaptionedTable>& tables) {
-    for (const CaptionedTable& table : tables) write_table(table.name, table.caption, table.table);
+  std::vector<PaperFigure> figures;
+  // Takes the section of a stage; returns false if there is none, as the stage was interrupted.
+  const auto take = [&](const auto& section) {
+    if (!section) return false;
+    for (const CaptionedTable& table : section->tables) write_table(table.name, table.caption, table.table);
+    figures.insert(figures.end(), section->figures.begin(), section->figures.end());
+    return true;
   };
-  if (!experiments.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
+  const int threads = ThreadsFromFlags();
+  const ProgressMode progress = ProgressFromFlags();
+  if (!experiments.Run(threads, progress)) return kAnswerFailed;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
-  const double experiment_seconds = elapsed();
-  const bool compared = RunStage("comparison with the published values", [&] {
-    CompareWithPublished(experiments, &rows);
-    for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(rows, name));
+  parts.seconds = elapsed();
+  const bool published = RunStage("comparison with the published values", [&] {
+    CompareWithPublished(experiments, &parts.rows);
+    for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(parts.rows, name));
     WriteNotebookFiles(experiments, output_dir);
   });
-  if (!compared) return kAnswerFailed;
-  using Others = SolverComparison::Others;
-  const Others others = FLAGS_every_solver       ? Others::kEverySolver
-                        : FLAGS_all_formulations ? Others::kQuick
-                                                 : Others::kNone;
-  SolverComparison comparison(experiments, others);
-  if (!comparison.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-  write_tables(comparison.Tables());
-  StrikeComparison strike(experiments.scene("two_balls"), std::move(references));
-  if (!strike.Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-  write_tables(strike.Tables());
-  std::optional<FormulationAudit> formulations;
-  std::optional<DescentAudit> descents;
-  std::optional<ParameterFits> fits;
-  std::optional<PaperFigure> law;
+  if (!published) return kAnswerFailed;
+  const OtherSolvers others = FLAGS_every_solver       ? OtherSolvers::kEverySolver
+                              : FLAGS_all_formulations ? OtherSolvers::kQuick
+                                                       : OtherSolvers::kNone;
+  parts.solvers = CompareSolvers(experiments, others, threads, progress);
+  if (!take(parts.solvers)) return kAnswerFailed;
+  parts.strike = CompareStrikes(experiments.scene("two_balls"), references, threads, progress);
+  if (!take(parts.strike)) return kAnswerFailed;
   if (FLAGS_all_formulations) {
-    formulations = AuditFormulations(experiments, std::move(simulators));
-    if (!formulations->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-    write_tables({formulations->ToTable()});
-    descents = AuditDescents(experiments, comparison);
-    if (!descents->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-    fits.emplace(NameList(AllContactModels()));
-    if (!fits->Run(ThreadsFromFlags(), ProgressFromFlags())) return kAnswerFailed;
-    write_tables({fits->ToTable()});
-    if (!RunStage("a law of impact", [&] { law = LearnALaw(); })) return kAnswerFailed;
+    const std::vector<std::string> contacts = NameList(AllContactModels());
+    parts.formulations = AuditFormulations({{"Task 1: one bounce", experiments.scene("bounce_once")},
+                                            {"Task 2: ground and wall", experiments.scene("ground_wall")},
+                                            {"Task 3: two balls", experiments.scene("two_balls")}},
+                                           contacts,
+                                           simulators,
+                                           threads,
+                                           progress);
+    if (!take(parts.formulations)) return kAnswerFailed;
+    const KnownIterates known = [&](size_t task, const std::string& contact) {
+      const auto found = parts.solvers->iterates.find(contact);
+      return task == 1 && found != parts.solvers->iterates.end() ? found->second : std::vector<std::vector<double>>();
+    };
+    parts.descents =
+        AuditDescents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
+                      contacts,
+                      {parts.solvers->slow.begin(), parts.solvers->slow.end()},
+                      known,
+                      threads,
+                      progress);
+    if (!take(parts.descents)) return kAnswerFailed;
+    parts.fits = FitParameters(contacts, threads, progress);
+    if (!take(parts.fits)) return kAnswerFailed;
+    if (!RunStage("a law of impact", [&] { parts.law = LearnALaw(); })) return kAnswerFailed;
+    if (parts.law) figures.push_back(*parts.law);
   }
-  std::vector<PaperFigure> figures;
-  if (!RunStage("data of the figures", [&] { figures = MakePaperFigures(experiments); })) return kAnswerFailed;
-  if (formulations) figures.push_back(formulations->ToFigure());
-  if (descents) figures.push_back(descents->ToFigure());
-  if (fits) figures.push_back(fits->ToFigure());
-  if (law) figures.push_back(*law);
-  for (const std::vector<PaperFigure>& more : {comparison.Figures(), strike.Figures()}) {
-    figures.insert(figures.end(), more.begin(), more.end());
-  }
+  if (!RunStage("data of the figures", [&] { parts.figures = MakePaperFigures(experiments); })) return kAnswerFailed;
+  figures.insert(figures.end(), parts.figures.begin(), parts.figures.end());
   if (!WriteFigures(figures, output_dir)) return kAnswerFailed;
-  const bool written = RunStage("report", [&] {
-    WritePaperReport(experiments,
-                     rows,
-                     figures,
-                     comparison,
-                     strike,
-                     formulations,
-                     descents,
-                     fits,
-                     law,
-                     experiment_seconds,
-                     output_dir);
-  });
+  const bool written = RunStage("report", [&] { WritePaperReport(experiments, parts, output_dir); });
   if (!written) return kAnswerFailed;
 
   int failed = 0;
-  for (const PublishedRow& row : rows) {
+  for (const PublishedRow& row : parts.rows) {
     if (!row.IsJudged() || row.Matches()) continue;
     ++failed;
     std::cerr << "not reproduced: " << row.table << " " << row.problem << " " << row.contact << " " << row.quantity
               << ": expected " << row.expected << " within " << row.tolerance << ", got "
               << (row.ours ? std::to_string(*row.ours) : "nothing") << std::endl;
   }
-  std::cout << rows.size() - failed << " of " << rows.size() << " rows as expected, in " << elapsed() << " s\n"
+  std::cout << parts.rows.size() - failed << " of " << parts.rows.size() << " rows as expected, in " << elapsed()
+            << " s\n"
             << output_dir << "/report.html" << std::endl;
   return failed == 0 ? kDone : kAnswerFailed;
 }

@@ -56,7 +56,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
   SolveReport& report = run->report;
   std::vector<std::vector<double>> looked_at;
-  for (const int k : DescentAudit::ExaminedIterations()) {
+  for (const int k : ExaminedIterations()) {
     if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
   }
   report.iterates = std::move(looked_at);
@@ -67,27 +67,60 @@ Tone ToneOfGap(double gap) {
   return gap < 1e-1 ? Tone::kWarning : Tone::kBad;
 }
 
-}  // namespace
+// One scene and the runs on it.
+struct Task {
+  std::string name;  // of its table
+  std::string title;
+  Scene scene;
+  double optimum = 0;           // of the exact loss
+  std::vector<SolvedRun> runs;  // contact models outermost; planned ones have names only
 
-const SolvedRun* SolverComparison::Task::Find(const std::string& contact, const std::string& solver) const {
-  for (const SolvedRun& run : runs) {
-    if (run.report.contact == contact && run.report.solver == solver) return &run;
+  const SolvedRun* Find(const std::string& contact, const std::string& solver) const {
+    for (const SolvedRun& run : runs) {
+      if (run.report.contact == contact && run.report.solver == solver) return &run;
+    }
+    return nullptr;
   }
-  return nullptr;
-}
 
-double SolverComparison::Task::SmallestGap(const std::string& contact) const {
-  double smallest = std::numeric_limits<double>::infinity();
-  for (const SolvedRun& run : runs) {
-    const bool general = GeneralSolvers().count(run.report.solver) > 0;
-    if (run.exact.ok && run.report.contact == contact && general) {
+  // Returns the gap to the optimum of the best exact loss by some solvers under a model.
+  double SmallestGap(const std::string& contact, const std::set<std::string>& solvers = GeneralSolvers()) const {
+    double smallest = std::numeric_limits<double>::infinity();
+    for (const SolvedRun& run : runs) {
+      if (!run.exact.ok || run.report.contact != contact || !solvers.contains(run.report.solver)) continue;
       smallest = std::min(smallest, run.exact.loss - optimum);
     }
+    return smallest;
   }
-  return smallest;
+};
+
+struct Tasks {
+  std::string exact{ExactModel()->name};  // the event-driven contact model
+  std::set<std::string> slow;             // models whose gradient takes long
+  Task launch, launch_with_friction, strike, strike_on_fine_grid;
+  Task others;  // task 3 under the models that are not in the experiments
+};
+
+void PlanOthers(bool every_solver, Tasks* all) {
+  Task& others = all->others;
+  others.name = "comparison_formulations";
+  others.title = "Task 3 under the models that the published comparisons do not report";
+  others.scene = all->strike.scene;
+  others.optimum = all->strike.optimum;
+  std::vector<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
+  if (every_solver) solvers.push_back("ceres_shooting");
+  for (const ModelTraits& traits : AllContactModels()) {
+    const std::string contact(traits.name);
+    if (traits.compared || traits.event_driven || !WhyNotApplicable(contact, others.scene).empty()) continue;
+    const bool slow = !every_solver && GradientTime(contact, others.scene) > kSlow;
+    if (slow) all->slow.insert(contact);
+    for (const std::string& solver : solvers) {
+      if (!slow || solver != "gd") others.runs.push_back(Planned(contact, solver));
+    }
+  }
 }
 
-SolverComparison::SolverComparison(const Experiments& experiments, Others others) : exact_(ExactModel()->name) {
+Tasks PlanTasks(const Experiments& experiments, OtherSolvers others) {
+  Tasks all;
   const auto make =
       [&](const std::string& problem, double friction, const std::string& name, const std::string& title) {
         Task task;
@@ -109,47 +142,31 @@ SolverComparison::SolverComparison(const Experiments& experiments, Others others
         }
         return task;
       };
-  launch_ = make("ground_wall", 0, "comparison_ground_wall", "Task 2 without friction");
-  launch_with_friction_ = make("ground_wall", 0.1, "comparison_ground_wall_mu", "Task 2 with friction 0.1");
-  strike_ = make("two_balls", 0, "comparison_two_balls", "Task 3");
-  if (const auto optimum = FindTwoDiscOptimum(strike_.scene, TwoDiscSequence::kImpact)) strike_.optimum = optimum->loss;
+  all.launch = make("ground_wall", 0, "comparison_ground_wall", "Task 2 without friction");
+  all.launch_with_friction = make("ground_wall", 0.1, "comparison_ground_wall_mu", "Task 2 with friction 0.1");
+  all.strike = make("two_balls", 0, "comparison_two_balls", "Task 3");
+  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact))
+    all.strike.optimum = optimum->loss;
 
-  strike_on_fine_grid_.name = "step_shooting";
-  strike_on_fine_grid_.scene = strike_.scene;
-  strike_on_fine_grid_.scene.steps = kFineSteps;
-  strike_on_fine_grid_.optimum = strike_.optimum;
-  strike_on_fine_grid_.runs.push_back(Planned(exact_, "ceres_shooting"));
+  all.strike_on_fine_grid.name = "step_shooting";
+  all.strike_on_fine_grid.scene = all.strike.scene;
+  all.strike_on_fine_grid.scene.steps = kFineSteps;
+  all.strike_on_fine_grid.optimum = all.strike.optimum;
+  all.strike_on_fine_grid.runs.push_back(Planned(all.exact, "ceres_shooting"));
   for (const ModelTraits& traits : AllContactModels()) {
     const std::string contact(traits.name);
     if (!traits.event_driven && experiments.Find("two_balls", 0, contact, Precision::kDouble) != nullptr) {
-      strike_.runs.push_back(Planned(contact, "ceres_lagrangian"));
+      all.strike.runs.push_back(Planned(contact, "ceres_lagrangian"));
     }
   }
-  if (others != Others::kNone) PlanOthers(others);
+  if (others != OtherSolvers::kNone) PlanOthers(others == OtherSolvers::kEverySolver, &all);
+  return all;
 }
 
-void SolverComparison::PlanOthers(Others others) {
-  const bool every_solver = others == Others::kEverySolver;
-  others_.name = "comparison_formulations";
-  others_.title = "Task 3 under the models that the published comparisons do not report";
-  others_.scene = strike_.scene;
-  others_.optimum = strike_.optimum;
-  std::vector<std::string> solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
-  if (every_solver) solvers.push_back("ceres_shooting");
-  for (const ModelTraits& traits : AllContactModels()) {
-    const std::string contact(traits.name);
-    if (traits.compared || traits.event_driven || !WhyNotApplicable(contact, others_.scene).empty()) continue;
-    const bool slow = !every_solver && GradientTime(contact, others_.scene) > kSlow;
-    if (slow) slow_.insert(contact);
-    for (const std::string& solver : solvers) {
-      if (!slow || solver != "gd") others_.runs.push_back(Planned(contact, solver));
-    }
-  }
-}
-
-bool SolverComparison::Run(int threads, ProgressMode mode) {
+bool RunAll(Tasks* tasks, int threads, ProgressMode mode) {
+  Tasks& all = *tasks;
   std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
-  for (Task* task : {&others_, &strike_on_fine_grid_, &strike_, &launch_, &launch_with_friction_}) {
+  for (Task* task : {&all.others, &all.strike_on_fine_grid, &all.strike, &all.launch, &all.launch_with_friction}) {
     for (SolvedRun& run : task->runs) {
       if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
     }
@@ -165,51 +182,22 @@ bool SolverComparison::Run(int threads, ProgressMode mode) {
   Progress progress(mode, stderr, "comparison of solvers", jobs.size());
   return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const auto& [scene, run] = jobs[i];
-    const bool slow = slow_.count(run->report.contact) > 0;
+    const bool slow = all.slow.count(run->report.contact) > 0;
     SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
   });
 }
 
-std::vector<std::vector<double>> SolverComparison::IteratesOf(const std::string& contact) const {
-  const SolvedRun* run = others_.Find(contact, "gd");
-  return run == nullptr ? std::vector<std::vector<double>>() : run->report.iterates;
-}
-
-std::vector<CaptionedTable> SolverComparison::Tables() const {
-  std::vector<CaptionedTable> tables;
-  for (const Task* task : {&launch_, &launch_with_friction_, &strike_}) {
-    tables.push_back(
-        {task->name,
-         task->title + ": every contact model with every solver. `gap` is the exact loss less the optimum.",
-         TaskTable(*task)});
-  }
-  if (!others_.runs.empty()) {
-    tables.push_back({others_.name,
-                      others_.title + ". Models whose gradient takes more than " + Format("%g", 1e3 * kSlow) +
-                          " ms run " + std::to_string(kSlowIterations) +
-                          " iterations of Ceres and no gradient descent, and none step shooting, unless "
-                          "`--every_solver` is given.",
-                      TaskTable(others_)});
-  }
-  tables.push_back(
-      {strike_on_fine_grid_.name,
-       "Task 3 by step shooting: along a feasible path on 480 steps, and in exact dynamics on 1000, and by an "
-       "augmented Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
-       StepShootingTable()});
-  return tables;
-}
-
-Table SolverComparison::Headline() const {
+Table HeadlineOf(const Tasks& all) {
   Table table(ColumnsOf("solver; method; exact loss:10; above the optimum:3; gradients; milliseconds:3"));
-  table.AddRow({"optimum", "hybrid minimum principle, in continuous time", strike_.optimum, Cell(), Cell(), Cell()});
-  constexpr std::pair<const char*, const char*> kShown[] = {
+  table.AddRow({"optimum", "hybrid minimum principle, in continuous time", all.strike.optimum, Cell(), Cell(), Cell()});
+  constexpr std::pair<const char*, const char*> kSolvers[] = {
       {"mode_search", "search over sequences of impacts, with lower bounds"},
       {"ceres_phases", "phases between impacts, whose times are variables"},
       {"gd", "gradient descent, 1000 updates as in the paper"}};
-  for (const auto& [solver, method] : kShown) {
-    const SolvedRun* run = strike_.Find(exact_, solver);
+  for (const auto& [solver, method] : kSolvers) {
+    const SolvedRun* run = all.strike.Find(all.exact, solver);
     if (run == nullptr || !run->exact.ok) continue;
-    const double gap = run->exact.loss - strike_.optimum;
+    const double gap = run->exact.loss - all.strike.optimum;
     table.AddRow({solver,
                   method,
                   run->exact.loss,
@@ -220,13 +208,13 @@ Table SolverComparison::Headline() const {
   return table;
 }
 
-Table SolverComparison::TaskTable(const Task& task) const {
+Table TaskTable(const Tasks& all, const Task& task) {
   Table table(
       ColumnsOf("contact; solver; loss under the model:7; exact loss:7; gap:3; iterations; gradients; milliseconds:3; "
                 "termination"));
   for (const SolvedRun& run : task.runs) {
     const SolveReport& report = run.report;
-    if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != exact_)) continue;
+    if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != all.exact)) continue;
     Cell exact, gap;
     if (run.exact.ok) {
       exact = run.exact.loss;
@@ -245,16 +233,16 @@ Table SolverComparison::TaskTable(const Task& task) const {
   return table;
 }
 
-Table SolverComparison::StepShootingTable() const {
+Table StepShootingTable(const Tasks& all) {
   Table table(
       ColumnsOf("contact; feasible path, 480:8; termination, 480; feasible path, 1000:8; termination, 1000; "
                 "Lagrangian:8; open:2; termination"));
   const auto exact = [](const SolvedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
-  for (const SolvedRun& coarse : strike_.runs) {
+  for (const SolvedRun& coarse : all.strike.runs) {
     if (coarse.report.solver != "ceres_shooting") continue;
-    const SolvedRun* lagrangian = strike_.Find(coarse.report.contact, "ceres_lagrangian");
+    const SolvedRun* lagrangian = all.strike.Find(coarse.report.contact, "ceres_lagrangian");
     if (lagrangian == nullptr) continue;
-    const SolvedRun* fine = strike_on_fine_grid_.Find(coarse.report.contact, "ceres_shooting");
+    const SolvedRun* fine = all.strike_on_fine_grid.Find(coarse.report.contact, "ceres_shooting");
     table.AddRow({coarse.report.contact,
                   exact(&coarse),
                   TerminationToString(coarse.report.termination),
@@ -267,18 +255,37 @@ Table SolverComparison::StepShootingTable() const {
   return table;
 }
 
-std::string SolverComparison::FindingOnOthers() const {
+std::vector<CaptionedTable> TablesOf(const Tasks& all) {
+  std::vector<CaptionedTable> tables;
+  for (const Task* task : {&all.launch, &all.launch_with_friction, &all.strike}) {
+    tables.push_back(
+        {task->name,
+         task->title + ": every contact model with every solver. `gap` is the exact loss less the optimum.",
+         TaskTable(all, *task)});
+  }
+  if (!all.others.runs.empty()) {
+    tables.push_back({all.others.name,
+                      all.others.title + ". Models whose gradient takes more than " + Format("%g", 1e3 * kSlow) +
+                          " ms run " + std::to_string(kSlowIterations) +
+                          " iterations of Ceres and no gradient descent, and none step shooting, unless "
+                          "`--every_solver` is given.",
+                      TaskTable(all, all.others)});
+  }
+  tables.push_back(
+      {all.strike_on_fine_grid.name,
+       "Task 3 by step shooting: along a feasible path on 480 steps, and in exact dynamics on 1000, and by an "
+       "augmented Lagrangian (480 steps). Exact losses; `open` is the largest defect that is left.",
+       StepShootingTable(all)});
+  return tables;
+}
+
+std::string FindingOnOthers(const Tasks& all) {
   std::vector<std::pair<double, std::string>> gaps;
-  for (const SolvedRun& run : others_.runs) {
+  for (const SolvedRun& run : all.others.runs) {
     const std::string& contact = run.report.contact;
     const bool known = std::ranges::any_of(gaps, [&](const auto& gap) { return gap.second == contact; });
     if (known) continue;
-    double smallest = std::numeric_limits<double>::infinity();
-    for (const std::string solver : {"ceres_lbfgs", "ceres_lm"}) {
-      const SolvedRun* found = others_.Find(contact, solver);
-      if (found != nullptr && found->exact.ok) smallest = std::min(smallest, found->exact.loss - others_.optimum);
-    }
-    gaps.emplace_back(smallest, contact);
+    gaps.emplace_back(all.others.SmallestGap(contact, {"ceres_lbfgs", "ceres_lm"}), contact);
   }
   std::ranges::sort(gaps);
   std::string near, far;
@@ -291,10 +298,10 @@ std::string SolverComparison::FindingOnOthers() const {
          ". In brackets: the gap of the exact loss.";
 }
 
-std::vector<std::string> SolverComparison::Findings() const {
+std::vector<std::string> FindingsOf(const Tasks& all) {
   std::vector<std::string> findings;
   const auto gap = [&](const Task& task, const std::string& solver) -> std::optional<double> {
-    const SolvedRun* run = task.Find(exact_, solver);
+    const SolvedRun* run = task.Find(all.exact, solver);
     if (run == nullptr || !run->exact.ok) return std::nullopt;
     return run->exact.loss - task.optimum;
   };
@@ -304,38 +311,39 @@ std::vector<std::string> SolverComparison::Findings() const {
   double best_other = std::numeric_limits<double>::infinity();
   for (const ModelTraits& traits : AllContactModels()) {
     const std::string contact(traits.name);
-    if (contact == exact_ || contact == "toi_velocity" || !(strike_.SmallestGap(contact) < best_other)) continue;
-    best_other = strike_.SmallestGap(contact);
+    if (contact == all.exact || contact == "toi_velocity" || !(all.strike.SmallestGap(contact) < best_other)) continue;
+    best_other = all.strike.SmallestGap(contact);
     other = contact;
   }
   findings.push_back(
-      "Which contact model: `" + exact_ + "`. In task 3 the best of the four general solvers ends " +
-      say(strike_.SmallestGap(exact_)) + " above the optimum with it, " + say(strike_.SmallestGap("toi_velocity")) +
-      " with `toi_velocity`, and " + say(best_other) + " with the best of the others, `" + other +
+      "Which contact model: `" + all.exact + "`. In task 3 the best of the four general solvers ends " +
+      say(all.strike.SmallestGap(all.exact)) + " above the optimum with it, " +
+      say(all.strike.SmallestGap("toi_velocity")) + " with `toi_velocity`, and " + say(best_other) +
+      " with the best of the others, `" + other +
       "`: a better solver does not repair a wrong gradient. Under some models least squares end without a "
       "collision; a loss of 2 is that without a force.");
-  const SolvedRun* launch = launch_.Find(exact_, "ceres_lm");
+  const SolvedRun* launch = all.launch.Find(all.exact, "ceres_lm");
   if (launch != nullptr && launch->exact.ok) {
     findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It reaches the target in " +
                        std::to_string(launch->report.iterations) + " iterations, to a loss of " +
-                       Format("%.1g", launch->exact.loss) + "; gradient descent is at " + say(gap(launch_, "gd")) +
+                       Format("%.1g", launch->exact.loss) + "; gradient descent is at " + say(gap(all.launch, "gd")) +
                        " after 1000.");
   }
   findings.push_back(
       "Which solver, for a force through a collision (task 3): on a fixed grid the loss has a kink wherever the impact "
       "crosses a node, so that gradients do not vanish at a minimum, and each node near the best is a minimum of its "
       "own. Gaps to the optimum: gradient descent " +
-      say(gap(strike_, "gd")) + ", `ceres_lbfgs` " + say(gap(strike_, "ceres_lbfgs")) + ", `ceres_lm` " +
-      say(gap(strike_, "ceres_lm")) + ", `ceres_shooting`, which moves the impact from node to node, " +
-      say(gap(strike_, "ceres_shooting")) + "; the best that the grid allows is " + say(gap(strike_, "grid_optimum")) +
-      ".");
-  if (gap(strike_, "ceres_event")) {
+      say(gap(all.strike, "gd")) + ", `ceres_lbfgs` " + say(gap(all.strike, "ceres_lbfgs")) + ", `ceres_lm` " +
+      say(gap(all.strike, "ceres_lm")) + ", `ceres_shooting`, which moves the impact from node to node, " +
+      say(gap(all.strike, "ceres_shooting")) + "; the best that the grid allows is " +
+      say(gap(all.strike, "grid_optimum")) + ".");
+  if (gap(all.strike, "ceres_event")) {
     findings.push_back("Where the impact time is a variable, there is no kink: `ceres_event` ends at " +
-                       say(gap(strike_, "ceres_event")) +
-                       (gap(strike_, "hmp") ? ", `hmp` at " + say(gap(strike_, "hmp")) : "") +
+                       say(gap(all.strike, "ceres_event")) +
+                       (gap(all.strike, "hmp") ? ", `hmp` at " + say(gap(all.strike, "hmp")) : "") +
                        ". Use these where the sequence of collisions is known.");
   }
-  const SolvedRun* lagrangian = strike_.Find(exact_, "ceres_lagrangian");
+  const SolvedRun* lagrangian = all.strike.Find(all.exact, "ceres_lagrangian");
   if (lagrangian != nullptr && lagrangian->exact.ok) {
     findings.push_back(
         "Multiple shooting with open defects should not be trusted through a collision: the augmented Lagrangian ends "
@@ -344,11 +352,9 @@ std::vector<std::string> SolverComparison::Findings() const {
         Format("%.1g", LargestDefect(lagrangian->report)) +
         ". A feasible path (`ceres_shooting`: every iterate is a rollout) does not have this problem.");
   }
-  if (!others_.runs.empty()) findings.push_back(FindingOnOthers());
+  if (!all.others.runs.empty()) findings.push_back(FindingOnOthers(all));
   return findings;
 }
-
-namespace {
 
 struct SolverStyle {
   std::string_view solver, colour;
@@ -377,18 +383,14 @@ Series SolverSeries(const std::string& solver, std::vector<double> x, std::vecto
   return series;
 }
 
-}  // namespace
-
-std::vector<PaperFigure> SolverComparison::Figures() const { return {LearningCurves(), ControlProfiles(), Defects()}; }
-
-PaperFigure SolverComparison::LearningCurves() const {
+PaperFigure LearningCurves(const Tasks& all) {
   Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
-  for (const Task* task : {&launch_, &strike_}) {
+  for (const Task* task : {&all.launch, &all.strike}) {
     Panel panel{.title = task->title,
                 .x = {.label = "iteration, the initial guess being the first", .log = true},
                 .y = {.label = "loss - optimum (m²)", .log = true}};
     for (const SolvedRun& run : task->runs) {
-      if (run.report.contact != exact_) continue;
+      if (run.report.contact != all.exact) continue;
       std::vector<double> x, y;
       for (double loss : run.report.losses) {
         x.push_back(static_cast<double>(x.size() + 1));
@@ -406,12 +408,12 @@ PaperFigure SolverComparison::LearningCurves() const {
       figure};
 }
 
-PaperFigure SolverComparison::ControlProfiles() const {
+PaperFigure ControlProfiles(const Tasks& all) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
-  for (const SolvedRun& run : strike_.runs) {
-    if (run.report.contact != exact_ || run.report.losses.empty()) continue;
+  for (const SolvedRun& run : all.strike.runs) {
+    if (run.report.contact != all.exact || run.report.losses.empty()) continue;
     std::vector<double> x, y;
-    const std::vector<double> lengths = LengthsOf({run.report.control, run.report.durations}, strike_.scene);
+    const std::vector<double> lengths = LengthsOf({run.report.control, run.report.durations}, all.strike.scene);
     double start = 0;
     for (size_t k = 0; k < lengths.size(); ++k) {
       for (const double time : {start, start + lengths[k]}) {
@@ -422,10 +424,10 @@ PaperFigure SolverComparison::ControlProfiles() const {
     }
     panel.series.push_back(SolverSeries(run.report.solver, x, y));
   }
-  if (const auto optimum = FindTwoDiscOptimum(strike_.scene, TwoDiscSequence::kImpact)) {
+  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact)) {
     Series analytic = Series::ForModel("analytic", {}, {});
     for (int i = 0; i <= 1000; ++i) {
-      analytic.x.push_back(1e-3 * i * strike_.scene.duration);
+      analytic.x.push_back(1e-3 * i * all.strike.scene.duration);
       analytic.y.push_back(optimum->Control(analytic.x.back())[0]);
     }
     panel.series.push_back(analytic);
@@ -437,10 +439,10 @@ PaperFigure SolverComparison::ControlProfiles() const {
           figure};
 }
 
-PaperFigure SolverComparison::Defects() const {
+PaperFigure Defects(const Tasks& all) {
   Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
-  for (const std::string& contact : {exact_, std::string("compliant_warp")}) {
-    const SolvedRun* run = strike_.Find(contact, "ceres_lagrangian");
+  for (const std::string& contact : {all.exact, std::string("compliant_warp")}) {
+    const SolvedRun* run = all.strike.Find(contact, "ceres_lagrangian");
     if (run == nullptr || run->report.defects.empty()) continue;
     Panel panel{.title = contact,
                 .x = {.label = "time (s)"},
@@ -453,7 +455,7 @@ PaperFigure SolverComparison::Defects() const {
       Series series;
       series.label = shown[i].first;
       series.y = rounds[shown[i].second];
-      const double interval = strike_.scene.duration / static_cast<double>(series.y.size());
+      const double interval = all.strike.scene.duration / static_cast<double>(series.y.size());
       for (size_t k = 0; k < series.y.size(); ++k) series.x.push_back((static_cast<double>(k) + 0.5) * interval);
       series.colour = RampColour(0.5 * static_cast<double>(i));
       panel.series.push_back(std::move(series));
@@ -471,6 +473,22 @@ PaperFigure SolverComparison::Defects() const {
       "with `event` the remaining ones jump at the impact and are largest after it, with `compliant_warp` they are "
       "largest at the contact.",
       figure};
+}
+
+}  // namespace
+
+std::optional<ComparedSolvers> CompareSolvers(const Experiments& experiments, OtherSolvers others, int threads,
+                                              ProgressMode mode) {
+  Tasks all = PlanTasks(experiments, others);
+  if (!RunAll(&all, threads, mode)) return std::nullopt;
+  ComparedSolvers compared{{FindingsOf(all), TablesOf(all), {LearningCurves(all), ControlProfiles(all), Defects(all)}},
+                           HeadlineOf(all),
+                           all.slow,
+                           {}};
+  for (const SolvedRun& run : all.others.runs) {
+    if (run.report.solver == "gd") compared.iterates[run.report.contact] = run.report.iterates;
+  }
+  return compared;
 }
 
 }  // namespace saltus

@@ -73,79 +73,77 @@ std::vector<BoundedReference> ReadBoundedReferences(const std::string& path) {
   return references;
 }
 
-StrikeComparison::StrikeComparison(const Scene& scene, std::vector<BoundedReference> references)
-    : references_(std::move(references)) {
+namespace {
+
+// A run that is compared with an optimum.
+struct Entry {
+  std::string label;
+  Scene scene;
+  std::string solver;
+  SolverOptions options;
+  double optimum = 0;
+  const BoundedReference* reference = nullptr;  // null: without bounds
+  SolvedRun run = {};
+};
+
+Entry Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,
+           const BoundedReference* reference) {
+  Entry entry{label, scene, solver, {}, optimum, reference};
+  entry.options.learning_rate = DefaultLearningRate(scene);
+  entry.options.rate_per_time = label == kPerTime;
+  if (entry.options.rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
+  // The references are optima along the impact of the guess; of one another motion is better.
+  if (reference != nullptr && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
+  entry.options.stop = AskedToStop;
+  return entry;
+}
+
+std::vector<Entry> PlanAll(const Scene& scene, const std::vector<BoundedReference>& references) {
+  std::vector<Entry> entries;
   double optimum = 0;
   if (const auto exact = FindTwoDiscOptimum(scene, TwoDiscSequence::kImpact)) optimum = exact->loss;
   for (int steps : kSteps) {
     Scene task = scene;
     task.steps = steps;
-    Plan(task, "gd", kPerStep, optimum, -1, false);
-    Plan(task, "gd", kPerTime, optimum, -1, true);
+    for (const char* label : {kPerStep, kPerTime}) entries.push_back(Plan(task, "gd", label, optimum, nullptr));
     for (const char* solver : {"ceres_lm", "ceres_phases", "ceres_event", "hmp"}) {
-      Plan(task, solver, solver, optimum, -1, false);
+      entries.push_back(Plan(task, solver, solver, optimum, nullptr));
     }
   }
-  for (size_t i = 0; i < references_.size(); ++i) {
-    const BoundedReference& reference = references_[i];
+  for (const BoundedReference& reference : references) {
     Scene task = scene;
     task.bodies[1].position = reference.target;
     if (reference.max) task.control.max = {*reference.max};
     if (reference.max_norm) task.control.max_norm = {*reference.max_norm};
-    Plan(task, "gd", kPerStep, reference.loss, static_cast<int>(i), false);
+    entries.push_back(Plan(task, "gd", kPerStep, reference.loss, &reference));
     for (const char* solver : {"ceres_lm", "ceres_phases", "hmp"}) {
       if (reference.max_norm && std::string(solver) == "ceres_lm") continue;  // does not take it
-      Plan(task, solver, solver, reference.loss, static_cast<int>(i), false);
+      entries.push_back(Plan(task, solver, solver, reference.loss, &reference));
     }
   }
+  return entries;
 }
 
-void StrikeComparison::Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,
-                            int reference, bool rate_per_time) {
-  Entry entry;
-  entry.label = label;
-  entry.scene = scene;
-  entry.solver = solver;
-  entry.options.learning_rate = DefaultLearningRate(scene);
-  entry.options.rate_per_time = rate_per_time;
-  if (rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
-  // The references are optima along the impact of the guess; of one another motion is better.
-  if (reference >= 0 && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
-  entry.options.stop = AskedToStop;
-  entry.optimum = optimum;
-  entry.reference = reference;
-  entries_.push_back(std::move(entry));
-}
-
-bool StrikeComparison::Run(int threads, ProgressMode mode) {
-  std::vector<std::string> names;
-  for (const Entry& entry : entries_) names.push_back("two_balls " + entry.label);
-  Progress progress(mode, stderr, "solvers at the impact", entries_.size());
-  return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
-    Entry& entry = entries_[i];
-    entry.run = SolveAndSimulate(entry.solver, {entry.scene, ExactModel()->name}, entry.options);
-  });
-}
-
-const StrikeComparison::Entry* StrikeComparison::Find(int reference, const std::string& label, int steps) const {
-  for (const Entry& entry : entries_) {
+const Entry* Find(const std::vector<Entry>& entries, const BoundedReference* reference, const std::string& label,
+                  int steps) {
+  for (const Entry& entry : entries) {
     if (entry.reference == reference && entry.label == label && entry.scene.steps == steps) return &entry;
   }
   return nullptr;
 }
 
-std::vector<CaptionedTable> StrikeComparison::Tables() const {
+std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
   Table free(ColumnsOf("steps; solver; exact loss:12; gap:3; iterations; milliseconds:3; termination"));
   Table bounded(
       ColumnsOf("bound; solver; exact loss:12; gap:3; impacts; largest force of the bound:9; iterations; "
                 "milliseconds:3; termination"));
-  for (const Entry& entry : entries_) {
+  for (const Entry& entry : entries) {
     const SolveReport& report = entry.run.report;
     if (!entry.run.exact.ok) continue;
     const double gap = entry.run.exact.loss - entry.optimum;
     const Cell coloured = Cell(gap).With(gap < 1e-5 ? Tone::kGood : gap < 1e-3 ? Tone::kWarning : Tone::kBad);
     const char* end = TerminationToString(report.termination);
-    if (entry.reference < 0) {
+    if (entry.reference == nullptr) {
       free.AddRow({entry.scene.steps,
                    entry.label,
                    entry.run.exact.loss,
@@ -154,13 +152,12 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
                    1e3 * report.seconds,
                    end});
     } else {
-      const BoundedReference& reference = references_[entry.reference];
-      bounded.AddRow({Describe(reference),
+      bounded.AddRow({Describe(*entry.reference),
                       entry.label,
                       entry.run.exact.loss,
                       coloured,
                       entry.run.exact.events.size(),
-                      Largest(report, reference),
+                      Largest(report, *entry.reference),
                       report.iterations,
                       1e3 * report.seconds,
                       end});
@@ -176,17 +173,16 @@ std::vector<CaptionedTable> StrikeComparison::Tables() const {
            std::move(bounded)}};
 }
 
-std::vector<PaperFigure> StrikeComparison::Figures() const {
+PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<BoundedReference>& references) {
   Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
-  for (size_t i = 0; i < references_.size(); ++i) {
-    const BoundedReference& reference = references_[i];
+  for (const BoundedReference& reference : references) {
     const bool symmetric = reference.target[1] == reference.target[0];
     Panel panel{.title = Describe(reference),
                 .x = {.label = "time (s)"},
                 .y = {.label = symmetric ? "force, either component (N)" : "force (N), x below y", .min = -0.3}};
     for (int axis = 0; axis < (symmetric ? 1 : 2); ++axis) {
       const auto draw = [&](const std::string& label, const std::string& colour, Dash dash, double width) {
-        const Entry* entry = Find(static_cast<int>(i), label, kSteps[0]);
+        const Entry* entry = Find(entries, &reference, label, kSteps[0]);
         if (entry == nullptr || entry->run.exact.events.empty()) return;  // one that does not strike is another motion
         const SolveReport& report = entry->run.report;
         Series series{.label = label, .colour = colour, .dash = dash, .width = width};
@@ -220,15 +216,15 @@ std::vector<PaperFigure> StrikeComparison::Figures() const {
       panel.reference_lines.push_back({.value = *reference.max, .label = "bound", .dash = Dash::kDotted});
     figure.panels.push_back(std::move(panel));
   }
-  return {{"bounded_controls",
-           "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
-           "first, and the impact comes later than without; after it a force only adds effort.",
-           std::move(figure)}};
+  return {"bounded_controls",
+          "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
+          "first, and the impact comes later than without; after it a force only adds effort.",
+          std::move(figure)};
 }
 
-std::vector<std::string> StrikeComparison::Findings() const {
+std::vector<std::string> FindingsOf(const std::vector<Entry>& entries) {
   const auto gap = [&](const char* label, int steps) {
-    const Entry* entry = Find(-1, label, steps);
+    const Entry* entry = Find(entries, nullptr, label, steps);
     if (entry == nullptr || !entry->run.exact.ok) return std::string("(no run)");
     return Format("%.2g", entry->run.exact.loss - entry->optimum);
   };
@@ -240,6 +236,22 @@ std::vector<std::string> StrikeComparison::Findings() const {
       gap(kPerTime, 1000) + ". `ceres_phases`, a cost for every step with the impact between two of them, is " +
       gap("ceres_phases", 480) + " and " + gap("ceres_phases", 1000) +
       " above: the cost of forces that are constant over a step, which decreases with the square of the step."};
+}
+
+}  // namespace
+
+std::optional<Section> CompareStrikes(const Scene& scene, const std::vector<BoundedReference>& references, int threads,
+                                      ProgressMode mode) {
+  std::vector<Entry> entries = PlanAll(scene, references);
+  std::vector<std::string> names;
+  for (const Entry& entry : entries) names.push_back("two_balls " + entry.label);
+  Progress progress(mode, stderr, "solvers at the impact", entries.size());
+  const bool done = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
+    Entry& entry = entries[i];
+    entry.run = SolveAndSimulate(entry.solver, {entry.scene, ExactModel()->name}, entry.options);
+  });
+  if (!done) return std::nullopt;
+  return Section{FindingsOf(entries), TablesOf(entries), {FigureOf(entries, references)}};
 }
 
 }  // namespace saltus

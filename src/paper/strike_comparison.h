@@ -6,7 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "paper/solver_comparison.h"
+#include "paper/experiments.h"
+#include "paper/section.h"
 
 namespace saltus {
 
@@ -23,35 +24,8 @@ struct BoundedReference {
 // Reads the references that the figure shows. Throws InputError.
 std::vector<BoundedReference> ReadBoundedReferences(const std::string& path);
 
-class StrikeComparison {
- public:
-  // `scene` is the scene of the task.
-  StrikeComparison(const Scene& scene, std::vector<BoundedReference> references);
-
-  // Returns false if interrupted.
-  bool Run(int threads, ProgressMode progress);
-
-  std::vector<CaptionedTable> Tables() const;
-  std::vector<PaperFigure> Figures() const;
-  std::vector<std::string> Findings() const;
-
- private:
-  struct Entry {
-    std::string label;
-    Scene scene;
-    std::string solver;
-    SolverOptions options;
-    double optimum = 0;
-    int reference = -1;  // -1: without bounds
-    SolvedRun run;
-  };
-
-  void Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum, int reference,
-            bool rate_per_time);
-  const Entry* Find(int reference, const std::string& label, int steps) const;
-
-  std::vector<BoundedReference> references_;
-  std::vector<Entry> entries_;
-};
+// Compares the solvers on the scene of the task. Returns std::nullopt if interrupted.
+std::optional<Section> CompareStrikes(const Scene& scene, const std::vector<BoundedReference>& references, int threads,
+                                      ProgressMode mode);
 
 }  // namespace saltus

@@ -88,6 +88,15 @@ Json GivenToJson(const GivenAudit& audit) {
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
 }
 
+Table GivenTable(const std::vector<GivenEntry>& entries) {
+  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
+  for (const GivenEntry& entry : entries) {
+    table.AddRow(
+        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
+  }
+  return table;
+}
+
 }  // namespace
 
 AuditReport RunAudit(const Request& request, bool needs_reference, const std::vector<SimulatorCommand>& simulators) {
@@ -202,7 +211,12 @@ int AuditMain(int argc, char** argv) {
     };
     const auto write = [&] {
       DoAll({[&] { WriteAuditFiles(request, report, document()); },
-             [&] { WriteAuditReport(request, report, document()); }});
+             [&] {
+               WriteReport(request, [&](Page* page) {
+                 AddAuditSections(request, report, page);
+                 page->SetResults(document());
+               });
+             }});
     };
     if (request.output_dir.empty()) {
       print();

@@ -26,26 +26,9 @@ std::vector<double> OfLevels(const std::vector<RefinementLevel>& levels, double 
   return numbers;
 }
 
-}  // namespace
-
-Table GivenTable(const std::vector<GivenEntry>& entries) {
-  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
-  for (const GivenEntry& entry : entries) {
-    table.AddRow(
-        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
-  }
-  return table;
-}
-
 // ---- JSON, under the keys that the reference documents
 
-namespace {
-
 constexpr std::size_t kMostAfterInterrupt = std::size_t{1} << 16;  // numbers of a derivative by the control
-
-// Reserves room for all keys that an object will have. One that has to grow copies its contents, as its keys are
-// constant: for a long horizon, gradients of millions of numbers.
-void MakeRoom(Json* object) { object->get_ref<Json::object_t&>().reserve(64); }
 
 // After an interrupt a long derivative by the control is left out: its text takes a second for each million steps.
 Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
@@ -149,7 +132,7 @@ void AddBlackBox(const BlackBoxFindings& found, Json* item) {
 
 Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   Json item = {{"contact", audit.gradient.contact}};
-  MakeRoom(&item);
+  Reserve(64, &item);
   if (audit.black_box) AddBlackBox(*audit.black_box, &item);
   AddBias(audit.gradient.contact, audit.gradient.surrogate, &item);
   if (!audit.gradient.ok()) {
@@ -226,11 +209,11 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
   Json document = {{"scene", request.scene.name},
                    {"steps", request.scene.steps},
                    {"precision", request.precision == Precision::kFloat ? "float" : "double"}};
-  MakeRoom(&document);
+  Reserve(64, &document);
   if (report.reference) {
     Json& reference =
         document["reference"] = {{"contact", report.reference->contact}, {"loss", report.reference->loss}};
-    MakeRoom(&reference);
+    Reserve(64, &reference);
     reference["gradient"] = DerivativesToJson(request.scene, report.reference->gradient);
     reference["events"] = EventsToJson(report.reference->events);
     AddTies(report.reference->ambiguous, report.reference->spread, &document["reference"]);
@@ -252,6 +235,14 @@ Json AuditToJson(const Request& request, const AuditReport& report) {
 
 namespace {
 
+// Returns the entries by equal parts of the control, or none if the steps of the gradient are no multiple of these.
+std::vector<double> EntriesIn(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals) {
+  if (quantity == Quantity::kControl && gradient.num_steps % intervals != 0) return {};
+  return EntriesOf(scene, gradient, quantity, intervals);
+}
+
+Cell CellAt(const std::vector<double>& entries, size_t i) { return entries.empty() ? Cell() : Cell(entries[i]); }
+
 // Every entry of the gradient beside the exact one, and what it converges to. One row an entry and model.
 Table EntryTable(const Scene& scene, const AuditReport& report) {
   Table table(ColumnsOf("contact; quantity; entry; exact; own steps; converges to; wrong sign"));
@@ -260,18 +251,14 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
     const int intervals = audit.refinement->intervals;
     for (const QuantityStudy& study : audit.refinement->quantities) {
       const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
-      // The scene's own steps need not be a multiple of the intervals of control.
-      std::vector<double> own;
-      if (study.quantity != Quantity::kControl || audit.gradient.num_steps % intervals == 0) {
-        own = EntriesOf(scene, audit.gradient, study.quantity, intervals);
-      }
+      const std::vector<double> own = EntriesIn(scene, audit.gradient, study.quantity, intervals);
       for (size_t i = 0; i < names.size(); ++i) {
         const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
         table.AddRow({audit.gradient.contact,
                       QuantityToString(study.quantity),
                       names[i],
                       study.exact[i],
-                      own.empty() ? Cell() : Cell(own[i]),
+                      CellAt(own, i),
                       study.finest[i],
                       flips ? "yes" : "no"});
       }
@@ -305,8 +292,8 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
                       QuantityToString(quantity),
                       names[i],
                       values[i],
-                      errors.empty() ? Cell() : Cell(errors[i]),
-                      exact.empty() ? Cell() : Cell(exact[i])});
+                      CellAt(errors, i),
+                      CellAt(exact, i)});
       }
     }
   }
@@ -589,11 +576,11 @@ std::vector<Tile> TilesOf(const AuditReport& audit) {
 void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
   const Scene& scene = request.scene;
   const MotionInput start = StartOf(scene);
-  Replay replay = ReplayOf(scene);
+  Replay replay{scene};
   const MotionOptions options = ReplayOptions(scene, std::min(audit.models.size() + 1, kMostModelMotions));
-  const auto add = [&](const Motion& motion, const std::string& label, const std::string& style) {
+  const auto add = [&](Motion motion, const std::string& label, const std::string& style) {
     if (motion.times.empty() || replay.motions.size() == kMostModelMotions) return;
-    replay.motions.push_back(ToReplayMotion(scene, motion, start, label, style));
+    replay.motions.emplace_back(std::move(motion), start, label, style);
     replay.motions.back().shown = replay.motions.size() <= kShownMotions;
   };
   add(SimulateExactMotion(scene, start, options), "exact dynamics", "analytic");
@@ -607,7 +594,7 @@ void AddMotions(const Request& request, const AuditReport& audit, Page* page) {
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Motions");
-  page->AddReplay(replay,
+  page->AddReplay(ReplayToJson(replay),
                   "The motion from the initial guess under each contact model. A correct motion does not imply a "
                   "correct gradient.");
 }
@@ -683,13 +670,6 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   if (!widths.panels.empty()) {
     page->AddFigure(widths, "Finite differences of the loss, from narrower to wider than a time step.");
   }
-}
-
-void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document) {
-  if (request.output_dir.empty()) return;
-  Page page = StartPage(request.scene);
-  AddAuditSections(request, audit, &page);
-  FinishPage(request, document, &page);
 }
 
 }  // namespace saltus

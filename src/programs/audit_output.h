@@ -7,12 +7,8 @@
 #include "programs/program.h"
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/audit.h"
-#include "saltus/audit/given.h"
 
 namespace saltus {
-
-// A given gradient, entry by entry.
-Table GivenTable(const std::vector<GivenEntry>& entries);
 
 // Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_refinement.{svg,png}, and with a width sweep
 // <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
@@ -38,8 +34,5 @@ class Page;
 // Adds verdicts, gradients, errors against step and width, the motions under each model, and for each wrong model the
 // first contact that makes it wrong.
 void AddAuditSections(const Request& request, const AuditReport& audit, Page* page);
-
-// Writes report.html in --output_dir, if there is one. Throws OutputError.
-void WriteAuditReport(const Request& request, const AuditReport& audit, const Json& document);
 
 }  // namespace saltus

@@ -1,35 +1,41 @@
 #include "programs/given_gradient.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 
 #include "base/file.h"
 #include "programs/json_input.h"
 #include "programs/program.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 // Reads lists of [x, y].
 class GradientReader : public InputReader {
  public:
   using InputReader::InputReader;
 
-  std::vector<std::optional<Vec2d>> Vectors(const Json& list, const std::string& key, size_t most) const {
+  // Returns rows of `columns` numbers, of which unknown ones are NaN. Rows of which `thirds` says so may be [x, y, z].
+  std::vector<double> Vectors(const Json& list, const std::string& key, size_t most, size_t columns = 2,
+                              const std::vector<char>& thirds = {}) const {
     if (!list.is_array() || list.size() > most)
       Fail(key, "a list of at most " + std::to_string(most) + " times [x, y]");
-    std::vector<std::optional<Vec2d>> vectors;
+    std::vector<double> numbers(most * columns, kUnknown);
     for (size_t i = 0; i < list.size(); ++i) {
       const Json& item = list[i];
-      if (item.is_null()) {
-        vectors.emplace_back();
-        continue;
+      if (item.is_null()) continue;
+      const bool fits = item.is_array() && (item.size() == 2 || (item.size() == 3 && !thirds.empty() && thirds[i]));
+      if (!fits || !std::ranges::all_of(item, [](const Json& number) { return number.is_number(); })) {
+        Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers, or null");
       }
-      const bool is_vector = item.is_array() && item.size() == 2 && item[0].is_number() && item[1].is_number();
-      if (!is_vector) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers, or null");
-      vectors.emplace_back(Vec2d(item[0].get<double>(), item[1].get<double>()));
+      for (size_t j = 0; j < item.size(); ++j) numbers[i * columns + j] = item[j].get<double>();
     }
-    return vectors;
+    return numbers;
   }
 };
 
@@ -49,19 +55,20 @@ void ReadContact(const Json& contact, const GradientReader& reader, const Scene&
   if (traits != nullptr && scene.steps % traits->grid_steps == 0) given->intervals = scene.steps / traits->grid_steps;
 }
 
-// One of the control: [x, y], or of a disc that is turned [x, y, torque] too.
-void ReadInterval(Json list, const std::string& key, const GradientReader& reader, const Scene& scene,
-                  GivenGradient* given) {
-  const std::vector<int>& turned = scene.control.turned;
-  std::vector<std::optional<double>> torques(turned.size());
-  for (size_t c = 0; list.is_array() && c < std::min<size_t>(list.size(), scene.num_controlled()); ++c) {
-    const auto at = std::ranges::find(turned, scene.control.bodies[c]);
-    if (at == turned.end() || !list[c].is_array() || list[c].size() != 3 || !list[c][2].is_number()) continue;
-    torques[at - turned.begin()] = list[c][2].get<double>();
-    list[c].erase(2);
+// Reads intervals of [x, y] or, of discs that are turned, [x, y, torque].
+void ReadControl(const Json& list, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
+  const int intervals = given->intervals > 0 ? given->intervals : scene.steps;
+  const size_t discs = scene.num_controlled(), most = discs > 0 ? intervals : 0;
+  if (!list.is_array() || list.size() > most) {
+    reader.Fail("control", "a list of at most " + std::to_string(most) + " intervals");
   }
-  given->control.push_back(reader.Vectors(list, key, scene.num_controlled()));
-  given->torque.push_back(std::move(torques));
+  std::vector<char> turns;
+  for (const int body : scene.control.bodies) turns.push_back(std::ranges::count(scene.control.turned, body) > 0);
+  for (size_t k = 0; k < list.size(); ++k) {
+    const std::string key = "control[" + std::to_string(k) + "]";
+    const std::vector<double> row = reader.Vectors(list[k], key, discs, ControlColumns(scene), turns);
+    given->control.insert(given->control.end(), row.begin(), row.end());
+  }
 }
 
 void ReadGradient(const Json& document, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
@@ -84,13 +91,7 @@ void ReadGradient(const Json& document, const GradientReader& reader, const Scen
     } else if (key == "velocity") {
       given->velocity = reader.Vectors(value, key, scene.num_bodies());
     } else if (key == "control") {
-      const int intervals = given->intervals > 0 ? given->intervals : scene.steps;
-      const size_t most = scene.num_controlled() > 0 ? intervals : 0;
-      if (!value.is_array() || value.size() > most)
-        reader.Fail(key, "a list of at most " + std::to_string(most) + " intervals");
-      for (size_t k = 0; k < value.size(); ++k) {
-        ReadInterval(value[k], key + "[" + std::to_string(k) + "]", reader, scene, given);
-      }
+      ReadControl(value, reader, scene, given);
     } else if (key == "parameters") {
       if (!value.is_object() && !value.is_null()) reader.Fail(key, "an object or null");
     } else if (key != "intervals") {
@@ -101,16 +102,12 @@ void ReadGradient(const Json& document, const GradientReader& reader, const Scen
 
 // Whether there is a number that can be compared with the exact gradient: one of a disc that moves.
 bool HasNumber(const GivenGradient& given, const Scene& scene) {
-  const auto has_value = [](const auto& entry) { return entry.has_value(); };
-  for (const auto& vectors : {given.position, given.velocity}) {
-    for (size_t i = 0; i < vectors.size(); ++i) {
-      if (vectors[i] && !scene.bodies[i].fixed) return true;
+  for (const std::vector<double>& numbers : {given.position, given.velocity}) {
+    for (size_t i = 0; i < numbers.size(); ++i) {
+      if (!std::isnan(numbers[i]) && !scene.bodies[i / 2].fixed) return true;
     }
   }
-  const auto in_any = [&](const auto& rows) {
-    return std::ranges::any_of(rows, [&](const auto& row) { return std::ranges::any_of(row, has_value); });
-  };
-  return in_any(given.control) || in_any(given.torque);
+  return !std::ranges::all_of(given.control, [](double number) { return std::isnan(number); });
 }
 
 }  // namespace

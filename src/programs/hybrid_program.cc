@@ -23,23 +23,17 @@ DEFINE_bool(audit, false, "audit the system's own time-stepping scheme, or those
 
 DECLARE_string(solver);
 DECLARE_int32(steps);
-DECLARE_int32(iterations);
-DECLARE_double(learning_rate);
 DECLARE_bool(rate_per_time);
 DECLARE_bool(width_sweep);
-DECLARE_bool(states);
-DECLARE_bool(json);
 
 namespace saltus {
 
 namespace {
 
-struct HybridRequest : HybridTask {
-  std::vector<std::string> solvers = {};
-  std::vector<std::shared_ptr<HybridScheme>> schemes = {};
-  SolverOptions options = {};
-  std::optional<FeedbackOptions> feedback = {};
-  ProgressMode progress = ProgressMode::kAuto;
+struct HybridRequest : HybridTask, SolveFlags {
+  explicit HybridRequest(HybridTask task) : HybridTask(std::move(task)) {}
+
+  std::vector<std::shared_ptr<HybridScheme>> schemes;
 };
 
 // Returns the numbers that --set can change, by name.
@@ -117,19 +111,7 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw InputError(wrong);
   request->solvers = ReadSolvers(problem);
   request->feedback = ReadFeedback(problem);
-  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : ProgramDefaults().iterations;
-  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
-  if (IsGiven("learning_rate")) {
-    if (!(FLAGS_learning_rate > 0) || std::isinf(FLAGS_learning_rate)) {
-      throw InputError("--learning_rate must be positive");
-    }
-    request->options.learning_rate = FLAGS_learning_rate;
-  }
-  request->options.rate_per_time = FLAGS_rate_per_time;
-  request->options.search_options = SearchFromFlags();
   request->options.stop = InterruptGuard::Interrupted;
-  request->options.threads = ThreadsFromFlags();
-  request->progress = ProgressFromFlags();
   const std::vector<SimulatorCommand> commands = ReadSimulators(arguments);
   if (FLAGS_audit && commands.empty() && request->extras.scheme == nullptr) {
     throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
@@ -139,8 +121,8 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
     request->schemes.push_back(
         std::make_shared<CommandScheme>(problem.system, OptionsOf(command, /*copies=*/1), request->extras.scene));
   }
-  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; the page has states anyway");
-  if (!OutputDirFromFlags().empty()) MakeDirectory(OutputDirFromFlags());
+  ReadSolveFlags({}, request);
+  request->options.threads = request->threads;
 }
 
 // Adds the drawing of a motion at each of its samples.
@@ -182,7 +164,7 @@ HybridResults Compute(const HybridRequest& request) {
   const HybridProblem& problem = request.problem;
   HybridResults results;
   Json motion;
-  const Json loss = HybridLossToJson(problem, FLAGS_states, &motion);
+  const Json loss = HybridLossToJson(problem, request.states, &motion);
   Json& document = results.document;
   document = {{"program", request.name},
               {"system", HybridSystemToJson(problem.system)},
@@ -198,8 +180,8 @@ HybridResults Compute(const HybridRequest& request) {
   progress.UnitsDiffer();
   const auto study = [&](const std::string& label, const HybridInput& input, Json* item) {
     if (!request.feedback) return;
-    results.studies.emplace_back(label, StudyFeedback(problem, input, *request.feedback, request.options.threads));
-    (*item)["feedback"] = FeedbackToJson(results.studies.back().second, FLAGS_states);
+    results.studies.emplace_back(label, StudyFeedback(problem, input, *request.feedback, request.threads));
+    (*item)["feedback"] = FeedbackToJson(results.studies.back().second, request.states);
   };
   if (request.solvers.empty()) study("initial guess", problem.guess, &document);
   for (const std::string& solver : request.solvers) {
@@ -207,7 +189,7 @@ HybridResults Compute(const HybridRequest& request) {
     results.reports.push_back(Solve(solver, problem, request.options));
     progress.Advance();
     results.reports.back().contact = request.name;
-    document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), FLAGS_states));
+    document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), request.states));
     if (results.reports.back().losses.empty()) continue;
     study(solver, SolutionOf(problem, results.reports.back()), &document["runs"].back());
   }
@@ -245,17 +227,6 @@ Table GradientTable(const HybridProblem& problem, const Json& gradient) {
     for (const Json& entry : row) sum += std::pow(entry.get<double>(), 2);
   }
   if (!gradient["control"].empty()) table.AddRow({"control (norm)", Cell(), std::sqrt(sum)});
-  return table;
-}
-
-Table EventTable(const Json& motion) {
-  Table table(ColumnsOf("event; time:12; mode; guard; next mode"));
-  int number = 0;
-  for (const Json& event : motion["events"]) {
-    std::vector<Cell> row = {++number};
-    for (const char* key : {"time", "mode", "guard", "next_mode"}) row.push_back(CellOf(event[key]));
-    table.AddRow(std::move(row));
-  }
   return table;
 }
 
@@ -331,7 +302,8 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
   if (motion.contains("failed")) {
     std::cout << Paragraph(request.name + ": no motion: " + motion["failed"].get<std::string>(), layout.width) << "\n";
   } else {
-    PrintTableIfAny(request.name + ": events of the motion from the guess", EventTable(motion));
+    PrintTableIfAny(request.name + ": events of the motion from the guess",
+                    TableOf(Json::array({motion}), "/events", "event=#; time:12; mode; guard; next mode"));
     if (motion.contains("remark")) std::cout << Paragraph(motion["remark"].get<std::string>(), layout.width) << "\n";
   }
   if (document.contains("gradient")) {
@@ -353,7 +325,7 @@ void PrintTables(const HybridRequest& request, const HybridResults& results) {
 
 // One file: the page with the document in it.
 void WritePage(const HybridRequest& request, const HybridResults& results) {
-  const std::string directory = OutputDirFromFlags();
+  const std::string& directory = request.output_dir;
   if (directory.empty()) return;
   Json document = results.document;
   document["motion"] = DrawnMotion(request, request.problem.guess);
@@ -391,18 +363,18 @@ int RunHybridProgram(int argc, char** argv, const Program& program, const std::f
       PrintList(HybridSolvers());
       return kDone;
     }
-    HybridRequest request{read()};
+    HybridRequest request(read());
     ReadHybridRequest(arguments, &request);
     const HybridResults results = Compute(request);
     DoAll({[&] { WritePage(request, results); },
            [&] {
-             if (FLAGS_json) {
+             if (request.json) {
                PrintJson(results.document, Precision::kDouble);
              } else {
                PrintTables(request, results);
              }
            }});
-    if (!FLAGS_json && !OutputDirFromFlags().empty()) std::cerr << OutputDirFromFlags() << "/report.html" << std::endl;
+    if (!request.json && !request.output_dir.empty()) std::cerr << request.output_dir << "/report.html" << std::endl;
     return ExitCode(results);
   });
 }

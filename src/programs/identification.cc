@@ -1,7 +1,6 @@
 #include "programs/identification.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <cstdint>
 #include <map>
@@ -418,38 +417,34 @@ void AddResiduals(const Identified& identified, Page* page) {
 
 }  // namespace
 
-void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document) {
-  if (request.output_dir.empty()) return;
-  const Scene& scene = request.scene;
-  Page page = StartPage(scene);
-  page.AddHeading("Fits");
-  page.AddTableIfAny(FitTable(document), "The fit of each contact model.");
-  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page.AddList(remarks);
-  page.AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
-  page.AddTableIfAny(
+void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
+  page->AddHeading("Fits");
+  page->AddTableIfAny(FitTable(document), "The fit of each contact model.");
+  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
+  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page->AddTableIfAny(
       ComparisonTable(identified),
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
   const Table law = LawTable(identified);
   if (!law.rows().empty()) {
-    page.AddHeading("Law of impact");
+    page->AddHeading("Law of impact");
     const Figure figure = LawFigure(*LawOf(identified), identified.known_law);
-    page.AddFigure(figure, "The law with its 95 % confidence band.");
-    page.AddTable(law, "The law at speeds that the impacts had, in m/s.");
+    page->AddFigure(figure, "The law with its 95 % confidence band.");
+    page->AddTable(law, "The law at speeds that the impacts had, in m/s.");
   }
   const Table events = EventTable(scene, identified);
   if (!events.rows().empty()) {
-    page.AddHeading("Event functions");
-    page.AddTable(events,
-                  "Impacts by the learned event functions; `beyond` is the distance of the surface from the scene's "
-                  "plane, `turned` "
-                  "the angle between their normals.");
+    page->AddHeading("Event functions");
+    page->AddTable(events,
+                   "Impacts by the learned event functions; `beyond` is the distance of the surface from the scene's "
+                   "plane, `turned` "
+                   "the angle between their normals.");
   }
-  page.AddHeading("Motions");
-  AddMotions(scene, identified, &page);
-  AddResiduals(identified, &page);
-  page.AddTableIfAny(OutlierTable(document),
-                     "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
-  FinishPage(request, document, &page);
+  page->AddHeading("Motions");
+  AddMotions(scene, identified, page);
+  AddResiduals(identified, page);
+  page->AddTableIfAny(OutlierTable(document),
+                      "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
 }
 
 namespace {
@@ -457,21 +452,13 @@ namespace {
 constexpr int kLawUnits = 4, kProfileUnits = 3, kMostUnits = 16;
 constexpr double kInside = 1e-3;  // how near to its bounds a law may begin
 
-// "network:8" is a network of eight units; of "network" there are `units`. None if what follows the colon is no number
-// of units.
-struct KindAndUnits {
-  std::string kind;
-  int units = 0;
-};
-std::optional<KindAndUnits> SplitUnits(const std::string& text, int units) {
-  const std::size_t colon = text.find(':');
-  KindAndUnits split{text.substr(0, colon), units};
-  if (colon == std::string::npos) return split;
-  const std::string digits = text.substr(colon + 1);
-  split.units = 0;
-  std::from_chars(digits.data(), digits.data() + digits.size(), split.units);
-  if (digits != std::to_string(split.units) || split.units < 1 || split.units > kMostUnits) return std::nullopt;
-  return split;
+// Returns the units of "kind:N", or `usual` of "kind"; 0 of other texts and if N is no number of units.
+int UnitsOf(const std::string& text, const std::string& kind, int usual) {
+  if (text == kind) return usual;
+  for (int units = 1; units <= kMostUnits; ++units) {
+    if (text == kind + ":" + std::to_string(units)) return units;
+  }
+  return 0;
 }
 
 std::string Expected(const std::string& kinds) {
@@ -488,19 +475,17 @@ std::optional<RobustLoss> ParseRobustLoss(const std::string& name) {
 }
 
 std::variant<ImpactLaw, std::string> ParseLaw(const std::string& text, const Scene& scene) {
-  const std::optional<KindAndUnits> split = SplitUnits(text, kLawUnits);
   const double speed = NaturalUnits(scene).speed();
   const double restitution = std::clamp(scene.contact.restitution, kInside, 1 - kInside);
-  if (split && split->kind == "network") return RestitutionNetwork(split->units, speed, restitution);
-  if (split && split->kind == "impulse") {
-    return ImpulseNetwork(split->units, speed, restitution, std::max(scene.contact.friction, kInside));
+  if (const int units = UnitsOf(text, "network", kLawUnits)) return RestitutionNetwork(units, speed, restitution);
+  if (const int units = UnitsOf(text, "impulse", kLawUnits)) {
+    return ImpulseNetwork(units, speed, restitution, std::max(scene.contact.friction, kInside));
   }
   return Expected("network or impulse, and maybe :N");
 }
 
 std::variant<EventFunctions, std::string> ParseEvents(const std::string& text, const Scene& scene) {
-  const std::optional<KindAndUnits> split = SplitUnits(text, kProfileUnits);
-  if (split && split->kind == "profile") return ProfileEvents(scene, split->units);
+  if (const int units = UnitsOf(text, "profile", kProfileUnits)) return ProfileEvents(scene, units);
   if (text == "affine") return AffineEvents(scene);
   return Expected("affine or profile, which maybe has :N");
 }
@@ -548,96 +533,73 @@ KnownLaw ReadKnownLaw(const std::string& path) {
 
 namespace {
 
-class NpzReader {
- public:
-  NpzReader(const std::string& path, const Scene& scene, const NpzArrays& arrays)
-      : path_(path), scene_(scene), arrays_(arrays) {}
-
-  Recording Read() const {
-    for (const auto& [name, array] : arrays_) {
-      if (name != "time" && name != "body" && name != "position" && name != "velocity" && name != "sigma" &&
-          name != "sigma_v") {
-        Fail("found the array '" + name + "', expected time, body, position and maybe velocity, sigma, sigma_v");
-      }
-    }
-    const std::vector<double> time = Numbers("time", 1), position = Numbers("position", 2);
-    const std::vector<double> velocity = Numbers("velocity", 2, false), sigma = Numbers("sigma", 1, false),
-                              sigma_v = Numbers("sigma_v", 1, false);
-    Recording recording{path_, {}};
-    for (std::size_t i = 0; i < time.size(); ++i) {
-      Sample sample;
-      sample.time = time[i];
-      sample.body = BodyAt(i);
-      sample.position = {position[2 * i], position[2 * i + 1]};
-      if (!velocity.empty()) sample.velocity = Vec2d(velocity[2 * i], velocity[2 * i + 1]);
-      if (!sigma.empty()) sample.sigma = sigma[i];
-      if (!velocity.empty() && !sigma_v.empty()) sample.sigma_velocity = sigma_v[i];
-      if ((!sigma.empty() && sample.sigma <= 0) || (!sigma_v.empty() && sigma_v[i] <= 0)) {
-        Fail("sigma of row " + std::to_string(i) + ": expected a number > 0");
-      }
-      recording.samples.push_back(sample);
-    }
-    return recording;
+// Reads arrays; what is wrong is thrown.
+Recording ReadArrays(const NpzArrays& arrays, const std::string& name, const Scene& scene) {
+  struct {
+    const std::string& file;
+    [[noreturn]] void operator()(const std::string& message) const { throw RecordingError{file, 0, message}; }
+  } const fail{name};
+  constexpr std::string_view kKnown[] = {"time", "body", "position", "velocity", "sigma", "sigma_v"};
+  for (const auto& [key, array] : arrays) {
+    if (std::ranges::find(kKnown, key) != std::end(kKnown)) continue;
+    fail("found the array '" + key + "', expected time, body, position and maybe velocity, sigma, sigma_v");
   }
-
- private:
-  [[noreturn]] void Fail(const std::string& message) const { throw RecordingError{path_, 0, message}; }
-
-  const NpyArray* Find(const std::string& name, bool needed) const {
-    const auto found = arrays_.find(name);
-    if (found != arrays_.end()) return &found->second;
-    if (needed) Fail("found no array " + name + ", expected time, body and position");
-    return nullptr;
+  for (const std::string needed : {"time", "body", "position"}) {
+    if (!arrays.contains(needed)) fail("found no array " + needed + ", expected time, body and position");
   }
-
-  int64_t NumRows() const {
-    const NpyArray* time = Find("time", true);
-    if (time->shape.size() != 1) Fail("time: expected one dimension");
-    return time->shape[0];
-  }
-
+  const NpyArray &times = arrays.at("time"), &bodies = arrays.at("body");
+  if (times.shape.size() != 1) fail("time: expected one dimension");
+  const int64_t n = times.shape[0];
   // Returns n x width numbers; a scalar stands for n rows of one. Empty if the array is not there.
-  std::vector<double> Numbers(const std::string& name, int width, bool needed = true) const {
-    const NpyArray* array = Find(name, needed);
-    if (array == nullptr) return {};
-    const auto* numbers = std::get_if<std::vector<double>>(&array->data);
-    if (numbers == nullptr) Fail(name + ": expected float64");
-    for (const double number : *numbers) {
-      if (!std::isfinite(number)) Fail(name + ": found a number that is not finite");
+  const auto numbers_of = [&](const std::string& key, int64_t width) -> std::vector<double> {
+    const auto found = arrays.find(key);
+    if (found == arrays.end()) return {};
+    const auto* numbers = std::get_if<std::vector<double>>(&found->second.data);
+    if (numbers == nullptr) fail(key + ": expected float64");
+    if (!std::ranges::all_of(*numbers, [](double number) { return std::isfinite(number); })) {
+      fail(key + ": found a number that is not finite");
     }
-    const int64_t n = NumRows();
-    if (array->shape.empty() && width == 1) return std::vector<double>(static_cast<std::size_t>(n), numbers->front());
-    const std::vector<int64_t> shape = width == 1 ? std::vector<int64_t>{n} : std::vector<int64_t>{n, width};
-    if (array->shape != shape) Fail(name + ": expected " + std::to_string(n) + (width == 1 ? "" : " x 2") + " numbers");
+    const std::vector<int64_t>& shape = found->second.shape;
+    if (shape.empty() && width == 1) return std::vector<double>(static_cast<std::size_t>(n), numbers->front());
+    if (shape != (width == 1 ? std::vector<int64_t>{n} : std::vector<int64_t>{n, width})) {
+      fail(key + ": expected " + std::to_string(n) + (width == 1 ? "" : " x 2") + " numbers");
+    }
     return *numbers;
-  }
-
-  int BodyAt(std::size_t row) const {
-    const NpyArray* array = Find("body", true);
-    if (array->shape != std::vector<int64_t>{NumRows()}) Fail("body: expected one name or index for each time");
-    if (const auto* indices = std::get_if<std::vector<int64_t>>(&array->data)) {
-      const int64_t index = (*indices)[row];
-      if (index < 0 || index >= scene_.num_bodies()) Fail("body of row " + std::to_string(row) + ": none of the scene");
-      return static_cast<int>(index);
+  };
+  const std::vector<double> time = numbers_of("time", 1), position = numbers_of("position", 2);
+  const std::vector<double> velocity = numbers_of("velocity", 2);
+  const std::vector<double> sigma = numbers_of("sigma", 1), sigma_v = numbers_of("sigma_v", 1);
+  if (bodies.shape != times.shape) fail("body: expected one name or index for each time");
+  const auto* indices = std::get_if<std::vector<int64_t>>(&bodies.data);
+  const auto* names = std::get_if<std::vector<std::string>>(&bodies.data);
+  if (indices == nullptr && names == nullptr) fail("body: expected names or int64 indices");
+  Recording recording{name, {}};
+  for (std::size_t i = 0; i < time.size(); ++i) {
+    const std::string row = " of row " + std::to_string(i);
+    const int64_t body = indices != nullptr
+                             ? (*indices)[i]
+                             : std::ranges::find(scene.bodies, (*names)[i], &Body::name) - scene.bodies.begin();
+    if (body < 0 || body >= scene.num_bodies()) {
+      fail("body" + row + (indices != nullptr ? ": none of the scene" : ": found '" + (*names)[i] + "'"));
     }
-    const auto* names = std::get_if<std::vector<std::string>>(&array->data);
-    if (names == nullptr) Fail("body: expected names or int64 indices");
-    const auto found = std::ranges::find(scene_.bodies, (*names)[row], &Body::name);
-    if (found == scene_.bodies.end()) Fail("body of row " + std::to_string(row) + ": found '" + (*names)[row] + "'");
-    return static_cast<int>(found - scene_.bodies.begin());
+    Sample sample{.time = time[i], .body = static_cast<int>(body), .position = {position[2 * i], position[2 * i + 1]}};
+    if (!velocity.empty()) sample.velocity = Vec2d(velocity[2 * i], velocity[2 * i + 1]);
+    if (!sigma.empty()) sample.sigma = sigma[i];
+    if (!velocity.empty() && !sigma_v.empty()) sample.sigma_velocity = sigma_v[i];
+    if ((!sigma.empty() && sigma[i] <= 0) || (!sigma_v.empty() && sigma_v[i] <= 0)) {
+      fail("sigma" + row + ": expected a number > 0");
+    }
+    recording.samples.push_back(sample);
   }
-
-  const std::string& path_;
-  const Scene& scene_;
-  const NpzArrays& arrays_;
-};
+  return recording;
+}
 
 }  // namespace
 
 std::variant<Recording, RecordingError> RecordingFromArrays(const NpzArrays& arrays, const std::string& name,
                                                             const Scene& scene) {
   try {
-    Recording recording = NpzReader(name, scene, arrays).Read();
+    Recording recording = ReadArrays(arrays, name, scene);
     if (const auto error = CheckRecording(scene, &recording)) return *error;
     return recording;
   } catch (const RecordingError& error) {

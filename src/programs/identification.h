@@ -79,7 +79,7 @@ Table EventTable(const Scene& scene, const Identified& identified);
 Table OutlierTable(const Json& document);
 Table ResidualTable(const Scene& scene, const Identified& identified);
 
-// Writes the report into --output_dir, if there is one. Throws OutputError.
-void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document);
+// Adds fits, tables and figures.
+void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page);
 
 }  // namespace saltus

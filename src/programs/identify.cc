@@ -89,26 +89,20 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
 }
 
 void PrintTables(const Scene& scene, const Identified& identified, const Json& document) {
-  const TextLayout layout = LayoutOfStandardOutput();
-  const auto print = [&](const std::string& caption, const Table& table) {
-    std::cout << caption << "\n\n" << table.ToText(layout) << std::endl;
-  };
-  const auto print_if_any = [&](const std::string& caption, const Table& table) {
-    if (!table.rows().empty()) print(caption, table);
-  };
   const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
-  print(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
-  for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, layout.width) << std::endl;
-  print_if_any("95 % confidence is from ... to", EstimateTable(identified));
-  print_if_any("Beside event, whose motion and derivatives are exact: bias is what a value is more",
-               ComparisonTable(identified));
-  print_if_any("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified));
-  print_if_any(
+  PrintTable(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
+  const std::size_t width = LayoutOfStandardOutput().width;
+  for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, width) << std::endl;
+  PrintTableIfAny("95 % confidence is from ... to", EstimateTable(identified));
+  PrintTableIfAny("Beside event, whose motion and derivatives are exact: bias is what a value is more",
+                  ComparisonTable(identified));
+  PrintTableIfAny("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified));
+  PrintTableIfAny(
       "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by how "
       "much its normal is",
       EventTable(scene, identified));
-  print_if_any("Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them, residuals in sigmas",
-               OutlierTable(document));
+  PrintTableIfAny("Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them, residuals in sigmas",
+                  OutlierTable(document));
 }
 
 void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified) {
@@ -188,7 +182,12 @@ int IdentifyMain(int argc, char** argv) {
       PrintTables(request.scene, identified, document);
     };
     DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
-           [&] { WriteIdentifyReport(request, identified, document); },
+           [&] {
+             WriteReport(request, [&](Page* page) {
+               AddIdentifySections(request.scene, identified, document, page);
+               page->SetResults(document);
+             });
+           },
            print});
     PrintReportPath(request);
     return ExitCodeOf(identified);

@@ -99,6 +99,11 @@ Json EventsToJson(const std::vector<Event>& events) {
   return list;
 }
 
+void Reserve(size_t keys, Json* object) {
+  auto& items = object->get_ref<Json::object_t&>();
+  items.reserve(items.size() + keys);
+}
+
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item) {
   if (ambiguous.empty()) return;
   Json& list = (*item)["ambiguous"] = Json::array();
@@ -248,7 +253,8 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
       std::vector<Cell> row;
       for (size_t j = 0; j < paths.size(); ++j) {
         const Json& found = at(of_parent[j] ? parent : item, paths[j]);
-        row.push_back(CellOf(of_each[j] ? found[i] : found));
+        const bool counts = paths[j] == "/#";
+        row.push_back(counts ? Cell(table.rows().size() + 1) : CellOf(of_each[j] ? found[i] : found));
       }
       table.AddRow(std::move(row));
     }

@@ -41,6 +41,9 @@ Json ControlToJson(const Scene& scene, const std::vector<double>& control);
 // Converts derivatives by a control, in its layout.
 Json ControlGradientToJson(const Scene& scene, const std::vector<double>& gradient);
 Json EventsToJson(const std::vector<Event>& events);
+// Reserves room for so many further keys. An object that grows copies its values, as its keys are constant: for a long
+// horizon gradients and states of millions of numbers. A copy that is destroyed where memory runs out ends the program.
+void Reserve(size_t keys, Json* object);
 // Adds "ambiguous": [{ "time", "bodies" }, ...] and "loss_spread": [lowest, highest], where there are ambiguous ties.
 void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>& spread, Json* item);
 // Without masses there are no derivatives by parameters: null.
@@ -69,8 +72,9 @@ Cell CellOf(const Json& value);
 
 // A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
 // those of ColumnsOf(), each header with a path behind it, after "=", from the object, or with ^ from the parent
-// (default: the header, its spaces as underscores). A path that ends in [] makes a row of each element. At most
-// `most_rows` rows. Such as "contact=^contact; wrong in=block; x=position/0:5".
+// (default: the header, its spaces as underscores). A path that ends in [] makes a row of each element, and # stands
+// for the number of the row, from 1. At most `most_rows` rows. Such as "contact=^contact; wrong in=block;
+// x=position/0:5".
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
               size_t most_rows = static_cast<size_t>(-1));
 

@@ -16,6 +16,7 @@
 namespace saltus {
 namespace {
 
+constexpr char kLaunches[] = "Launches that hit the target exactly, under exact dynamics";
 constexpr const char* kModes[] = {"frictionless", "slip", "stick"};
 
 std::string Sequence(const LaunchSolution& launch) {
@@ -72,20 +73,7 @@ void PrintTables(const Request& request, const AuditReport& audit, const SolvedR
   PrintAuditTable(request, audit);
   if (!solved.runs.empty()) PrintSolveTable(request, solved);
   if (launches.empty()) return;
-  std::cout << "\nLaunches that hit the target exactly, under exact dynamics\n\n"
-            << LaunchTable(launches).ToText(LayoutOfStandardOutput());
-}
-
-void WritePage(const Request& request, const AuditReport& audit, const SolvedRuns& solved,
-               const std::vector<LaunchSolution>& launches) {
-  if (request.output_dir.empty()) return;
-  Page page = StartPage(request.scene);
-  AddAuditSections(request, audit, &page);
-  if (!solved.runs.empty()) AddSolveSections(request, solved, &page);
-  if (!launches.empty()) {
-    page.AddTable(LaunchTable(launches), "Launches that hit the target exactly, under exact dynamics.");
-  }
-  FinishPage(request, ToJson(WithoutStates(request), audit, solved, launches), &page);
+  std::cout << "\n" << kLaunches << "\n\n" << LaunchTable(launches).ToText(LayoutOfStandardOutput());
 }
 
 }  // namespace
@@ -109,7 +97,14 @@ int ProblemMain(int argc, char** argv, const ProgramDefaults& defaults) {
              if (!request.output_dir.empty()) WriteAuditFiles(request, audit, AuditToJson(request, audit));
            },
            [&] { WriteSolutions(request, solved); },
-           [&] { WritePage(request, audit, solved, launches); },
+           [&] {
+             WriteReport(request, [&](Page* page) {
+               AddAuditSections(request, audit, page);
+               if (!solved.runs.empty()) AddSolveSections(request, solved, page);
+               page->AddTableIfAny(LaunchTable(launches), kLaunches + std::string("."));
+               page->SetResults(ToJson(WithoutStates(request), audit, solved, launches));
+             });
+           },
            print});
     PrintReportPath(request);
     return std::max(AuditExitCode(request, audit), SolveExitCode(solved));

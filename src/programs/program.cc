@@ -479,16 +479,6 @@ Scene LoadScene(const std::string& path) {
   return std::get<Scene>(std::move(loaded));
 }
 
-SearchOptions SearchFromFlags() {
-  const SearchOptions options{.work = FLAGS_search_work,
-                              .seconds = FLAGS_search_seconds,
-                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
-                              .starts = FLAGS_search_starts,
-                              .seed = FLAGS_search_seed};
-  if (const std::string why = WhyNotValid(options); !why.empty()) throw InputError("--" + why);
-  return options;
-}
-
 int ThreadsFromFlags() {
   if (FLAGS_threads < 0 || FLAGS_threads > 4096) throw InputError("--threads must lie in 0..4096");
   return NumThreads(FLAGS_threads);
@@ -530,6 +520,30 @@ Precision PrecisionFromFlags() {
   return FLAGS_precision == "float" ? Precision::kFloat : Precision::kDouble;
 }
 
+void ReadSolveFlags(const ProgramDefaults& defaults, SolveFlags* flags) {
+  SolverOptions& options = flags->options;
+  options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
+  if (options.iterations < 0) throw InputError("--iterations must not be negative");
+  if (IsGiven("learning_rate")) {
+    options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
+    if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
+  }
+  options.rate_per_time = FLAGS_rate_per_time;
+  options.search_options = {.work = FLAGS_search_work,
+                            .seconds = FLAGS_search_seconds,
+                            .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                            .starts = FLAGS_search_starts,
+                            .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(options.search_options); !why.empty()) throw InputError("--" + why);
+  flags->threads = ThreadsFromFlags();
+  flags->json = FLAGS_json;
+  flags->states = FLAGS_states;
+  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; files have states anyway");
+  flags->progress = ProgressFromFlags();
+  flags->output_dir = OutputDirFromFlags();
+  if (!flags->output_dir.empty()) MakeDirectory(flags->output_dir);
+}
+
 bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   if (FLAGS_contact == "list") {
     PrintModels();
@@ -563,32 +577,19 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
         ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequence.emplace());
     if (!wrong.empty()) throw InputError("--sequence=" + FLAGS_sequence + ": " + wrong);
   }
-  request->options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
-  if (request->options.iterations < 0) throw InputError("--iterations must not be negative");
-  request->options.learning_rate = defaults.learning_rate;
-  if (IsGiven("learning_rate")) {
-    request->options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
-    if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
-  } else {
-    if (defaults.learning_rate == 0) request->options.learning_rate = DefaultLearningRate(request->scene);
+  if (!IsGiven("learning_rate")) {
+    request->options.learning_rate =
+        defaults.learning_rate == 0 ? DefaultLearningRate(request->scene) : defaults.learning_rate;
     if (FLAGS_rate_per_time) request->options.learning_rate *= request->scene.duration / kPublishedSteps;
   }
-  request->options.rate_per_time = FLAGS_rate_per_time;
   if (FLAGS_rate_per_time && request->scene.optimize != Optimize::kControl) {
     throw InputError("--rate_per_time: the scene does not optimize a control");
   }
-  request->options.search_options = SearchFromFlags();
   request->options.surrogate = SurrogateFromFlags();
   request->feedback = SceneFeedbackFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
   request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
-  request->threads = ThreadsFromFlags();
-  request->output_dir = OutputDirFromFlags();
-  if (!request->output_dir.empty()) MakeDirectory(request->output_dir);
-  request->json = FLAGS_json;
-  request->states = FLAGS_states;
-  if (FLAGS_states && !FLAGS_json) throw InputError("--states: expected --json with it; files have states anyway");
-  request->progress = ProgressFromFlags();
+  ReadSolveFlags(defaults, request);
   return true;
 }
 
@@ -633,11 +634,13 @@ Page StartPage(const Scene& scene) {
                   Cell(scene.duration).Display(6) + " s");
 }
 
-void FinishPage(const Request& request, const Json& results, Page* page) {
-  page->AddHeading("Scene");
-  page->AddPreformatted(WriteScene(request.scene));
-  page->SetResults(results);
-  OrOutputError(page->Write(PathOfReport(request)));
+void WriteReport(const Request& request, const std::function<void(Page*)>& add) {
+  if (request.output_dir.empty()) return;
+  Page page = StartPage(request.scene);
+  add(&page);
+  page.AddHeading("Scene");
+  page.AddPreformatted(WriteScene(request.scene));
+  OrOutputError(page.Write(PathOfReport(request)));
 }
 
 void PrintReportPath(const Request& request) {

@@ -84,20 +84,24 @@ struct FeedbackOptions {
   std::uint64_t seed = 1;
 };
 
-// The options of the common flags.
-struct Request {
-  Scene scene;
-  std::vector<std::string> contacts;
+// The options of the flags that programs of scenes and of hybrid systems share.
+struct SolveFlags {
   std::vector<std::string> solvers;
-  Precision precision = Precision::kDouble;
   SolverOptions options;
   int threads = 1;
-  std::optional<ControlGuess> start;  // the control that a flag gives, also where none is optimized
   std::optional<FeedbackOptions> feedback = {};
   bool states = false;     // --states
   std::string output_dir;  // empty: write no files
   bool json = false;
   ProgressMode progress = ProgressMode::kAuto;
+};
+
+// The options of the programs of scenes.
+struct Request : SolveFlags {
+  Scene scene;
+  std::vector<std::string> contacts;
+  Precision precision = Precision::kDouble;
+  std::optional<ControlGuess> start;  // the control that a flag gives, also where none is optimized
 };
 
 // For documents that are not to have --states.
@@ -140,7 +144,9 @@ int ThreadsFromFlags();
 ProgressMode ProgressFromFlags();
 std::string OutputDirFromFlags();
 Precision PrecisionFromFlags();
-SearchOptions SearchFromFlags();
+
+// Reads the flags of SolveFlags but --solver and --feedback, and makes the directory for files. Throws InputError.
+void ReadSolveFlags(const ProgramDefaults& defaults, SolveFlags* flags);
 
 // Loads a scene file. Throws InputError.
 Scene LoadScene(const std::string& path);
@@ -173,8 +179,8 @@ std::string FirstOf(const std::vector<std::string>& names);
 
 Page StartPage(const Scene& scene);
 
-// Adds the results and the scene, and writes report.html into --output_dir. Throws OutputError.
-void FinishPage(const Request& request, const Json& results, Page* page);
+// Writes report.html into --output_dir, if there is one: what `add` adds, and the scene. Throws OutputError.
+void WriteReport(const Request& request, const std::function<void(Page*)>& add);
 
 // The path of the report as the last line, if one was asked for: on stdout, or on stderr if that is JSON.
 void PrintReportPath(const Request& request);

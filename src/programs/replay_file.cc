@@ -6,6 +6,7 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <span>
 
 #include "base/file.h"
 #include "base/number_text.h"
@@ -14,7 +15,9 @@
 #include "programs/json_input.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
+#include "saltus/control/control_rows.h"
 #include "saltus/scene/scene_file.h"
+#include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 
 DECLARE_string(scene);
@@ -35,12 +38,12 @@ bool IsExact(const std::string& contact) {
 
 class ReplayReader : InputReader {
  public:
-  ReplayReader(const std::string& path, const std::optional<Replay>& drawn)
-      : InputReader(path), given_(drawn.has_value()) {
-    if (drawn) file_.drawn = *drawn;
+  ReplayReader(const std::string& path, const std::optional<Scene>& scene)
+      : InputReader(path), given_(scene.has_value()) {
+    if (scene) replay_.scene = *scene;
   }
 
-  ReplayFile Read() {
+  Replay Read() {
     const StatusOr<std::string> bytes = ReadFile(where());
     if (!bytes.ok()) throw InputError(bytes.status().message());
     if (bytes->starts_with("PK")) {
@@ -48,14 +51,16 @@ class ReplayReader : InputReader {
     } else {
       ReadDocument(*bytes);
     }
-    if (file_.drawn.motions.empty()) {
+    if (replay_.motions.empty()) {
       Fail("states", "times and states; saltus_solve prints them with --states, and writes them with --output_dir");
     }
-    return std::move(file_);
+    return std::move(replay_);
   }
 
  private:
-  size_t num_discs() const { return file_.drawn.discs.size(); }
+  Scene& scene() { return replay_.scene; }
+  const Scene& scene() const { return replay_.scene; }
+  size_t num_discs() const { return scene().bodies.size(); }
 
   double NumberIn(const Json& value, const std::string& key) const {
     if (!value.is_number() || !std::isfinite(value.get<double>())) Fail(key, "a finite number");
@@ -72,97 +77,59 @@ class ReplayReader : InputReader {
     return found != object.end() && found->is_string() ? found->get<std::string>() : otherwise;
   }
 
-  void AddDisc(const std::string& name, double radius, bool fixed, const std::string& key) {
-    if (!(radius > 0) || !std::isfinite(radius)) Fail(key, "a radius that is positive");
-    file_.drawn.discs.push_back({name, radius, fixed});
+  void Read(const Json& value, const std::string& key, double* number) const { *number = NumberIn(value, key); }
+  void Read(const Json& value, const std::string& key, Vec2d* vector) const { *vector = VectorIn(value, key); }
+  void Read(const Json& value, const std::string& key, std::vector<Vec2d>* vectors) const {
+    for (const Json& item : value) vectors->push_back(VectorIn(item, key));
+  }
+  void Read(const Json& value, const std::string&, bool* is) const { *is = value.is_boolean() && value.get<bool>(); }
+  void Read(const Json& value, const std::string&, std::string* text) const {
+    if (value.is_string()) *text = value.get<std::string>();
+  }
+  void Read(const Json& value, const std::string&, EdgePolygon::Solid* solid) const {
+    if (value == "outside") *solid = EdgePolygon::Solid::kOutside;
   }
 
-  void ReadBodies(const Json& document) {
+  void CheckRadius(const Body& disc, const std::string& key) const {
+    if (!(disc.radius > 0) || !std::isfinite(disc.radius)) Fail(key, "a radius that is positive");
+  }
+
+  // Reads the discs and the walls. Names, and whether a disc is fixed and where a polygon is solid, may be missing.
+  void ReadDrawn(const Json& document) {
     const auto bodies = document.find("bodies");
     if (bodies == document.end() || !bodies->is_array() || bodies->empty()) {
       Fail("bodies", "a list of { \"name\", \"radius\" }, or --scene=FILE");
     }
-    for (size_t i = 0; i < bodies->size(); ++i) {
-      const std::string key = "bodies[" + std::to_string(i) + "]";
-      const Json& body = (*bodies)[i];
-      if (!body.is_object() || !body.contains("radius")) Fail(key, "{ \"name\", \"radius\" }");
-      const auto fixed = body.find("fixed");
-      AddDisc(TextIn(body, "name", "disc " + std::to_string(i + 1)),
-              NumberIn(body["radius"], key + ".radius"),
-              fixed != body.end() && fixed->is_boolean() && fixed->get<bool>(),
-              key);
-    }
-  }
-
-  // Calls read(item, key, name) for each of the list `list`, whose items must have all of `keys`.
-  template <typename F>
-  void ForEach(const Json& document, const std::string& list, const std::string& noun,
-               const std::vector<const char*>& keys, const F& read) const {
-    const auto items = document.find(list);
-    for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
-      const std::string key = list + "[" + std::to_string(i) + "]";
-      std::string expected;
-      bool whole = (*items)[i].is_object();
-      for (const char* one : keys) {
-        expected += (expected.empty() ? "{ \"" : ", \"") + std::string(one) + "\"";
-        whole = whole && (one == std::string_view("name") || (*items)[i].contains(one));
+    VisitDrawn(scene(), [&]<typename T>(const std::string& list, const std::string& noun, std::vector<T>& things) {
+      const auto items = document.find(list);
+      if (items != document.end() && !items->is_array()) Fail(list, "a list");
+      for (size_t i = 0; items != document.end() && i < items->size(); ++i) {
+        const Json& item = (*items)[i];
+        const std::string place = list + "[" + std::to_string(i) + "]";
+        T& thing = things.emplace_back();
+        thing.name = noun + " " + std::to_string(i + 1);
+        std::string expected;
+        bool whole = item.is_object();
+        VisitDrawnFields(thing, [&](const std::string& key, const auto&) {
+          if (key == "fixed" || key == "solid") return;
+          expected += (expected.empty() ? "{ \"" : ", \"") + key + "\"";
+          whole = whole && (key == "name" || item.contains(key));
+        });
+        if (!whole) Fail(place, expected + " }");
+        VisitDrawnFields(thing, [&](const std::string& key, auto& value) {
+          if (item.contains(key)) Read(item[key], place + "." + key, &value);
+        });
+        if constexpr (std::is_same_v<T, Body>) CheckRadius(thing, place);
       }
-      if (!whole) Fail(key, expected + " }");
-      read((*items)[i], key, TextIn((*items)[i], "name", noun + " " + std::to_string(i + 1)));
-    }
-  }
-
-  void ReadWalls(const Json& document) {
-    Scene walls;
-    for (const ReplayDisc& disc : file_.drawn.discs) walls.bodies.push_back({.name = disc.name, .radius = disc.radius});
-    using Key = const std::string&;
-    ForEach(
-        document, "planes", "plane", {"name", "point", "normal"}, [&](const Json& plane, Key key, std::string name) {
-          walls.planes.push_back(
-              {name, VectorIn(plane["point"], key + ".point"), VectorIn(plane["normal"], key + ".normal")});
-        });
-    ForEach(
-        document, "segments", "segment", {"name", "from", "to"}, [&](const Json& segment, Key key, std::string name) {
-          walls.segments.push_back(
-              {name, VectorIn(segment["from"], key + ".from"), VectorIn(segment["to"], key + ".to")});
-        });
-    ForEach(document, "polygons", "polygon", {"name", "points"}, [&](const Json& polygon, Key key, std::string name) {
-      const bool outside = TextIn(polygon, "solid", "inside") == "outside";
-      walls.polygons.push_back({name, {}, outside ? EdgePolygon::Solid::kOutside : EdgePolygon::Solid::kInside});
-      for (const Json& point : polygon["points"])
-        walls.polygons.back().points.push_back(VectorIn(point, key + ".points"));
     });
-    ForEach(document,
-            "arcs",
-            "arc",
-            {"name", "center", "radius", "from", "to"},
-            [&](const Json& arc, Key key, std::string name) {
-              walls.arcs.push_back({name,
-                                    VectorIn(arc["center"], key + ".center"),
-                                    NumberIn(arc["radius"], key + ".radius"),
-                                    NumberIn(arc["from"], key + ".from"),
-                                    NumberIn(arc["to"], key + ".to")});
-            });
-    ForEach(document,
-            "pockets",
-            "pocket",
-            {"name", "position", "radius"},
-            [&](const Json& pocket, Key key, std::string name) {
-              walls.pockets.push_back(
-                  {name, VectorIn(pocket["position"], key + ".position"), NumberIn(pocket["radius"], key + ".radius")});
-            });
-    if (const auto error = ValidateStructure(walls)) throw InputError(where() + ": " + error->ToString());
-    AddWalls(walls, &file_.drawn);
+    if (const auto error = ValidateStructure(scene())) throw InputError(where() + ": " + error->ToString());
   }
 
   void ReadDocument(const std::string& text) {
     Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
     if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
     if (!document.is_object()) Fail("the document", "an object");
-    if (!given_) {
-      ReadBodies(document);
-      ReadWalls(document);
-    }
+    if (!given_) ReadDrawn(document);
     const auto runs = document.find("runs");
     if (runs == document.end()) return ReadRun(document, "");
     if (!runs->is_array()) Fail("runs", "a list");
@@ -173,7 +140,7 @@ class ReplayReader : InputReader {
   }
 
   // Adds the motion under the contact model and the exact one, as far as `source` has them: under a model that is exact
-  // both are the same, and one will do. Calls read(prefix, motion) for each, whose keys begin with the prefix.
+  // both are the same, and one will do. Calls read(prefix, drawn) for each, whose keys begin with the prefix.
   template <typename Source, typename Read>
   void ReadMotions(const Source& source, const std::string& contact, const std::string& label, const std::string& place,
                    const Read& read) {
@@ -181,27 +148,27 @@ class ReplayReader : InputReader {
       if (!source.contains(prefix + "states")) continue;
       if (prefix.empty() && IsExact(contact) && source.contains("exact_states")) continue;
       if (!source.contains(prefix + "times")) Fail(place + prefix + "times", "one number for each of the states");
-      ReplayMotion motion;
-      motion.arcs = !prefix.empty();
-      motion.label = label + (motion.arcs && !IsExact(contact) ? ", exact" : "");
-      read(prefix, &motion);
-      Add(std::move(motion), contact, place + prefix);
+      const std::string exact = prefix.empty() || IsExact(contact) ? "" : ", exact";
+      ReplayMotion drawn({}, {}, label + exact, contact);
+      drawn.motion.arcs = !prefix.empty();
+      read(prefix, &drawn);
+      Add(std::move(drawn), place + prefix);
     }
   }
 
   void ReadRun(const Json& run, const std::string& place) {
     const std::string contact = TextIn(run, "contact", ""), solver = TextIn(run, "solver", "");
     const std::string label = contact + (solver.empty() || solver == kNoSolver ? "" : " " + solver);
-    const auto read = [&](const std::string& prefix, ReplayMotion* motion) {
+    const auto read = [&](const std::string& prefix, ReplayMotion* drawn) {
       const std::string key = place + prefix;
-      for (const Json& time : run[prefix + "times"]) motion->times.push_back(NumberIn(time, key + "times"));
-      ReadStates(run[prefix + "states"], key + "states", motion);
-      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", motion);
+      for (const Json& time : run[prefix + "times"]) drawn->motion.times.push_back(NumberIn(time, key + "times"));
+      ReadStates(run[prefix + "states"], key + "states", drawn);
+      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &drawn->motion);
     };
     ReadMotions(run, contact, label.empty() ? TextIn(run, "name", "states") : label, place, read);
   }
 
-  void ReadStates(const Json& states, const std::string& key, ReplayMotion* motion) {
+  void ReadStates(const Json& states, const std::string& key, ReplayMotion* drawn) {
     if (!states.is_array()) Fail(key, "a list");
     size_t numbers = kState;
     for (size_t k = 0; k < states.size(); ++k) {
@@ -214,18 +181,30 @@ class ReplayReader : InputReader {
           Fail(row, "[p_x, p_y, v_x, v_y] or [p_x, p_y] of each disc");
         }
         numbers = std::min(numbers, body.size());
-        for (size_t j = 0; j < kState; ++j) {
-          motion->states.push_back(j < body.size() ? NumberIn(body[j], row) : 0);
-        }
-        if (body.size() >= kTurning) motion->angles.push_back(NumberIn(body[kState], row));
+        const auto number = [&](size_t j) { return NumberIn(body[j], row); };
+        AddState(body.size(), number, &drawn->motion);
       }
     }
-    if (numbers < kState) DifferenceVelocities(motion);
-    if (kState * motion->angles.size() != motion->states.size()) motion->angles.clear();
+    FinishStates(numbers < kState, drawn);
+  }
+
+  // Adds a state of `size` numbers. The angular velocity is not drawn.
+  template <typename NumberAt>
+  static void AddState(size_t size, const NumberAt& number, Motion* motion) {
+    for (size_t j = 0; j < kState; ++j) motion->states.push_back(j < size ? number(j) : 0);
+    if (size >= kTurning) motion->rotations.insert(motion->rotations.end(), {number(kState), 0});
+  }
+
+  // Leaves angles out if some states have none.
+  void FinishStates(bool without_velocities, ReplayMotion* drawn) const {
+    Motion& motion = drawn->motion;
+    if (without_velocities) DifferenceVelocities(drawn);
+    if (kState * motion.rotations.size() != kSpin * motion.states.size()) motion.rotations.clear();
   }
 
   // Sets velocities to the differences of positions across the neighbouring states.
-  void DifferenceVelocities(ReplayMotion* motion) const {
+  void DifferenceVelocities(ReplayMotion* drawn) const {
+    Motion* motion = &drawn->motion;
     const size_t width = kState * num_discs(), rows = motion->states.size() / width;
     if (rows != motion->times.size()) return;  // refused by Add()
     for (size_t k = 0; k < rows; ++k) {
@@ -237,7 +216,7 @@ class ReplayReader : InputReader {
         motion->states[k * width + i] = passed > 0 ? way / passed : 0;
       }
     }
-    motion->remark = "velocities by differences";
+    drawn->remark = "velocities by differences";
   }
 
   // The number of a disc or, from num_discs() on, of a wall.
@@ -245,13 +224,14 @@ class ReplayReader : InputReader {
     const auto find = [&](const auto& list) {
       return std::ranges::find_if(list, [&](const auto& item) { return item.name == name; }) - list.begin();
     };
-    const size_t disc = find(file_.drawn.discs), wall = find(file_.drawn.walls);
+    const std::vector<WallPart> walls = WallPartsOf(scene());
+    const size_t disc = find(scene().bodies), wall = find(walls);
     if (disc < num_discs()) return disc;
-    if (wall == file_.drawn.walls.size()) Fail(key, "a body or a wall, found '" + name + "'");
+    if (wall == walls.size()) Fail(key, "a body or a wall, found '" + name + "'");
     return num_discs() + wall;
   }
 
-  void ReadTouches(const Json& touches, const std::string& place, ReplayMotion* motion) {
+  void ReadTouches(const Json& touches, const std::string& place, Motion* motion) {
     if (!touches.is_array()) Fail(place, "a list");
     for (size_t i = 0; i < touches.size(); ++i) {
       const std::string key = place + "[" + std::to_string(i) + "]";
@@ -259,20 +239,17 @@ class ReplayReader : InputReader {
       if (!touch.is_object() || !touch.contains("begin")) Fail(key, "{ \"a\", \"b\", \"begin\" }");
       const size_t a = NumberOf(TextIn(touch, "a", ""), key + ".a"), b = NumberOf(TextIn(touch, "b", ""), key + ".b");
       if (a >= num_discs()) Fail(key + ".a", "a disc");
-      ReplayTouch read{.a = static_cast<int>(a), .b = static_cast<int>(b), .wall = b >= num_discs()};
-      if (read.wall) read.b -= static_cast<int>(num_discs());
+      const bool wall = b >= num_discs();
+      TouchSpan read{{static_cast<int>(a), static_cast<int>(wall ? b - num_discs() : b), wall}};
       read.begin = read.end = NumberIn(touch["begin"], key + ".begin");
       if (touch.contains("end")) read.end = NumberIn(touch["end"], key + ".end");
       CheckTouch(read, key + ".end");
-      if (touch.contains("impulse")) {
-        const Vec2d impulse = VectorIn(touch["impulse"], key + ".impulse");
-        read.impulse = {impulse[0], impulse[1]};
-      }
+      if (touch.contains("impulse")) read.impulse = VectorIn(touch["impulse"], key + ".impulse");
       motion->touches.push_back(read);
     }
   }
 
-  void CheckTouch(const ReplayTouch& touch, const std::string& key) const {
+  void CheckTouch(const TouchSpan& touch, const std::string& key) const {
     if (!(std::isfinite(touch.begin) && std::isfinite(touch.end))) Fail(key, "finite times");
     if (touch.end < touch.begin) {
       Fail(key, "a time from its begin on, " + ToText(touch.begin) + ", found " + ToText(touch.end));
@@ -292,15 +269,17 @@ class ReplayReader : InputReader {
     if (!text.empty()) {
       std::variant<Scene, SceneFileError> scene = ParseScene(text[0], where() + ": scene");
       if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
-      scene_ = std::get<Scene>(std::move(scene));
-      file_.drawn = ReplayOf(*scene_);
+      this->scene() = std::get<Scene>(std::move(scene));
+      has_control_ = true;
       return;
     }
     const auto radius = arrays.find("radius");
     if (radius == arrays.end()) Fail("radius", "one radius for each disc, or --scene=FILE");
     const std::vector<double> radii = Numbers(radius->second, "radius");
     for (size_t i = 0; i < radii.size(); ++i) {
-      AddDisc(i < names.size() ? names[i] : "disc " + std::to_string(i + 1), radii[i], false, "radius");
+      const std::string name = i < names.size() ? names[i] : "disc " + std::to_string(i + 1);
+      scene().bodies.push_back({.name = name, .radius = radii[i]});
+      CheckRadius(scene().bodies.back(), "radius");
     }
   }
 
@@ -313,38 +292,36 @@ class ReplayReader : InputReader {
     const std::string model = contact.empty() ? "" : contact[0];
     std::string label = model.empty() ? "states" : model;
     if (!solver.empty() && solver[0] != kNoSolver) label += " " + solver[0];
-    ReadMotions(arrays, model, label, "", [&](const std::string& prefix, ReplayMotion* motion) {
-      motion->times = Numbers(arrays.at(prefix + "times"), prefix + "times");
-      ReadStateArray(arrays.at(prefix + "states"), prefix + "states", motion);
-      ReadTouchArrays(arrays, prefix, motion);
-      ReadControl(arrays, motion);
+    ReadMotions(arrays, model, label, "", [&](const std::string& prefix, ReplayMotion* drawn) {
+      drawn->motion.times = Numbers(arrays.at(prefix + "times"), prefix + "times");
+      ReadStateArray(arrays.at(prefix + "states"), prefix + "states", drawn);
+      ReadTouchArrays(arrays, prefix, &drawn->motion);
+      ReadControl(arrays, drawn);
     });
   }
 
   // Reads the control, which is drawn only if the file has the discs that it belongs to: files with the whole scene.
-  void ReadControl(const NpzArrays& arrays, ReplayMotion* motion) const {
+  void ReadControl(const NpzArrays& arrays, ReplayMotion* drawn) const {
     const auto control = arrays.find("control"), lengths = arrays.find("durations");
-    if (control == arrays.end() || !scene_ || scene_->num_controlled() == 0) return;
-    const std::vector<int>& pushed = scene_->control.bodies;
-    const int64_t discs = static_cast<int64_t>(pushed.size());
+    const int discs = scene().num_controlled(), columns = ControlColumns(scene());
+    if (control == arrays.end() || !has_control_ || discs == 0) return;
     const std::vector<int64_t>& shape = control->second.shape;
-    if (scene_->num_turned() > 0 && (shape.size() != 3 || shape[1] != discs || shape[2] != 3)) {
+    if (scene().num_turned() > 0 && (shape.size() != 3 || shape[1] != discs || shape[2] != columns)) {
       Fail("control", "a shape of (K, " + std::to_string(discs) + ", 3)");
     }
-    SplitControl(*scene_, Numbers(control->second, "control"), motion);
-    const size_t intervals = motion->control.size() / (2 * pushed.size());
+    std::vector<double> rows = Numbers(control->second, "control");
+    rows.resize(rows.size() - rows.size() % static_cast<size_t>(discs * columns));
+    const size_t intervals = rows.size() / static_cast<size_t>(discs * columns);
     std::vector<double> durations;
     if (lengths != arrays.end()) durations = Numbers(lengths->second, "durations");
-    if (durations.empty() && intervals > 0 && !motion->times.empty()) {
-      durations.assign(intervals, motion->times.back() / static_cast<double>(intervals));
+    if (durations.empty() && intervals > 0 && !drawn->motion.times.empty()) {
+      durations.assign(intervals, drawn->motion.times.back() / static_cast<double>(intervals));
     }
     if (durations.size() != intervals) Fail("durations", std::to_string(intervals) + " numbers");
-    motion->pushed = pushed;
-    double end = 0;
-    for (const double length : durations) motion->ends.push_back(end += length);
+    drawn->input = {{}, ControlOfRows(scene(), rows), std::move(durations)};
   }
 
-  void ReadStateArray(const NpyArray& array, const std::string& key, ReplayMotion* motion) {
+  void ReadStateArray(const NpyArray& array, const std::string& key, ReplayMotion* drawn) {
     const std::vector<int64_t>& shape = array.shape;
     const int64_t discs = static_cast<int64_t>(num_discs());
     if (shape.size() != 3 || shape[1] != discs || (shape[2] != 2 && shape[2] < static_cast<int64_t>(kState))) {
@@ -353,13 +330,13 @@ class ReplayReader : InputReader {
     const std::vector<double> numbers = Numbers(array, key);
     const size_t per_disc = static_cast<size_t>(shape[2]);
     for (size_t i = 0; i < numbers.size(); i += per_disc) {
-      for (size_t j = 0; j < kState; ++j) motion->states.push_back(j < per_disc ? numbers[i + j] : 0);
-      if (per_disc >= kTurning) motion->angles.push_back(numbers[i + kState]);
+      AddState(
+          per_disc, [&](size_t j) { return numbers[i + j]; }, &drawn->motion);
     }
-    if (per_disc < kState) DifferenceVelocities(motion);
+    FinishStates(per_disc < kState, drawn);
   }
 
-  void ReadTouchArrays(const NpzArrays& arrays, const std::string& prefix, ReplayMotion* motion) {
+  void ReadTouchArrays(const NpzArrays& arrays, const std::string& prefix, Motion* motion) {
     const auto pairs = arrays.find(prefix + "touch_pairs"), times = arrays.find(prefix + "touch_times");
     if (pairs == arrays.end() || times == arrays.end()) return;
     const auto impulses = arrays.find(prefix + "touch_impulses");
@@ -370,15 +347,14 @@ class ReplayReader : InputReader {
     if (pair.size() % 3 != 0 || time.size() != pair.size() / 3 * 2 || impulse.size() != time.size()) {
       Fail(prefix + "touch_times", "shapes of (M, 3), (M, 2) and (M, 2)");
     }
+    const size_t num_walls = WallPartsOf(scene()).size();
     for (size_t i = 0; 3 * i < pair.size(); ++i) {
       const bool wall = pair[3 * i + 2] != 0;
-      const double most = static_cast<double>(wall ? file_.drawn.walls.size() : num_discs());
+      const double most = static_cast<double>(wall ? num_walls : num_discs());
       if (!(pair[3 * i] >= 0 && pair[3 * i] < num_discs() && pair[3 * i + 1] >= 0 && pair[3 * i + 1] < most)) {
         Fail(prefix + "touch_pairs", "numbers of discs and walls");
       }
-      motion->touches.push_back({static_cast<int>(pair[3 * i]),
-                                 static_cast<int>(pair[3 * i + 1]),
-                                 wall,
+      motion->touches.push_back({{static_cast<int>(pair[3 * i]), static_cast<int>(pair[3 * i + 1]), wall},
                                  time[2 * i],
                                  time[2 * i + 1],
                                  {impulse[2 * i], impulse[2 * i + 1]}});
@@ -386,7 +362,8 @@ class ReplayReader : InputReader {
     }
   }
 
-  void Add(ReplayMotion motion, const std::string& model, const std::string& place) {
+  void Add(ReplayMotion drawn, const std::string& place) {
+    Motion& motion = drawn.motion;
     const size_t rows = motion.states.size() / (kState * num_discs());
     if (rows == 0 || rows != motion.times.size()) {
       Fail(place + "times",
@@ -395,85 +372,76 @@ class ReplayReader : InputReader {
     const auto finite = [](double time) { return std::isfinite(time); };
     if (!std::ranges::all_of(motion.times, finite)) Fail(place + "times", "finite numbers");
     if (!std::ranges::is_sorted(motion.times)) Fail(place + "times", "times that do not fall");
-    std::ranges::stable_sort(motion.touches, {}, &ReplayTouch::begin);
-    file_.drawn.motions.push_back(std::move(motion));
-    file_.models.push_back(model);
+    std::ranges::stable_sort(motion.touches, {}, &TouchSpan::begin);
+    replay_.motions.push_back(std::move(drawn));
   }
 
   bool given_;
-  std::optional<Scene> scene_;  // in the file
-  ReplayFile file_;
+  bool has_control_ = false;  // the file has the whole scene
+  Replay replay_;
 };
 
 std::string StemOf(const std::string& path) { return std::filesystem::path(path).stem().string(); }
 
 // A style for each motion: that of its contact model, unless another motion has it.
-void SetStyles(std::vector<ReplayMotion>* motions, std::vector<std::string> models) {
+void SetStyles(std::vector<ReplayMotion>* motions) {
+  const auto has = [&](size_t end, std::string_view model) {
+    return std::ranges::any_of(std::span(*motions).first(end), [&](const auto& one) { return one.model == model; });
+  };
   size_t next = 1;  // the first is of no contact model
   for (size_t i = 0; i < motions->size(); ++i) {
-    const bool taken =
-        models[i].empty() || std::find(models.begin(), models.begin() + i, models[i]) != models.begin() + i;
-    while (taken && std::ranges::find(models, ModelStyles()[next].model) != models.end() &&
-           next + 1 < ModelStyles().size()) {
-      ++next;
-    }
-    if (taken) models[i] = ModelStyles()[next].model;
-    (*motions)[i].colour = StyleOf(models[i]).colour;
-    (*motions)[i].dash = StyleOf(models[i]).dash;
+    ReplayMotion& drawn = (*motions)[i];
+    const bool taken = drawn.model.empty() || has(i, drawn.model);
+    while (taken && has(motions->size(), ModelStyles()[next].model) && next + 1 < ModelStyles().size()) ++next;
+    if (taken) drawn.model = ModelStyles()[next].model;
+    drawn.colour = StyleOf(drawn.model).colour;
+    drawn.dash = StyleOf(drawn.model).dash;
   }
 }
 
-// Every n-th state, where there are more than a page shows.
-void Thin(size_t most_rows, size_t width, ReplayMotion* motion) {
-  const size_t rows = motion->times.size(), stride = (rows + most_rows - 1) / most_rows;
+// Keeps every n-th state, where there are more than a page shows.
+void Thin(size_t most_rows, ReplayMotion* drawn) {
+  Motion& motion = drawn->motion;
+  const size_t rows = motion.times.size(), stride = (rows + most_rows - 1) / most_rows;
   if (stride < 2) return;
-  std::vector<double> times, states, angles;
-  const size_t discs = motion->angles.size() / rows;
-  for (size_t k = 0; k < rows; ++k) {
-    if (k % stride != 0 && k + 1 != rows) continue;
-    times.push_back(motion->times[k]);
-    states.insert(states.end(), motion->states.begin() + k * width, motion->states.begin() + (k + 1) * width);
-    angles.insert(angles.end(), motion->angles.begin() + k * discs, motion->angles.begin() + (k + 1) * discs);
+  for (std::vector<double>* numbers : {&motion.states, &motion.rotations, &motion.times}) {
+    const size_t width = numbers->size() / rows;
+    std::vector<double> kept;
+    for (size_t k = 0; k < rows; ++k) {
+      if (k % stride != 0 && k + 1 != rows) continue;
+      kept.insert(kept.end(), numbers->begin() + k * width, numbers->begin() + (k + 1) * width);
+    }
+    *numbers = std::move(kept);
   }
-  motion->times = std::move(times);
-  motion->states = std::move(states);
-  motion->angles = std::move(angles);
-  motion->arcs = false;
-  motion->remark += (motion->remark.empty() ? "" : "; ") + std::string("every ") + std::to_string(stride) +
-                    (stride == 2   ? "nd"
-                     : stride == 3 ? "rd"
-                                   : "th") +
-                    " state";
+  motion.arcs = false;
+  drawn->remark += (drawn->remark.empty() ? "" : "; ") + std::string("every ") + std::to_string(stride) +
+                   (stride == 2   ? "nd"
+                    : stride == 3 ? "rd"
+                                  : "th") +
+                   " state";
 }
 
 // The motions in some files, whose discs must be the same. Bodies and planes are those of `scene`, if one is given, or
 // else what the first file says of them. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene) {
   Replay replay;
-  std::vector<std::string> models;
   for (const std::string& path : paths) {
-    const ReplayFile file = ReadReplayFile(path, scene ? std::optional(ReplayOf(*scene)) : std::nullopt);
-    if (replay.discs.empty()) {
-      replay.discs = file.drawn.discs;
-      replay.walls = file.drawn.walls;
-      replay.outlines = file.drawn.outlines;
-      replay.targets = file.drawn.targets;
-    }
-    const auto same = [](const ReplayDisc& l, const ReplayDisc& r) { return l.name == r.name && l.radius == r.radius; };
-    if (!std::ranges::equal(replay.discs, file.drawn.discs, same)) {
+    Replay file = ReadReplayFile(path, scene);
+    if (replay.scene.bodies.empty()) replay.scene = file.scene;
+    const auto same = [](const Body& l, const Body& r) { return l.name == r.name && l.radius == r.radius; };
+    if (!std::ranges::equal(replay.scene.bodies, file.scene.bodies, same)) {
       throw InputError(path + ": its discs are not those of " + paths[0]);
     }
-    for (size_t i = 0; i < file.drawn.motions.size(); ++i) {
-      replay.motions.push_back(file.drawn.motions[i]);
-      models.push_back(file.models[i]);
-      if (paths.size() > 1) replay.motions.back().label = StemOf(path) + ": " + replay.motions.back().label;
+    for (ReplayMotion& drawn : file.motions) {
+      if (paths.size() > 1) drawn.label = StemOf(path) + ": " + drawn.label;
+      replay.motions.push_back(std::move(drawn));
     }
   }
-  const size_t width = 4 * replay.discs.size(), motions = replay.motions.size();
-  for (ReplayMotion& motion : replay.motions) {
-    Thin(std::max<size_t>(2, kMostReplayNumbers / (width * motions)), width, &motion);
+  const size_t width = kState * replay.scene.bodies.size(), motions = replay.motions.size();
+  for (ReplayMotion& drawn : replay.motions) {
+    Thin(std::max<size_t>(2, kMostReplayNumbers / (width * motions)), &drawn);
   }
-  SetStyles(&replay.motions, std::move(models));
+  SetStyles(&replay.motions);
   return replay;
 }
 
@@ -486,7 +454,8 @@ int WriteReplay() {
   std::string names;
   for (const std::string& path : paths) names += (names.empty() ? "" : ", ") + StemOf(path);
   Page page(names);
-  page.AddReplay(replay, "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
+  page.AddReplay(ReplayToJson(replay),
+                 "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
   OrOutputError(page.Write(FLAGS_output));
   std::cout << FLAGS_output << std::endl;
   return kDone;
@@ -494,8 +463,8 @@ int WriteReplay() {
 
 }  // namespace
 
-ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn) {
-  return ReplayReader(path, drawn).Read();
+Replay ReadReplayFile(const std::string& path, const std::optional<Scene>& scene) {
+  return ReplayReader(path, scene).Read();
 }
 
 int ReplayMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_replay"), WriteReplay); }

@@ -3,24 +3,16 @@
 
 #include <optional>
 #include <string>
-#include <vector>
 
-#include "output/replay.h"
+#include "programs/scene_drawing.h"
 
 namespace saltus {
-
-// The motions of a file. Colours and dashes are not set.
-struct ReplayFile {
-  Replay drawn;
-  std::vector<std::string> models;  // of each motion, the contact model that it is of; may be empty
-};
 
 // Reads NPZ or JSON:
 //
 //   bodies   [{ "name", "radius", "fixed" }]          fixed is false unless given
-//   planes   [{ "name", "point", "normal" }]          default none, as of segments, polygons, arcs and pockets, which
-//   are
-//                                                     as in scene files
+//   planes   [{ "name", "point", "normal" }]          default none; likewise segments, polygons, arcs and pockets as
+//                                                     in scene files
 //   times    n numbers that do not fall, s
 //   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; of discs
 //            that spin angle and angular velocity follow, and what follows then is not looked at
@@ -29,7 +21,7 @@ struct ReplayFile {
 // and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
 // such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
 // them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B). Throws InputError with the key.
-// `drawn` stands in for what the file says of bodies.
-ReplayFile ReadReplayFile(const std::string& path, const std::optional<Replay>& drawn);
+// `scene` stands in for what the file says of bodies. The model of a motion is empty if the file names none.
+Replay ReadReplayFile(const std::string& path, const std::optional<Scene>& scene);
 
 }  // namespace saltus

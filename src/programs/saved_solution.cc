@@ -41,36 +41,25 @@ class SolutionReader : InputReader {
     return item.is_array() && item.size() == size && std::ranges::all_of(item, is_number);
   }
 
-  // The numbers of [[x, y], ...], `rows` of them.
-  std::vector<double> Vectors(const Json& list, const std::string& key, size_t rows) const {
-    if (!list.is_array() || list.size() != rows) Fail(key, "a list of " + std::to_string(rows) + " times [x, y]");
-    std::vector<double> numbers;
-    for (size_t i = 0; i < rows; ++i) {
-      const Json& item = list[i];
-      if (!IsVector(item, 2)) Fail(key + "[" + std::to_string(i) + "]", "[x, y] of finite numbers");
-      numbers.insert(numbers.end(), {item[0].get<double>(), item[1].get<double>()});
-    }
-    return numbers;
-  }
-
-  // One interval of a control, as rows of it have it (control_rows.h).
-  std::vector<double> Interval(const Json& list, const std::string& key) const {
-    const size_t rows = scene_.num_controlled();
-    if (scene_.num_turned() == 0) return Vectors(list, key, rows);
+  // The numbers of [[x, y], ...], `rows` of them. With `control` one interval as rows of it have it (control_rows.h):
+  // [x, y, torque] of discs that are turned.
+  std::vector<double> Vectors(const Json& list, const std::string& key, size_t rows, bool control = false) const {
+    const bool three = control && scene_.num_turned() > 0;
     if (!list.is_array() || list.size() != rows) {
       Fail(key,
-           "a list of " + std::to_string(rows) + " times [x, y], or [x, y, torque] of discs with a torque control");
+           "a list of " + std::to_string(rows) + " times [x, y]" +
+               (three ? ", or [x, y, torque] of discs with a torque control" : ""));
     }
     std::vector<double> numbers;
-    for (size_t c = 0; c < rows; ++c) {
+    for (size_t i = 0; i < rows; ++i) {
       const std::vector<int>& turned = scene_.control.turned;
-      const bool turns = std::ranges::find(turned, scene_.control.bodies[c]) != turned.end();
-      if (!IsVector(list[c], turns ? 3 : 2)) {
-        Fail(key + "[" + std::to_string(c) + "]",
+      const bool turns = three && std::ranges::find(turned, scene_.control.bodies[i]) != turned.end();
+      if (!IsVector(list[i], turns ? 3 : 2)) {
+        Fail(key + "[" + std::to_string(i) + "]",
              turns ? "[x, y, torque] of finite numbers" : "[x, y] of finite numbers");
       }
-      for (const Json& number : list[c]) numbers.push_back(number.get<double>());
-      if (!turns) numbers.push_back(0);
+      for (const Json& number : list[i]) numbers.push_back(number.get<double>());
+      if (three && !turns) numbers.push_back(0);
     }
     return numbers;
   }
@@ -102,7 +91,8 @@ class SolutionReader : InputReader {
       if (!control->is_array()) Fail("control", "a list of intervals");
       std::vector<double> rows;
       for (size_t k = 0; k < control->size(); ++k) {
-        const std::vector<double> row = Interval((*control)[k], "control[" + std::to_string(k) + "]");
+        const std::vector<double> row =
+            Vectors((*control)[k], "control[" + std::to_string(k) + "]", scene_.num_controlled(), /*control=*/true);
         rows.insert(rows.end(), row.begin(), row.end());
       }
       SetControl(rows);

@@ -1,10 +1,15 @@
 #include "programs/scene_drawing.h"
 
+#include <glog/logging.h>
+
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <numbers>
 
 #include "base/interrupt.h"
+#include "base/number_text.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/walls.h"
 #include "solve/control_guess.h"
@@ -17,48 +22,34 @@ constexpr double kChord = 2 * std::numbers::pi / 180;
 
 std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
 
-Outline OutlineOf(const EdgeSegment& segment) { return {segment.name, {Pair(segment.from), Pair(segment.to)}}; }
-
-Outline OutlineOf(const EdgePolygon& polygon) {
-  const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-  Outline outline{polygon.name, {}, inside ? Outline::Solid::kInside : Outline::Solid::kOutside};
-  for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
-  outline.points.push_back(outline.points.front());
-  return outline;
-}
-
-Outline OutlineOf(const EdgeArc& arc) {
-  Outline outline{arc.name, {}};
-  const int chords = std::max(1, static_cast<int>(std::ceil((arc.to - arc.from) / kChord)));
-  for (int i = 0; i <= chords; ++i) {
-    const double angle = arc.from + (arc.to - arc.from) * i / chords;
-    outline.points.push_back(
-        {arc.center[0] + arc.radius * std::cos(angle), arc.center[1] + arc.radius * std::sin(angle)});
-  }
-  return outline;
-}
-
-Outline OutlineOf(const Pocket& pocket) {
-  return OutlineOf(EdgeArc{pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
-}
-
 // In the order of the scene; arcs as chords, two degrees each at most.
 std::vector<Outline> OutlinesOf(const Scene& scene) {
   std::vector<Outline> outlines;
-  for (const EdgeSegment& segment : scene.segments) outlines.push_back(OutlineOf(segment));
-  for (const EdgePolygon& polygon : scene.polygons) outlines.push_back(OutlineOf(polygon));
-  for (const EdgeArc& arc : scene.arcs) outlines.push_back(OutlineOf(arc));
-  for (const Pocket& pocket : scene.pockets) outlines.push_back(OutlineOf(pocket));
+  for (const EdgeSegment& segment : scene.segments) {
+    outlines.push_back({segment.name, {Pair(segment.from), Pair(segment.to)}});
+  }
+  for (const EdgePolygon& polygon : scene.polygons) {
+    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
+    Outline& outline = outlines.emplace_back();
+    outline.name = polygon.name;
+    outline.solid = inside ? Outline::Solid::kInside : Outline::Solid::kOutside;
+    for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
+    outline.points.push_back(outline.points.front());
+  }
+  const auto add_arc = [&](const EdgeArc& arc) {
+    Outline& outline = outlines.emplace_back();
+    outline.name = arc.name;
+    const int chords = std::max(1, static_cast<int>(std::ceil((arc.to - arc.from) / kChord)));
+    for (int i = 0; i <= chords; ++i) {
+      const double angle = arc.from + (arc.to - arc.from) * i / chords;
+      outline.points.push_back(Pair(arc.center + arc.radius * Vec2d(std::cos(angle), std::sin(angle))));
+    }
+  };
+  for (const EdgeArc& arc : scene.arcs) add_arc(arc);
+  for (const Pocket& pocket : scene.pockets) {
+    add_arc({pocket.name, pocket.position, pocket.radius, 0, 2 * std::numbers::pi});
+  }
   return outlines;
-}
-
-ReplayWall ToReplayWall(const WallPart& part) {
-  using Kind = ReplayWall::Kind;
-  const Wall<double>& wall = part.wall;
-  if (wall.curved()) return {part.name, Pair(wall.center), {0, 1}, Kind::kCircle, wall.radius};
-  if (part.table) return {part.name, {0, 0}, {0, 1}, Kind::kTable};
-  const Vec2d point = part.extent.endless ? Vec2d(wall.offset * wall.normal) : part.from;
-  return {part.name, Pair(point), Pair(wall.normal), part.extent.endless ? Kind::kHalfPlane : Kind::kSide};
 }
 
 }  // namespace
@@ -79,40 +70,207 @@ Panel ScenePanel(const Scene& scene, const std::string& title) {
   return panel;
 }
 
-void AddWalls(const Scene& scene, Replay* replay) {
-  for (const WallPart& part : WallPartsOf(scene)) replay->walls.push_back(ToReplayWall(part));
-  for (size_t i = 0; i < scene.planes.size(); ++i) replay->walls[i].point = Pair(scene.planes[i].point);
-  replay->outlines = OutlinesOf(scene);
+// ---- Replays
+
+namespace {
+
+constexpr size_t kMostIntervals = 4000;    // of a control; more are joined
+constexpr double kPositionQuantum = 1e-7;  // of the drawing's size
+constexpr double kOtherQuantum = 1e-6;     // of the largest velocity or force
+constexpr double kAngleQuantum = 1e-5;     // rad
+constexpr size_t kMostTouches = 20000;     // of a motion; more are not seen
+
+std::string Base64(const std::vector<uint8_t>& bytes) {
+  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  text.reserve((bytes.size() + 2) / 3 * 4);
+  for (size_t i = 0; i < bytes.size(); i += 3) {
+    const auto byte = [&](size_t j) { return i + j < bytes.size() ? uint32_t{bytes[i + j]} : 0u; };
+    const uint32_t word = byte(0) << 16 | byte(1) << 8 | byte(2);
+    for (int shift = 18; shift >= 0; shift -= 6) text += kDigits[word >> shift & 63];
+  }
+  const size_t missing = (3 - bytes.size() % 3) % 3;
+  text.replace(text.size() - missing, missing, missing, '=');
+  return text;
 }
 
-void SplitControl(const Scene& scene, const std::vector<double>& rows, ReplayMotion* motion) {
-  const size_t columns = ControlColumns(scene);
-  for (size_t i = 0; i + columns <= rows.size(); i += columns) {
-    motion->control.insert(motion->control.end(), {rows[i], rows[i + 1]});
-    if (columns > 2) motion->torques.push_back(rows[i + 2]);
-  }
+std::string Base64(const std::vector<double>& numbers) {
+  std::vector<uint8_t> bytes(numbers.size() * sizeof(double));
+  if (!bytes.empty()) std::memcpy(bytes.data(), numbers.data(), bytes.size());
+  return Base64(bytes);
 }
 
-Replay ReplayOf(const Scene& scene) {
-  Replay replay;
-  for (const Body& body : scene.bodies) replay.discs.push_back({body.name, body.radius, body.fixed});
-  const Control& control = scene.control;
-  for (size_t i = 0; i < control.bodies.size(); ++i) {
-    ReplayDisc& disc = replay.discs[control.bodies[i]];
-    if (!control.max.empty()) disc.max_component = control.max[i];
-    if (!control.max_norm.empty()) disc.max_force = control.max_norm[i];
-  }
-  for (size_t i = 0; i < control.max_torque.size(); ++i) {
-    replay.discs[control.turned[i]].max_torque = control.max_torque[i];
-  }
-  AddWalls(scene, &replay);
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    if (!term.component && term.quantity == TerminalTerm::Quantity::kPosition) {
-      replay.targets.push_back(Pair(term.target));
+// Appends an integer, near zero in few bytes: 0, -1, 1, -2, ... as 0, 1, 2, 3, ... with 7 bits in each byte.
+void AppendInteger(int64_t value, std::vector<uint8_t>* bytes) {
+  uint64_t code = value < 0 ? 2 * static_cast<uint64_t>(-(value + 1)) + 1 : 2 * static_cast<uint64_t>(value);
+  for (; code > 127; code >>= 7) bytes->push_back(static_cast<uint8_t>(128 | (code & 127)));
+  bytes->push_back(static_cast<uint8_t>(code));
+}
+
+// Packs numbers in rows of `columns`; column j has the quantum j modulo their number.
+Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<double>& quanta) {
+  std::vector<uint8_t> bytes;
+  bytes.reserve(numbers.size());
+  for (size_t column = 0; column < columns; ++column) {
+    const double quantum = quanta[column % quanta.size()];
+    int64_t value = 0, slope = 0;
+    for (size_t i = column; i < numbers.size(); i += columns) {
+      // A number that is not finite is drawn at the position before it.
+      const double multiple = numbers[i] / quantum;
+      const int64_t next = std::abs(multiple) < 4e15 ? std::llround(multiple) : value;
+      AppendInteger(next - value - slope, &bytes);
+      slope = next - value;
+      value = next;
     }
   }
-  return replay;
+  return {{"quanta", quanta}, {"data", Base64(bytes)}};
 }
+
+// Returns the largest of |numbers[i]| over i = first, first + 1 modulo `period`; 1 if all are 0.
+double Largest(const std::vector<double>& numbers, size_t first, size_t period) {
+  double largest = 0;
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    if (i % period < first || i % period > first + 1 || !std::isfinite(numbers[i])) continue;
+    largest = std::max(largest, std::abs(numbers[i]));
+  }
+  return largest > 0 ? largest : 1;
+}
+
+// Returns the extent of the positions of all motions, m.
+double SizeOf(const Replay& replay) {
+  double size = 0;
+  for (size_t j = 0; j < 2; ++j) {
+    double low = HUGE_VAL, high = -HUGE_VAL;
+    for (const ReplayMotion& drawn : replay.motions) {
+      const std::vector<double>& states = drawn.motion.states;
+      for (size_t i = j; i < states.size(); i += 4) {
+        if (!std::isfinite(states[i])) continue;
+        low = std::min(low, states[i]);
+        high = std::max(high, states[i]);
+      }
+    }
+    if (high >= low) size = std::max(size, high - low);
+  }
+  for (const Body& body : replay.scene.bodies) size = std::max(size, body.radius);
+  return size > 0 ? size : 1;
+}
+
+double Rounded(double value) { return std::isfinite(value) ? RoundedTo(6, value) : 0; }
+
+Json TouchesToJson(const std::vector<TouchSpan>& touches) {
+  Json list = Json::array();
+  for (const auto& [contact, begin, end, impulse] : touches) {
+    if (list.size() == kMostTouches) break;
+    list.push_back({contact.a, contact.b, contact.plane ? 1 : 0, begin, end, Rounded(impulse[0]), Rounded(impulse[1])});
+  }
+  return list;
+}
+
+// Adds the discs that are pushed, the ends of the intervals, forces and torques.
+void AddControl(const Scene& scene, const MotionInput& input, Json* json) {
+  const size_t pushed = input.control.empty() ? 0 : scene.control.bodies.size();
+  std::vector<double> ends, forces, torques;
+  if (pushed > 0) {
+    ControlGuess control{input.control, input.durations};
+    const double duration = DurationOf(control, scene);
+    if (control.control.size() / scene.control_width() > kMostIntervals) {
+      control.control = MeanOverSteps(control, scene.control_width(), kMostIntervals);
+      control.durations.assign(kMostIntervals, duration / kMostIntervals);
+    }
+    double end = 0;
+    for (const double length : LengthsOf(control, scene)) ends.push_back(end += length);
+    const std::vector<double> rows = RowsOfControl(scene, control.control);
+    const size_t columns = ControlColumns(scene);
+    for (size_t i = 0; i < rows.size(); i += columns) {
+      forces.insert(forces.end(), {rows[i], rows[i + 1]});
+      if (columns > 2) torques.push_back(rows[i + 2]);
+    }
+  }
+  CHECK_EQ(forces.size(), ends.size() * pushed * 2);
+  (*json)["pushed"] = pushed > 0 ? scene.control.bodies : std::vector<int>();
+  (*json)["ends"] = Base64(ends);
+  (*json)["control"] = Pack(forces, 2 * pushed, {kOtherQuantum * Largest(forces, 0, 2)});
+  (*json)["torques"] = torques.empty() ? Json() : Pack(torques, pushed, {kOtherQuantum * Largest(torques, 0, 1)});
+}
+
+Json MotionToJson(const Scene& scene, const ReplayMotion& drawn, double size, double speed) {
+  const Motion& motion = drawn.motion;
+  const size_t discs = scene.bodies.size();
+  CHECK(!motion.times.empty());
+  CHECK_EQ(motion.states.size(), motion.times.size() * discs * 4);
+  CHECK(motion.rotations.empty() || motion.rotations.size() == motion.times.size() * discs * kSpin);
+  const double position = kPositionQuantum * size, velocity = kOtherQuantum * speed;
+  std::vector<double> angles;
+  for (size_t i = 0; i < motion.rotations.size(); i += kSpin) angles.push_back(motion.rotations[i]);
+  Json json = {{"label", drawn.label},
+               {"remark", drawn.remark},
+               {"shown", drawn.shown},
+               {"colour", drawn.colour},
+               {"dash", DashName(drawn.dash)},
+               {"arcs", motion.arcs},
+               {"times", Base64(motion.times)},
+               {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
+               {"angles", angles.empty() ? Json() : Pack(angles, discs, {kAngleQuantum})},
+               {"touches", TouchesToJson(motion.touches)}};
+  AddControl(scene, drawn.input, &json);
+  for (const ReplaySpread& spread : drawn.spreads) {
+    CHECK_EQ(spread.covariances.size(), spread.times.size() * discs * 3);
+    json["spreads"].push_back(
+        {{"label", spread.label}, {"times", Base64(spread.times)}, {"covariances", Base64(spread.covariances)}});
+  }
+  return json;
+}
+
+// Returns the discs, with the bounds of each component of the force on them, N, of the force's length, N, and of the
+// torque, N m; 0 without a bound.
+Json DiscsToJson(const Scene& scene) {
+  Json discs = Json::array();
+  for (const Body& body : scene.bodies) {
+    discs.push_back({{"name", body.name}, {"radius", body.radius}, {"fixed", body.fixed}, {"bounds", {0.0, 0.0, 0.0}}});
+  }
+  const Control& control = scene.control;
+  for (size_t i = 0; i < control.bodies.size(); ++i) {
+    Json& bounds = discs[control.bodies[i]]["bounds"];
+    if (!control.max.empty()) bounds[0] = control.max[i];
+    if (!control.max_norm.empty()) bounds[1] = control.max_norm[i];
+  }
+  for (size_t i = 0; i < control.max_torque.size(); ++i) discs[control.turned[i]]["bounds"][2] = control.max_torque[i];
+  return discs;
+}
+
+// Returns the parts of WallPartsOf(). Half-planes are drawn; outlines show the others.
+Json WallsToJson(const Scene& scene) {
+  Json walls = Json::array();
+  for (const WallPart& part : WallPartsOf(scene)) {
+    const Wall<double>& wall = part.wall;
+    const bool circle = wall.curved(), line = !circle && !part.table;
+    Vec2d point = Vec2d::Zero();  // on the line, or the centre
+    if (circle) point = wall.center;
+    if (line) point = part.extent.endless ? Vec2d(wall.offset * wall.normal) : part.from;
+    if (walls.size() < scene.planes.size()) point = scene.planes[walls.size()].point;
+    walls.push_back({{"name", part.name},
+                     {"kind",
+                      circle                ? "circle"
+                      : part.table          ? "table"
+                      : part.extent.endless ? "half-plane"
+                                            : "side"},
+                     {"point", point},
+                     {"normal", line ? Vec2d(wall.normal) : Vec2d(0, 1)},
+                     {"radius", circle ? wall.radius : 0.0}});
+  }
+  return walls;
+}
+
+}  // namespace
+
+ReplayMotion::ReplayMotion(Motion drawn, MotionInput from, std::string name, std::string_view style_of_model)
+    : motion(std::move(drawn)),
+      input(std::move(from)),
+      label(std::move(name)),
+      model(style_of_model),
+      remark(motion.failure),
+      colour(StyleOf(style_of_model).colour),
+      dash(StyleOf(style_of_model).dash) {}
 
 MotionOptions ReplayOptions(const Scene& scene, std::size_t motions) {
   MotionOptions options;
@@ -122,35 +280,28 @@ MotionOptions ReplayOptions(const Scene& scene, std::size_t motions) {
   return options;
 }
 
-ReplayMotion ToReplayMotion(const Scene& scene, const Motion& motion, const MotionInput& input,
-                            const std::string& label, std::string_view style_of_model) {
-  const ModelStyle& style = StyleOf(style_of_model);
-  ReplayMotion replay{.label = label,
-                      .remark = motion.failure,
-                      .colour = std::string(style.colour),
-                      .dash = style.dash,
-                      .times = motion.times,
-                      .states = motion.states,
-                      .arcs = motion.arcs};
-  for (size_t i = 0; i < motion.rotations.size(); i += 2) replay.angles.push_back(motion.rotations[i]);
-  for (const TouchSpan& touch : motion.touches) {
-    replay.touches.push_back(
-        {touch.contact.a, touch.contact.b, touch.contact.plane, touch.begin, touch.end, Pair(touch.impulse)});
+Json ReplayToJson(const Replay& replay) {
+  const Scene& scene = replay.scene;
+  CHECK(!scene.bodies.empty() && !replay.motions.empty());
+  Json data = {{"discs", DiscsToJson(scene)},
+               {"walls", WallsToJson(scene)},
+               {"outlines", Json::array()},
+               {"targets", Json::array()},
+               {"motions", Json::array()}};
+  for (const Outline& outline : OutlinesOf(scene)) {
+    data["outlines"].push_back(
+        {{"name", outline.name}, {"solid", SolidName(outline.solid)}, {"points", outline.points}});
   }
-  if (input.control.empty() || scene.control.bodies.empty()) return replay;
-  // More intervals than a page can show are joined.
-  ControlGuess control{input.control, input.durations};
-  const size_t width = scene.control_width(), most = 4000;
-  const double duration = DurationOf(control, scene);
-  if (control.control.size() / width > most) {
-    control.control = MeanOverSteps(control, scene.control_width(), most);
-    control.durations.assign(most, duration / most);
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (!term.component && term.quantity == TerminalTerm::Quantity::kPosition) data["targets"].push_back(term.target);
   }
-  replay.pushed = scene.control.bodies;
-  double end = 0;
-  for (const double length : LengthsOf(control, scene)) replay.ends.push_back(end += length);
-  SplitControl(scene, RowsOfControl(scene, control.control), &replay);
-  return replay;
+  const double size = SizeOf(replay);
+  double speed = 0;
+  for (const ReplayMotion& drawn : replay.motions) speed = std::max(speed, Largest(drawn.motion.states, 2, 4));
+  for (const ReplayMotion& drawn : replay.motions) {
+    data["motions"].push_back(MotionToJson(scene, drawn, size, speed));
+  }
+  return data;
 }
 
 }  // namespace saltus

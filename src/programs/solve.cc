@@ -64,30 +64,29 @@ struct Refusal {
   std::string reason;
 };
 
+// Appends the names of a refusal to those of the first in the list with which it shares all else.
+void Join(std::vector<std::string> Refusal::*names, std::vector<std::string> Refusal::*others, const Refusal& added,
+          std::vector<Refusal>* list) {
+  const auto same = std::ranges::find_if(
+      *list, [&](const Refusal& one) { return one.*others == added.*others && one.reason == added.reason; });
+  if (same == list->end()) {
+    list->push_back(added);
+  } else {
+    ((*same).*names).insert(((*same).*names).end(), (added.*names).begin(), (added.*names).end());
+  }
+}
+
 std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
   std::vector<Refusal> of_contacts, refusals;
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination != Termination::kNotApplicable) continue;
-    const std::string contact = LabelOf(report.contact, report.surrogate);
-    const auto same = std::ranges::find_if(of_contacts, [&](const Refusal& other) {
-      return other.contacts[0] == contact && other.reason == report.reason;
-    });
-    if (same == of_contacts.end()) {
-      of_contacts.push_back({{contact}, {report.solver}, report.reason});
-    } else {
-      same->solvers.push_back(report.solver);
-    }
+    Join(&Refusal::solvers,
+         &Refusal::contacts,
+         {{LabelOf(report.contact, report.surrogate)}, {report.solver}, report.reason},
+         &of_contacts);
   }
-  for (const Refusal& one : of_contacts) {
-    const auto same = std::ranges::find_if(
-        refusals, [&](const Refusal& other) { return other.solvers == one.solvers && other.reason == one.reason; });
-    if (same == refusals.end()) {
-      refusals.push_back(one);
-    } else {
-      same->contacts.push_back(one.contacts[0]);
-    }
-  }
+  for (const Refusal& one : of_contacts) Join(&Refusal::contacts, &Refusal::solvers, one, &refusals);
   return refusals;
 }
 
@@ -124,15 +123,8 @@ SolvedRuns SolveAll(const Request& request) {
           SolvedRun run = solver == kNoSolver
                               ? SimulateOnly(request, contact)
                               : SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
-          if (!request.feedback || !run.HasSolution()) return run;
-          keep(run);
-          const SolveReport& report = run.report;
-          run.feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
-                                       report.initial_state,
-                                       report.control,
-                                       report.durations,
-                                       *request.feedback,
-                                       tasks.size() == 1 ? request.threads : 1);
+          if (request.feedback) keep(run);
+          AddFeedback(request, options.threads, &run);
           return run;
         } catch (const std::bad_alloc&) {
           HoldMemoryBackAgain();
@@ -159,31 +151,26 @@ std::string WhyNoAnswer(const SolveReport& report) {
 }
 
 Table RunTable(const SolvedRuns& solved) {
-  const bool free_durations =
-      std::ranges::any_of(solved.runs, [](const SolvedRun& run) { return run.duration.has_value(); });
-  Table table(
-      ColumnsOf(std::string("contact; solver; initial loss:10; final loss:10; exact loss:10; ") +
-                (free_durations ? "duration (s):6; " : "") + "iterations; gradients; seconds:3; termination; remark"),
-      2);
+  Table table(ColumnsOf("contact; solver; initial loss:10; final loss:10; exact loss:10; duration (s):6; iterations; "
+                        "gradients; seconds:3; termination; remark"),
+              2);
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination == Termination::kNotApplicable) continue;  // below
     const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
     const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
     const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
-    std::vector<Cell> row = {LabelOf(report.contact, report.surrogate),
-                             report.solver,
-                             of_solver(report.initial_loss),
-                             of_run(report.final_loss),
-                             run.exact.ok ? of_run(run.exact.loss) : Cell()};
-    if (free_durations) row.emplace_back(run.duration);
-    row.insert(row.end(),
-               {of_solver(report.iterations),
-                of_solver(report.evaluations),
-                of_run(report.seconds),
-                TerminationInWords(report),
-                ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
-    table.AddRow(std::move(row));
+    table.AddRow({LabelOf(report.contact, report.surrogate),
+                  report.solver,
+                  of_solver(report.initial_loss),
+                  of_run(report.final_loss),
+                  run.exact.ok ? of_run(run.exact.loss) : Cell(),
+                  run.duration,
+                  of_solver(report.iterations),
+                  of_solver(report.evaluations),
+                  of_run(report.seconds),
+                  TerminationInWords(report),
+                  ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
   }
   for (const Refusal& refusal : RefusalsOf(solved)) {
     std::vector<Cell> row(table.columns().size());
@@ -257,7 +244,14 @@ int SolveMain(int argc, char** argv) {
         PrintSolveTable(request, solved);
       }
     };
-    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
+    DoAll({[&] { WriteSolutions(request, solved); },
+           [&] {
+             WriteReport(request, [&](Page* page) {
+               AddSolveSections(request, solved, page);
+               page->SetResults(SolveToJson(WithoutStates(request), solved));
+             });
+           },
+           print});
     PrintReportPath(request);
     return SolveExitCode(solved);
   });

@@ -322,13 +322,6 @@ void WriteSolution(const Request& request, const SolvedRun& run) {
   throw std::bad_alloc();
 }
 
-// Makes room for so many further keys. An object that grows copies its values, states too, and a copy that is destroyed
-// where memory runs out ends the program.
-void Reserve(size_t keys, Json* object) {
-  auto& items = object->get_ref<Json::object_t&>();
-  items.reserve(items.size() + keys);
-}
-
 // Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
 // "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
 void AddStates(const Request& request, const SolvedRun& run, Json* item) {
@@ -348,39 +341,24 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   add("exact_", motions.exact);
 }
 
-// Adds what is needed to draw states: "bodies" with names and radii, "planes", and the walls that end, if there are
-// any, by their keys in scene files.
+// Adds what is needed to draw states: discs and planes, and pockets and walls that end, if there are any.
 void AddDrawn(const Scene& scene, Json* document) {
-  const auto list = [&](const char* key) -> Json& { return (*document)[key] = Json::array(); };
-  Json& bodies = list("bodies");
-  for (const Body& body : scene.bodies) {
-    bodies.push_back({{"name", body.name}, {"radius", body.radius}, {"fixed", body.fixed}});
-  }
-  Json& planes = list("planes");
-  for (const Plane& plane : scene.planes) {
-    planes.push_back({{"name", plane.name}, {"point", plane.point}, {"normal", plane.normal}});
-  }
-  if (!scene.pockets.empty()) {
-    Json& pockets = list("pockets");
-    for (const Pocket& pocket : scene.pockets) {
-      pockets.push_back({{"name", pocket.name}, {"position", pocket.position}, {"radius", pocket.radius}});
+  VisitDrawn(scene, [&]<typename T>(const char* key, const char*, const std::vector<T>& things) {
+    if (std::is_same_v<T, Pocket> && things.empty()) return;
+    const bool ends = !std::is_same_v<T, Body> && !std::is_same_v<T, Plane> && !std::is_same_v<T, Pocket>;
+    if (ends && !scene.HasEdges()) return;
+    Json& list = (*document)[key] = Json::array();
+    for (const T& thing : things) {
+      Json& item = list.emplace_back(Json::object());
+      VisitDrawnFields(thing, [&](const char* field, const auto& value) {
+        if constexpr (requires { value == EdgePolygon::Solid::kInside; }) {
+          item[field] = value == EdgePolygon::Solid::kInside ? "inside" : "outside";
+        } else {
+          item[field] = value;
+        }
+      });
     }
-  }
-  if (!scene.HasEdges()) return;
-  Json& segments = list("segments");
-  for (const EdgeSegment& segment : scene.segments) {
-    segments.push_back({{"name", segment.name}, {"from", segment.from}, {"to", segment.to}});
-  }
-  Json& polygons = list("polygons");
-  for (const EdgePolygon& polygon : scene.polygons) {
-    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-    polygons.push_back({{"name", polygon.name}, {"points", polygon.points}, {"solid", inside ? "inside" : "outside"}});
-  }
-  Json& arcs = list("arcs");
-  for (const EdgeArc& arc : scene.arcs) {
-    arcs.push_back(
-        {{"name", arc.name}, {"center", arc.center}, {"radius", arc.radius}, {"from", arc.from}, {"to", arc.to}});
-  }
+  });
 }
 
 // "contact solver", or the contact model alone where nothing was solved.
@@ -488,48 +466,33 @@ std::vector<ReplaySpread> SpreadsOf(const Scene& scene, const FeedbackStudy& stu
   return spreads;
 }
 
-// The motions that are shown, of the best runs: each under its own model, and the best in exact dynamics.
-struct RunMotions {
-  std::vector<Motion> own;
-  Motion exact;
-};
-
-RunMotions MotionsOf(const Request& request, const std::vector<const SolvedRun*>& runs) {
-  RunMotions motions;
+// Adds the motions of the best runs: each under its own model, and the best in exact dynamics.
+void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, Page* page) {
   const size_t shown = std::min(runs.size(), kMostMotions);
+  if (shown == 0) return;
   const MotionOptions options = ReplayOptions(request.scene, shown + 1);
-  for (size_t i = 0; i < shown; ++i) motions.own.push_back(MotionOf(request, runs[i]->report, false, options));
-  if (shown == 0) return motions;
-  const SolveReport& best = runs[0]->report;
-  motions.exact = IsExact(best.contact) ? motions.own[0] : MotionOf(request, best, true, options);
-  return motions;
-}
-
-void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& runs, const RunMotions& motions,
-                  Page* page) {
-  const Scene scene = runs.empty() ? request.scene : WithDesign(request.scene, runs[0]->report.parameters);
-  Replay replay = ReplayOf(scene);
-  const auto add = [&](size_t i, const Motion& motion, bool exact) {
-    if (motion.times.empty()) return;
+  Replay replay{WithDesign(request.scene, runs[0]->report.parameters)};
+  const auto add = [&](size_t i, bool exact) {
     const SolveReport& run = runs[i]->report;
+    Motion motion = MotionOf(request, run, exact, options);
+    if (motion.times.empty()) return;
     const RunStyle style = StyleOfRun(request, run);
-    ReplayMotion drawn = ToReplayMotion(
-        scene, motion, InputOf(run), LabelOfRun(run) + (exact ? ", in exact dynamics" : ""), run.contact);
+    const std::string label = LabelOfRun(run) + (exact ? ", in exact dynamics" : "");
+    ReplayMotion& drawn = replay.motions.emplace_back(std::move(motion), InputOf(run), label, run.contact);
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
     if (runs[i]->feedback && (exact || IsExact(run.contact)))
       drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
-    replay.motions.push_back(std::move(drawn));
   };
-  for (size_t i = 0; i < motions.own.size(); ++i) {
-    add(i, motions.own[i], false);
-    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, motions.exact, true);
+  for (size_t i = 0; i < shown; ++i) {
+    add(i, false);
+    if (i == 0 && !IsExact(runs[0]->report.contact)) add(0, true);
   }
   if (replay.motions.empty()) return;
   page->AddHeading("Replay");
-  page->AddReplay(replay,
-                  "The motions" + std::string(runs.size() > motions.own.size() ? " of lowest exact loss" : "") +
+  page->AddReplay(ReplayToJson(replay),
+                  "The motions" + std::string(runs.size() > shown ? " of lowest exact loss" : "") +
                       ". Forces are green, impulses red. The space bar plays and pauses; arrow keys step, with shift "
                       "from impact to impact.");
 }
@@ -569,7 +532,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
       page->AddList(warnings);
     }
   }
-  AddRunReplay(request, runs, MotionsOf(request, runs), page);
+  AddRunReplay(request, runs, page);
   if (!studies.empty()) {
     page->AddPlot(
         "spreads",
@@ -599,13 +562,6 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
   if (files.empty()) return;
   page->AddHeading("Files");
   page->AddLinks(files);
-}
-
-void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
-  if (request.output_dir.empty()) return;
-  Page page = StartPage(request.scene);
-  AddSolveSections(request, solved, &page);
-  FinishPage(request, SolveToJson(WithoutStates(request), solved), &page);
 }
 
 double LargestDefect(const SolveReport& report) {
@@ -794,6 +750,27 @@ SolvedRun SolveAndCheck(const Scene& given, const std::string& solver, const Con
     FindFinalState(scene, contact, precision, &run);
   }
   return run;
+}
+
+SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options) {
+  SolvedRun run;
+  run.report = Solve(solver, request, options);
+  const SolveReport& report = run.report;
+  if (report.losses.empty()) return run;
+  const Scene scene = WithDesign(request.scene, report.parameters);
+  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  return run;
+}
+
+void AddFeedback(const Request& request, int threads, SolvedRun* run) {
+  if (!request.feedback || !run->HasSolution()) return;
+  const SolveReport& report = run->report;
+  run->feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
+                                report.initial_state,
+                                report.control,
+                                report.durations,
+                                *request.feedback,
+                                threads);
 }
 
 SolvedRun SimulateOnly(const Request& request, const std::string& contact) {

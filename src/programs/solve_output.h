@@ -37,6 +37,12 @@ struct SolvedRuns {
 SolvedRun SolveAndCheck(const Scene& scene, const std::string& solver, const Contact& contact, Precision precision,
                         const SolverOptions& options, const std::function<void(SolvedRun)>& keep);
 
+// Solves, and simulates the result exactly.
+SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options);
+
+// Studies the feedback about the solution of a run, if it has one and the request asks for that.
+void AddFeedback(const Request& request, int threads, SolvedRun* run);
+
 // Whether a solver has converged; what was only simulated has not.
 bool IsConvergence(const SolveReport& report);
 
@@ -66,8 +72,5 @@ class Page;
 
 // Adds the table of runs, certificates, replay, trajectories, controls and learning curves.
 void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page);
-
-// Writes report.html in --output_dir, if there is one. Throws OutputError.
-void WriteSolveReport(const Request& request, const SolvedRuns& solved);
 
 }  // namespace saltus

@@ -171,13 +171,11 @@ void SetBodyField(const BodyField& found, double value, Scene* scene) {
 std::optional<SweepProgram> kept_program;
 
 std::optional<SweepOptionKind> FindProgramOption(const std::string& name) {
-  if (name == "solver") return SweepOptionKind::kWord;
-  if (name == "steps" || name == "iterations") return kInteger;
-  if (kept_program->feedback && (name == "feedback_samples" || name == "feedback_seed")) return kInteger;
-  if (kept_program->feedback && name == "feedback_scale") return kReal;
-  const std::vector<std::string>& names = kept_program->names;
-  const bool known = name == "learning_rate" || std::ranges::find(names, name) != names.end();
-  return known ? std::optional(kReal) : std::nullopt;
+  const std::vector<std::string>& own = kept_program->names;
+  const std::vector<std::string> all = SweepOptionNames();
+  if (std::ranges::find(own, name) != own.end()) return kReal;
+  if (std::ranges::find(all, name) == all.end()) return std::nullopt;
+  return name == "solver" ? SweepOptionKind::kWord : FindNumber(name)->kind;
 }
 
 }  // namespace

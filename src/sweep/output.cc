@@ -5,6 +5,8 @@
 #include <limits>
 #include <map>
 #include <string>
+#include <string_view>
+#include <tuple>
 
 #include "scene/control_problems.h"
 #include "sweep/options.h"
@@ -18,22 +20,19 @@ int64_t CountStatus(const std::vector<StoredPoint>& points, PointStatus status) 
   return std::ranges::count_if(points, [&](const StoredPoint& point) { return point.result.status == status; });
 }
 
-// Whether a column has text in some row; other columns have numbers.
-bool IsTextColumn(const std::vector<StoredPoint>& points, size_t column) {
-  return std::ranges::any_of(points, [&](const StoredPoint& point) { return point.result.row[column].is_string(); });
-}
-
+// Returns an array of texts if some row has one, and of numbers otherwise.
 NpyArray ColumnArray(const std::vector<StoredPoint>& points, size_t column) {
-  NpyArray array{{static_cast<int64_t>(points.size())}, {}};
-  if (IsTextColumn(points, column)) {
-    std::vector<std::string> texts;
-    for (const StoredPoint& point : points) texts.push_back(CellOf(point.result.row[column]).Exact());
-    array.data = std::move(texts);
-  } else {
-    std::vector<double> numbers;
-    for (const StoredPoint& point : points) numbers.push_back(ToNumber(point.result.row[column]));
-    array.data = std::move(numbers);
+  std::vector<std::string> texts;
+  std::vector<double> numbers;
+  bool text = false;
+  for (const StoredPoint& point : points) {
+    const SweepValue& value = point.result.row[column];
+    text = text || value.is_string();
+    texts.push_back(CellOf(value).Exact());
+    numbers.push_back(ToNumber(value));
   }
+  NpyArray array{{std::ssize(points)}, std::move(numbers)};
+  if (text) array.data = std::move(texts);
   return array;
 }
 
@@ -151,90 +150,68 @@ struct Tally {
   double memory = 0;
 };
 
-class Solved {
- public:
-  Solved(const SweepStudy& study, const std::vector<StoredPoint>& points) : study_(study) {
-    for (const StoredPoint& point : points) {
-      double& best = best_.try_emplace(ProblemOf(point), std::numeric_limits<double>::infinity()).first->second;
-      const double loss = Number(point, "exact_loss");
-      if (loss < best) best = loss;
-    }
-    for (const StoredPoint& point : points) {
-      const int kind = static_cast<int>(std::fmod(Number(point, kSeedOption), kNumControlKinds));
-      for (const int row : {kind, kNumControlKinds}) {
-        Count(point, &tallies_[{row, Text(point, "contact"), Text(point, "solver")}]);
-      }
-    }
-  }
-
-  Table ToTable() const {
-    Table table(
-        ColumnsOf("kind; contact; solver; problems; solved:3; worse_than_start; no_answer; median_seconds:3; "
-                  "most_seconds:3; most_memory_mib:4"));
-    for (const auto& [key, tally] : tallies_) {
-      const auto& [kind, contact, solver] = key;
-      std::vector<double> seconds = tally.seconds;
-      std::ranges::sort(seconds);
-      table.AddRow({kind < kNumControlKinds ? std::string(kControlKinds[kind]) : "all",
-                    contact,
-                    solver,
-                    tally.problems,
-                    double(tally.solved) / tally.problems,
-                    tally.worse,
-                    tally.without,
-                    seconds.empty() ? Cell() : Cell(seconds[seconds.size() / 2]),
-                    seconds.empty() ? Cell() : Cell(seconds.back()),
-                    tally.memory > 0 ? Cell(tally.memory) : Cell()});
-    }
-    return table;
-  }
-
- private:
-  double Number(const StoredPoint& point, const std::string& name) const {
-    return ToNumber(point.result.row[*study_.FindColumn(name)]);
-  }
-  std::string Text(const StoredPoint& point, const std::string& name) const {
-    return CellOf(point.result.row[*study_.FindColumn(name)]).Exact();
-  }
-
-  // All options but those of solvers.
-  std::string ProblemOf(const StoredPoint& point) const {
-    std::string problem;
-    for (size_t i = 0; i < study_.options().size(); ++i) {
-      const std::string& option = study_.options()[i];
-      if (option == "contact" || option == "solver" || option == "precision" || option == "iterations" ||
-          option == "learning_rate" || option.starts_with("search_") || option.starts_with("surrogate_") ||
-          option.starts_with("feedback_")) {
-        continue;
-      }
-      problem += option + "=" + CellOf(point.result.row[i]).Exact() + " ";
-    }
-    return problem;
-  }
-
-  void Count(const StoredPoint& point, Tally* tally) const {
-    ++tally->problems;
-    const double loss = Number(point, "exact_loss"), best = best_.at(ProblemOf(point));
-    const double seconds = Number(point, "seconds"), memory = Number(point, "memory_mib");
-    if (std::isfinite(seconds)) tally->seconds.push_back(seconds);
-    if (memory > tally->memory) tally->memory = memory;
-    if (point.result.status != PointStatus::kComputed || !std::isfinite(loss)) {
-      ++tally->without;
-      return;
-    }
-    if (loss <= best + kSame * std::abs(best) + kZero) ++tally->solved;
-    if (loss > (1 + kSame) * Number(point, "initial_loss")) ++tally->worse;
-  }
-
-  const SweepStudy& study_;
-  std::map<std::string, double> best_;  // least exact loss, by problem
-  std::map<std::tuple<int, std::string, std::string>, Tally> tallies_;
-};
+// Whether an option is one of solvers, and not of the problem that they solve.
+bool IsOfSolvers(const std::string& option) {
+  constexpr std::string_view kNames[] = {"contact", "solver", "precision", "iterations", "learning_rate"};
+  return std::ranges::find(kNames, option) != std::end(kNames) || option.starts_with("search_") ||
+         option.starts_with("surrogate_") || option.starts_with("feedback_");
+}
 
 }  // namespace
 
 Table SolvedTable(const SweepStudy& study, const std::vector<StoredPoint>& points) {
-  return Solved(study, points).ToTable();
+  const auto value = [&](const StoredPoint& point, const std::string& column) -> const SweepValue& {
+    return point.result.row[*study.FindColumn(column)];
+  };
+  const auto problem_of = [&](const StoredPoint& point) {
+    std::string problem;
+    for (size_t i = 0; i < study.options().size(); ++i) {
+      const std::string& option = study.options()[i];
+      if (!IsOfSolvers(option)) problem += option + "=" + CellOf(point.result.row[i]).Exact() + " ";
+    }
+    return problem;
+  };
+  std::map<std::string, double> least;  // exact loss, by problem
+  for (const StoredPoint& point : points) {
+    double& best = least.try_emplace(problem_of(point), std::numeric_limits<double>::infinity()).first->second;
+    best = std::fmin(best, ToNumber(value(point, "exact_loss")));
+  }
+  std::map<std::tuple<int, std::string, std::string>, Tally> tallies;
+  for (const StoredPoint& point : points) {
+    const double best = least.at(problem_of(point)), loss = ToNumber(value(point, "exact_loss"));
+    const double seconds = ToNumber(value(point, "seconds")), memory = ToNumber(value(point, "memory_mib"));
+    const bool answered = point.result.status == PointStatus::kComputed && std::isfinite(loss);
+    const int kind = static_cast<int>(std::fmod(ToNumber(value(point, kSeedOption)), kNumControlKinds));
+    for (const int row : {kind, kNumControlKinds}) {
+      Tally& tally =
+          tallies[{row, value(point, "contact").get<std::string>(), value(point, "solver").get<std::string>()}];
+      ++tally.problems;
+      if (std::isfinite(seconds)) tally.seconds.push_back(seconds);
+      tally.memory = std::fmax(tally.memory, memory);
+      tally.without += !answered;
+      tally.solved += answered && loss <= best + kSame * std::abs(best) + kZero;
+      tally.worse += answered && loss > (1 + kSame) * ToNumber(value(point, "initial_loss"));
+    }
+  }
+  Table table(
+      ColumnsOf("kind; contact; solver; problems; solved:3; worse_than_start; no_answer; median_seconds:3; "
+                "most_seconds:3; most_memory_mib:4"));
+  for (auto& [key, tally] : tallies) {
+    const auto& [kind, contact, solver] = key;
+    std::vector<double>& seconds = tally.seconds;
+    std::ranges::sort(seconds);
+    table.AddRow({kind < kNumControlKinds ? std::string(kControlKinds[kind]) : "all",
+                  contact,
+                  solver,
+                  tally.problems,
+                  double(tally.solved) / tally.problems,
+                  tally.worse,
+                  tally.without,
+                  seconds.empty() ? Cell() : Cell(seconds[seconds.size() / 2]),
+                  seconds.empty() ? Cell() : Cell(seconds.back()),
+                  tally.memory > 0 ? Cell(tally.memory) : Cell()});
+  }
+  return table;
 }
 
 }  // namespace saltus

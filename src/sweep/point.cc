@@ -35,28 +35,17 @@ double PeakMemory() {
   return -1;
 }
 
-// Appends values, with null in place of numbers that are not finite.
-void Append(std::initializer_list<SweepValue> values, SweepRow* row) {
-  for (const SweepValue& value : values) {
-    const bool finite = !value.is_number_float() || std::isfinite(value.get<double>());
-    row->push_back(finite ? value : SweepValue());
-  }
-}
+// Results of a point as a document, whose keys ResultColumn::path names.
+struct Found {
+  PointStatus status = PointStatus::kComputed;
+  Json document = Json::object();
+};
 
-PointResult StartRow(const SweepStudy& study, int64_t point) {
-  PointResult result{PointStatus::kComputed, study.Values(point)};
-  if (const std::optional<Surrogate>& surrogate = study.request().options.surrogate) {
-    Append({std::string(SurrogateToString(surrogate->kind))}, &result.row);
-  }
-  if (study.any_bias()) Append({std::string(study.IsBiased(point) ? "yes" : "no")}, &result.row);
-  return result;
-}
-
-// The number or text under a key, or null.
-SweepValue ValueOf(const Json& json, const char* key) {
-  const auto found = json.find(key);
-  return found != json.end() && (found->is_number() || found->is_string()) ? SweepValue(*found) : SweepValue();
-}
+// A column, and the path to its value in the document.
+struct ResultColumn {
+  std::string name;
+  std::vector<std::string> path;
+};
 
 // The columns of a loop with --feedback, and where its document has them.
 struct FeedbackColumn {
@@ -73,33 +62,71 @@ constexpr FeedbackColumn kFeedbackColumns[] = {{"error", true, "final_error"},
                                                {"change_probability", false, "change_probability"},
                                                {"failed", true, "failed"}};
 
-// The cells of a document's "feedback"; empty ones of an empty document.
-void AppendFeedback(const Json& feedback, SweepRow* row) {
-  const Json none = Json::object();
-  const auto part = [&](const Json& json, const char* key) -> const Json& {
-    const auto found = json.find(key);
-    return found == json.end() ? none : *found;
+std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
+  const Request& request = study.request();
+  const std::optional<Surrogate>& surrogate = request.options.surrogate;
+  const SweepProgram* program = KeptProgram();
+  std::vector<ResultColumn> columns;
+  const auto add = [&](std::initializer_list<const char*> names) {
+    for (const char* name : names) columns.push_back({name, {name}});
   };
-  for (const char* loop : {"open", "closed"}) {
-    const Json& of_loop = part(feedback, loop);
-    for (const FeedbackColumn& column : kFeedbackColumns) {
-      Append({ValueOf(column.of_runs ? part(of_loop, "runs") : of_loop, column.key)}, row);
+  if (surrogate) add({"surrogate"});
+  if (study.any_bias()) add({"biased"});
+  if (study.solving()) {
+    add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
+    for (const DesignParameter& design : request.scene.design) {
+      const std::string name = NameOf(design.parameter, request.scene);
+      columns.push_back({name, {"parameters", name}});
+    }
+  } else if (program != nullptr) {
+    add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events"});
+  } else {
+    add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
+  }
+  if (program != nullptr ? program->feedback : request.feedback.has_value()) {
+    for (const std::string loop : {"open", "closed"}) {
+      for (const auto& [name, of_runs, key] : kFeedbackColumns) {
+        std::vector<std::string> path = {"feedback", loop, key};
+        if (of_runs) path.insert(path.end() - 1, "runs");
+        columns.push_back({loop + "_" + name, std::move(path)});
+      }
     }
   }
+  if (study.solving() && study.generates()) add({"memory_mib"});
+  if (study.solving()) add({"termination"});
+  if (!study.solving() && surrogate && surrogate->smooths()) add({"norm_standard_error"});
+  add({"reason"});
+  return columns;
 }
 
-// Appends the feedback study of a solution, in one thread: points are computed in several threads. A reason why there
-// is none is added to an empty remark.
-void AppendFeedback(const Request& request, const Scene& scene, const std::vector<double>& initial,
-                    const std::vector<double>& control, const std::vector<double>& durations, SweepRow* row,
-                    std::string* remark) {
-  if (!request.feedback) return;
-  const FeedbackStudy study = StudyFeedback(scene, initial, control, durations, *request.feedback, /*threads=*/1);
-  if (remark->empty()) *remark = study.reason;
-  AppendFeedback(FeedbackToJson(study, /*states=*/false), row);
+// Returns the finite number or the text at a path, or null.
+SweepValue ValueAt(const Json& document, const std::vector<std::string>& path) {
+  const Json* value = &document;
+  for (const std::string& key : path) {
+    const auto found = value->find(key);
+    if (found == value->end()) return {};
+    value = &*found;
+  }
+  const bool finite = value->is_number() && std::isfinite(value->get<double>());
+  return finite || value->is_string() ? *value : SweepValue();
 }
 
-bool HasStandardError(const std::optional<Surrogate>& surrogate) { return surrogate && surrogate->smooths(); }
+PointResult ToRow(const SweepStudy& study, int64_t point, Found found) {
+  PointResult result{found.status, study.Values(point)};
+  if (const std::optional<Surrogate>& surrogate = study.request().options.surrogate) {
+    found.document["surrogate"] = SurrogateToString(surrogate->kind);
+  }
+  found.document["biased"] = study.any_bias() && study.IsBiased(point) ? "yes" : "no";
+  for (const ResultColumn& column : ColumnsOf(study)) result.row.push_back(ValueAt(found.document, column.path));
+  return result;
+}
+
+// Adds the loss before the last one of a run's document.
+void AddLossBeforeLast(Json* run) {
+  if (!run->contains("losses")) return;
+  const Json& losses = run->at("losses");
+  (*run)["loss_before_last"] = Json(losses.at(losses.size() > 1 ? losses.size() - 2 : 0));
+}
 
 PointStatus StatusOf(Termination termination) {
   if (termination == Termination::kNotApplicable) return PointStatus::kNotApplicable;
@@ -108,50 +135,25 @@ PointStatus StatusOf(Termination termination) {
   return failed ? PointStatus::kFailed : PointStatus::kComputed;
 }
 
-// The most memory that a solver took is measured of control problems that are solved alone.
-enum class Memory { kNone, kMeasured, kUnknown };
-
-PointResult SolvePoint(const Request& request, double seconds, const StopRequest& stop, Memory memory,
-                       PointResult result) {
+// `alone`: no other point is computed meanwhile, so that the memory of the process is that of this one.
+Found SolvePoint(const Request& request, double seconds, const StopRequest& stop, bool alone) {
   SolverOptions options = request.options;
   options.stop = stop;
-  if (memory == Memory::kMeasured) ForgetPeakMemory();
-  SolvedRun run;
-  run.report = Solve(request.solvers[0],
-                     {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
-                     options);
+  if (alone) ForgetPeakMemory();
+  SolvedRun run = SolveAndSimulate(request.solvers[0],
+                                   {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
+                                   options);
+  AddFeedback(request, /*threads=*/1, &run);  // points are computed in several threads
   const SolveReport& report = run.report;
-  result.status = StatusOf(report.termination);
-  std::string no_feedback;
-  const std::vector<double>& losses = report.losses;
-  if (losses.empty()) {
-    result.row.resize(result.row.size() + 7 + request.scene.design.size());
-    if (request.feedback) AppendFeedback(Json::object(), &result.row);
-  } else {
-    const Scene scene = WithDesign(request.scene, report.parameters);
-    run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-    Append({report.initial_loss,
-            losses.size() > 1 ? losses[losses.size() - 2] : losses[0],
-            report.final_loss,
-            run.exact.ok ? SweepValue(run.exact.loss) : SweepValue(),
-            int64_t{report.iterations},
-            int64_t{report.evaluations},
-            report.seconds},
-           &result.row);
-    std::vector<double> parameters = report.parameters;
-    parameters.resize(request.scene.design.size(), std::nan(""));
-    for (const double value : parameters) Append({value}, &result.row);
-    AppendFeedback(request, scene, report.initial_state, report.control, report.durations, &result.row, &no_feedback);
-  }
-  if (memory != Memory::kNone) {
-    const double most = memory == Memory::kMeasured ? PeakMemory() : -1;
-    Append({most >= 0 ? SweepValue(most) : SweepValue()}, &result.row);
-  }
+  Found found{StatusOf(report.termination), SolveToJson(request, {{run}})["runs"][0]};
+  AddLossBeforeLast(&found.document);
+  if (const double most = PeakMemory(); alone && most >= 0) found.document["memory_mib"] = most;
   const bool stopped = report.termination == Termination::kInterrupted;
-  const Termination termination = stopped ? Termination::kFailed : report.termination;
-  const std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
-  Append({std::string(TerminationToString(termination)), remark.empty() ? no_feedback : remark}, &result.row);
-  return result;
+  std::string remark = stopped ? TimeLimitReason(seconds) : RemarkOn(run);
+  if (remark.empty() && run.feedback) remark = run.feedback->reason;
+  if (stopped) found.document["termination"] = TerminationToString(Termination::kFailed);
+  found.document["reason"] = remark;
+  return found;
 }
 
 // The numbers of nested lists.
@@ -165,63 +167,55 @@ std::vector<double> NumbersIn(const Json& json) {
   return numbers;
 }
 
-PointResult GradientPoint(const Request& request, double seconds, const StopRequest& stop, PointResult result) {
+Found GradientPoint(const Request& request, double seconds, const StopRequest& stop) {
+  const Scene& scene = request.scene;
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
-  const Contact contact = ContactNamed(request.contacts[0], request.scene);
+  const Contact contact = ContactNamed(request.contacts[0], scene);
   const ModelGradient gradient =
-      surrogate ? ComputeSurrogate(contact, request.scene, request.precision, *surrogate, /*threads=*/1, stop)
-                : ComputeGradient(contact, request.scene, request.precision, stop);
+      surrogate ? ComputeSurrogate(contact, scene, request.precision, *surrogate, /*threads=*/1, stop)
+                : ComputeGradient(contact, scene, request.precision, stop);
+  Found found;
+  Json& document = found.document;
   if (!gradient.ok()) {
     const bool stopped = stop && stop();
-    const bool failed =
-        stopped || HasFailed(contact.name(), request.scene) || !IsNotApplicable(gradient, request.scene);
-    result.status = failed ? PointStatus::kFailed : PointStatus::kNotApplicable;
-    result.row.resize(result.row.size() + 5);
-    if (request.feedback) AppendFeedback(Json::object(), &result.row);
-    if (HasStandardError(surrogate)) result.row.emplace_back();
-    Append({stopped ? TimeLimitReason(seconds) : gradient.reason}, &result.row);
-    return result;
+    const bool failed = stopped || HasFailed(contact.name(), scene) || !IsNotApplicable(gradient, scene);
+    found.status = failed ? PointStatus::kFailed : PointStatus::kNotApplicable;
+    document["reason"] = stopped ? TimeLimitReason(seconds) : gradient.reason;
+    return found;
   }
-  SweepValue error;
-  std::string remark = WhyNotComparable(contact, request.scene);
-  if (const auto exact = remark.empty() ? ExactGradientOf(request.scene) : std::nullopt) {
+  std::string remark = WhyNotComparable(contact, scene);
+  if (const auto exact = remark.empty() ? ExactGradientOf(scene) : std::nullopt) {
     if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
       remark = "ambiguous: " + ties;
     } else {
-      error = CompareGradients(gradient, *exact).relative;
+      document["relative_error"] = CompareGradients(gradient, *exact).relative;
     }
   }
-  Append({gradient.loss,
-          Norm(NumbersIn(VectorsToJson(request.scene, gradient.gradient.initial, 0))),
-          Norm(NumbersIn(VectorsToJson(request.scene, gradient.gradient.initial, 2))),
-          Norm(gradient.gradient.control),
-          error},
-         &result.row);
-  AppendFeedback(request,
-                 request.scene,
-                 InitialState(request.scene),
-                 InitialControl(request.scene, request.scene.steps),
-                 {},
-                 &result.row,
-                 &remark);
-  if (HasStandardError(surrogate)) {
-    const double norm = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
-    Append({norm}, &result.row);
+  document["loss"] = gradient.loss;
+  document["norm_dposition"] = Norm(NumbersIn(VectorsToJson(scene, gradient.gradient.initial, 0)));
+  document["norm_dvelocity"] = Norm(NumbersIn(VectorsToJson(scene, gradient.gradient.initial, 2)));
+  document["norm_dcontrol"] = Norm(gradient.gradient.control);
+  if (request.feedback) {
+    const FeedbackStudy study = StudyFeedback(
+        scene, InitialState(scene), InitialControl(scene, scene.steps), {}, *request.feedback, /*threads=*/1);
+    document["feedback"] = FeedbackToJson(study, /*states=*/false);
+    if (remark.empty()) remark = study.reason;
   }
-  Append({remark}, &result.row);
-  return result;
+  document["norm_standard_error"] = std::hypot(Norm(gradient.initial_error), Norm(gradient.control_error));
+  document["reason"] = remark;
+  return found;
 }
 
 // |gradient - exact| / |exact| of an audit, over all that it has.
-SweepValue ErrorOfAudit(const Json& audit) {
-  if (!audit.contains("gradient")) return {};
+Json ErrorOfAudit(const Json& audit) {
+  if (!audit.contains("gradient")) return nullptr;
   const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
   std::vector<double> difference = found;
   for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
   return Norm(difference) / Norm(exact);
 }
 
-PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds, PointResult result) {
+Found ProgramPoint(const SweepStudy& study, int64_t point, double seconds) {
   const SweepRow values = study.Values(point);
   std::string arguments, set;
   const auto quoted = [](const std::string& text) { return "'" + text + "'"; };
@@ -238,81 +232,32 @@ PointResult ProgramPoint(const SweepStudy& study, int64_t point, double seconds,
   if (arguments.find("--iterations=") == std::string::npos) {
     arguments += " --iterations=" + std::to_string(options.iterations);
   }
-  const Json document = RunProgram(arguments, seconds);
+  Found found{PointStatus::kComputed, RunProgram(arguments, seconds)};
+  Json& document = found.document;
   if (!study.solving()) {
-    const Json& motion = document.at("motion");
     const Json gradient = document.value("gradient", Json::object());
-    const auto norm = [&](const char* key) {
-      return gradient.contains(key) ? SweepValue(Norm(NumbersIn(gradient.at(key)))) : SweepValue();
-    };
-    if (!document.contains("loss")) result.status = PointStatus::kFailed;
-    const SweepValue reason = document.contains("failed") ? ValueOf(document, "failed") : ValueOf(motion, "remark");
-    Append({ValueOf(document, "loss"),
-            norm("initial"),
-            norm("control"),
-            norm("parameters"),
-            document.contains("audits") ? ErrorOfAudit(document.at("audits").at(0)) : SweepValue(),
-            static_cast<int64_t>(motion.at("events").size())},
-           &result.row);
-    if (KeptProgram()->feedback) AppendFeedback(document.value("feedback", Json::object()), &result.row);
-    Append({reason.is_null() ? SweepValue("") : reason}, &result.row);
-    return result;
+    for (const std::string part : {"initial", "control", "parameters"}) {
+      if (gradient.contains(part)) document["norm_d" + part] = Norm(NumbersIn(gradient.at(part)));
+    }
+    if (!document.contains("loss")) found.status = PointStatus::kFailed;
+    if (document.contains("audits")) document["relative_error"] = ErrorOfAudit(document.at("audits").at(0));
+    document["events"] = document.at("motion").at("events").size();
+    document["reason"] = document.value("failed", document.at("motion").value("remark", std::string()));
+    return found;
   }
-  const Json& run = document.at("runs").at(0);
-  const std::vector<double> losses = run.contains("losses") ? NumbersIn(run.at("losses")) : std::vector<double>();
-  const std::string termination = run.at("termination");
-  if (termination == TerminationToString(Termination::kNotApplicable)) result.status = PointStatus::kNotApplicable;
-  if (termination == TerminationToString(Termination::kFailed)) result.status = PointStatus::kFailed;
-  Append({ValueOf(run, "initial_loss"),
-          losses.empty() ? SweepValue() : SweepValue(losses.size() > 1 ? losses[losses.size() - 2] : losses[0]),
-          ValueOf(run, "final_loss"),
-          ValueOf(run, "final_loss"),
-          ValueOf(run, "iterations"),
-          ValueOf(run, "evaluations"),
-          ValueOf(run, "seconds")},
-         &result.row);
-  if (KeptProgram()->feedback) AppendFeedback(run.value("feedback", Json::object()), &result.row);
-  Append({termination, run.value("reason", std::string())}, &result.row);
-  return result;
+  document = Json(document.at("runs").at(0));
+  const std::string termination = document.at("termination");
+  if (termination == TerminationToString(Termination::kNotApplicable)) found.status = PointStatus::kNotApplicable;
+  if (termination == TerminationToString(Termination::kFailed)) found.status = PointStatus::kFailed;
+  AddLossBeforeLast(&document);
+  if (document.contains("final_loss")) document["exact_loss"] = Json(document.at("final_loss"));
+  document["reason"] = document.value("reason", std::string());
+  return found;
 }
 
 }  // namespace
 
-std::vector<std::string> ResultColumns(const SweepStudy& study) {
-  const std::optional<Surrogate>& surrogate = study.request().options.surrogate;
-  std::vector<std::string> columns;
-  if (surrogate) columns.push_back("surrogate");
-  if (study.any_bias()) columns.push_back("biased");
-  const auto add = [&](std::initializer_list<const char*> names) {
-    columns.insert(columns.end(), names.begin(), names.end());
-  };
-  const auto add_feedback = [&] {
-    if (KeptProgram() != nullptr ? !KeptProgram()->feedback : !study.request().feedback) return;
-    for (const std::string loop : {"open_", "closed_"}) {
-      for (const FeedbackColumn& column : kFeedbackColumns) columns.push_back(loop + column.name);
-    }
-  };
-  if (study.solving()) {
-    add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
-    const Scene& scene = study.request().scene;
-    for (const DesignParameter& design : scene.design) columns.push_back(NameOf(design.parameter, scene));
-    add_feedback();
-    if (study.generates()) add({"memory_mib"});
-    add({"termination", "reason"});
-    return columns;
-  }
-  if (KeptProgram() != nullptr) {
-    add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events"});
-    add_feedback();
-    add({"reason"});
-    return columns;
-  }
-  add({"loss", "norm_dposition", "norm_dvelocity", "norm_dcontrol", "relative_error"});
-  add_feedback();
-  if (HasStandardError(surrogate)) add({"norm_standard_error"});
-  add({"reason"});
-  return columns;
-}
+std::vector<std::string> ResultColumns(const SweepStudy& study) { return NameList(ColumnsOf(study)); }
 
 std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
 
@@ -321,12 +266,10 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds,
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(std::min(seconds, 1e9)));
   const StopRequest stop_or_late = [&] { return (seconds > 0 && Clock::now() >= deadline) || (stop && stop()); };
   try {
-    if (KeptProgram() != nullptr) return ProgramPoint(study, point, seconds, StartRow(study, point));
+    if (KeptProgram() != nullptr) return ToRow(study, point, ProgramPoint(study, point, seconds));
     const Request request = study.At(point);
-    PointResult result = StartRow(study, point);
-    if (!study.solving()) return GradientPoint(request, seconds, stop_or_late, std::move(result));
-    const Memory memory = !study.generates() ? Memory::kNone : alone ? Memory::kMeasured : Memory::kUnknown;
-    return SolvePoint(request, seconds, stop_or_late, memory, std::move(result));
+    if (!study.solving()) return ToRow(study, point, GradientPoint(request, seconds, stop_or_late));
+    return ToRow(study, point, SolvePoint(request, seconds, stop_or_late, alone && study.generates()));
   } catch (const InputError& error) {
     return FailedPoint(study, point, error.what());
   } catch (const Json::exception& error) {
@@ -338,12 +281,10 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds,
 }
 
 PointResult FailedPoint(const SweepStudy& study, int64_t point, const std::string& reason) {
-  PointResult result = StartRow(study, point);
-  result.status = PointStatus::kFailed;
-  result.row.resize(study.columns().size());
-  if (study.solving()) result.row[result.row.size() - 2] = std::string(TerminationToString(Termination::kFailed));
-  result.row.back() = reason;
-  return result;
+  return ToRow(
+      study,
+      point,
+      {PointStatus::kFailed, {{"termination", TerminationToString(Termination::kFailed)}, {"reason", reason}}});
 }
 
 }  // namespace saltus

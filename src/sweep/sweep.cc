@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <iostream>
+#include <iterator>
 #include <memory>
 #include <mutex>
+#include <sstream>
 #include <string_view>
 #include <utility>
 
@@ -185,17 +187,12 @@ void AddSimulators(const std::vector<std::string>& arguments, Request* request) 
   request->contacts.insert(request->contacts.end(), names.begin(), names.end());
 }
 
-// Whether each point is to have a scene of its own, which is asked before there is any.
-bool SweepsSeeds(const std::string& text) {
-  // The parser is written by hand, because std::regex needs stack for every character.
-  constexpr std::string_view kSpace = " \t\n\v\f\r", kBefore = ";&(, \t\n\v\f\r", kAfter = "=,)";
-  const std::string_view seed = kSeedOption;
-  for (size_t at = text.find(seed); at != std::string::npos; at = text.find(seed, at + 1)) {
-    const size_t next = text.find_first_not_of(kSpace, at + seed.size());
-    const bool begins = at == 0 || kBefore.find(text[at - 1]) != std::string_view::npos;
-    if (begins && next != std::string::npos && kAfter.find(text[next]) != std::string_view::npos) return true;
-  }
-  return false;
+// Whether each point is to have a scene of its own, which is asked before there is any: some option is the seed.
+bool SweepsSeeds(std::string text) {
+  std::ranges::replace_if(
+      text, [](char c) { return std::string_view(";&(,=)").find(c) != std::string_view::npos; }, ' ');
+  std::istringstream words(text);
+  return std::find(std::istream_iterator<std::string>(words), {}, kSeedOption) != std::istream_iterator<std::string>();
 }
 
 // Asks the program of --program for the names of the numbers that can be set.

@@ -46,7 +46,7 @@ TEST(AmbiguousAudit, SurrogatesAndGivenGradientsNeither) {
   EXPECT_FALSE(audit.error);
 
   GivenGradient given;
-  given.position = {Vec2d(exact->gradient.initial[0], -1)};
+  given.position = {exact->gradient.initial[0], -1};
   const std::vector<GivenEntry> entries = JudgeGiven(scene, given, *exact);
   ASSERT_EQ(entries.size(), 2u);
   EXPECT_EQ(entries[0].verdict, Verdict::kAmbiguous);

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "saltus/audit/audit.h"
 #include "test_scenes.h"
 
@@ -12,9 +14,9 @@ namespace {
 TEST(Given, JudgesEveryEntryThatIsKnown) {
   const Scene scene = ProblemScene("two_balls");
   GivenGradient given;
-  given.position = {Vec2d(-0.39866841646141652, 0.3), std::nullopt};
-  given.velocity = {std::nullopt, Vec2d(-0.2221, -0.3)};
-  given.control = {{Vec2d(0.00021380129632184102, -0.0009)}};
+  given.position = {-0.39866841646141652, 0.3};
+  given.velocity = {NAN, NAN, -0.2221, -0.3};
+  given.control = {0.00021380129632184102, -0.0009};
   const std::vector<GivenEntry> entries = JudgeGiven(scene, given, *ExactGradientOf(scene));
   ASSERT_EQ(entries.size(), 6u);
   const struct {
@@ -39,7 +41,7 @@ TEST(Given, JudgesEveryEntryThatIsKnown) {
 TEST(Given, FixedDiscsHaveNoEntries) {
   const Scene scene = FourDiscs(0);
   GivenGradient given;
-  given.position = {std::nullopt, Vec2d(1, 1), Vec2d(1, 1)};
+  given.position = {NAN, NAN, 1, 1, 1, 1};
   const std::vector<GivenEntry> entries = JudgeGiven(scene, given, *ExactGradientOf(scene));
   ASSERT_EQ(entries.size(), 2u);
   EXPECT_EQ(entries[0].entry, "px b");

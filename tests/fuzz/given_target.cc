@@ -5,15 +5,15 @@
 #include "fuzz/targets.h"
 #include "programs/given_gradient.h"
 #include "programs/program.h"
+#include "saltus/control/control_rows.h"
 
 namespace saltus::fuzz {
 namespace {
 
-void CheckVectors(const std::vector<std::optional<Vec2d>>& vectors, int most) {
-  CHECK_LE(vectors.size(), static_cast<size_t>(most));
-  for (const std::optional<Vec2d>& vector : vectors) {
-    CHECK(!vector || (std::isfinite((*vector)[0]) && std::isfinite((*vector)[1])));
-  }
+// Numbers that are not known are NaN.
+void CheckNumbers(const std::vector<double>& numbers, int most) {
+  CHECK_LE(numbers.size(), static_cast<size_t>(most));
+  for (const double number : numbers) CHECK(!std::isinf(number));
 }
 
 }  // namespace
@@ -23,10 +23,9 @@ void ReadsGiven(std::string_view bytes) {
   try {
     const GivenGradient given = ReadGivenGradient(FileWith(bytes), scene);
     CHECK(given.tolerance >= 0 && std::isfinite(given.tolerance));
-    CheckVectors(given.position, scene.num_bodies());
-    CheckVectors(given.velocity, scene.num_bodies());
-    CHECK_LE(given.control.size(), static_cast<size_t>(scene.steps));
-    for (const auto& forces : given.control) CheckVectors(forces, scene.num_controlled());
+    CheckNumbers(given.position, 2 * scene.num_bodies());
+    CheckNumbers(given.velocity, 2 * scene.num_bodies());
+    CheckNumbers(given.control, scene.steps * scene.num_controlled() * ControlColumns(scene));
   } catch (const InputError& error) {
     CHECK_NE(error.what(), std::string());
   }

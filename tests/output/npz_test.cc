@@ -116,6 +116,17 @@ TEST(NpyTest, RefusesWhatItCannotRead) {
   EXPECT_THAT(message(replaced("(1, 3), }" + std::string(huge.size() - 9, ' '), huge)), HasSubstr("out of range"));
 }
 
+// A header is a dictionary, whose keys may stand in any order.
+TEST(NpyTest, ReadsKeysInAnyOrder) {
+  std::string bytes = FromHex(kNumpyDoubles);
+  const std::string before = "'descr': '<f8', 'fortran_order': False", after = "'fortran_order': False, 'descr': '<f8'";
+  ASSERT_NE(bytes.find(before), std::string::npos);
+  const NpyArray expected = *DecodeNpy(bytes);
+  const StatusOr<NpyArray> read = DecodeNpy(bytes.replace(bytes.find(before), before.size(), after));
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  EXPECT_EQ(*read, expected);
+}
+
 class NpzTest : public testing::Test {
  protected:
   ~NpzTest() override { std::remove(path_.c_str()); }

@@ -77,23 +77,25 @@ double Angle(const std::vector<double>& a, const std::vector<double>& b) {
 class Along : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    audit_ = new DescentAudit({{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"});
-    ASSERT_TRUE(audit_->Run(2, ProgressMode::kNone));
+    const KnownIterates none = [](size_t, const std::string&) { return std::vector<std::vector<double>>(); };
+    const auto audit = AuditDescents(
+        {{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"}, none, 2, ProgressMode::kNone);
+    ASSERT_TRUE(audit.has_value());
+    audit_ = new Section(*audit);
   }
 
   // Returns a series of the panel 0 (angles), 1 (exact losses) or 2 (losses).
   static Series Find(size_t panel, const std::string& contact) {
-    const PaperFigure drawn = audit_->ToFigure();
-    for (const Series& series : drawn.figure.panels.at(panel).series) {
+    for (const Series& series : audit_->figures.at(0).figure.panels.at(panel).series) {
       if (series.label == contact) return series;
     }
     return {};
   }
 
-  static DescentAudit* audit_;
+  static Section* audit_;
 };
 
-DescentAudit* Along::audit_ = nullptr;
+Section* Along::audit_ = nullptr;
 
 TEST_F(Along, ExactDynamicsFollowTheClosedForm) {
   const Series exact = Find(1, "event"), own = Find(2, "event"), angle = Find(0, "event");
@@ -143,19 +145,21 @@ TEST_F(Along, AnglesOfModelsAreThoseOfTheirDifferences) {
 // Descents that were run elsewhere are looked at as those that are run here.
 TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
   const Scene scene = Thrown();
-  DescentAudit audit({{"Throw", scene}}, {"event", "direct", "pbd_warp"}, {});
   SolverOptions options;
   options.learning_rate = kRate;
   options.keep_iterates = true;
   const SolveReport direct = Solve("gd", {scene, "direct"}, options);
   std::vector<std::vector<double>> iterates;
-  for (const int k : DescentAudit::ExaminedIterations()) iterates.push_back(direct.iterates.at(k));
-  audit.UseIterates(0, "direct", iterates);
-  // The iterates are those of another descent, which shows that they are used.
-  audit.UseIterates(0, "pbd_warp", iterates);
-  audit.UseIterates(0, "event", {{1, 2}});  // one that ended early is not
-  ASSERT_TRUE(audit.Run(2, ProgressMode::kNone));
-  const Figure figure = audit.ToFigure().figure;
+  for (const int k : ExaminedIterations()) iterates.push_back(direct.iterates.at(k));
+  // For pbd_warp the iterates are those of another descent, which shows that they are used. Those of event, which end
+  // early, are not.
+  const KnownIterates known = [&](size_t, const std::string& contact) {
+    return contact == "event" ? std::vector<std::vector<double>>{{1, 2}} : iterates;
+  };
+  const auto audit =
+      AuditDescents({{"Throw", scene}}, {"event", "direct", "pbd_warp"}, {}, known, 2, ProgressMode::kNone);
+  ASSERT_TRUE(audit.has_value());
+  const Figure& figure = audit->figures.at(0).figure;
   ASSERT_EQ(figure.panels[0].series.size(), 3u);
   for (size_t panel = 0; panel < 3; ++panel) {
     for (const Series& series : figure.panels[panel].series) {
@@ -172,7 +176,7 @@ TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
 
 TEST_F(Along, WhatIsSaidIsWhatTheNumbersSay) {
   EXPECT_TRUE(Find(0, "ncp").x.empty());
-  const std::vector<std::string> findings = audit_->Findings();
+  const std::vector<std::string> findings = audit_->findings;
   EXPECT_THAT(findings, Contains(AllOf(HasSubstr("Left out"), HasSubstr("`ncp`"))));
   const auto named_before = [](const std::string& text, const std::string& contact, const std::string& mark) {
     return text.find("`" + contact + "`") < text.find(mark);

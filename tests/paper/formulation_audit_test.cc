@@ -18,21 +18,25 @@ using testing::HasSubstr;
 class Formulations : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    audit_ =
-        new FormulationAudit({{"One bounce", ProblemScene("bounce_once")}, {"Two balls", ProblemScene("two_balls")}},
-                             {"direct", "event", "soft_convex", "smooth_compliant"});
-    ASSERT_TRUE(audit_->Run(2, ProgressMode::kNone));
+    const auto audit =
+        AuditFormulations({{"One bounce", ProblemScene("bounce_once")}, {"Two balls", ProblemScene("two_balls")}},
+                          {"direct", "event", "soft_convex", "smooth_compliant"},
+                          {},
+                          2,
+                          ProgressMode::kNone);
+    ASSERT_TRUE(audit.has_value());
+    audit_ = new Section(*audit);
   }
   static std::string Get(size_t row, const std::string& column) {
-    const CsvDocument csv = *ParseCsv(audit_->ToTable().table.ToCsv());
+    const CsvDocument csv = *ParseCsv(audit_->tables.at(0).table.ToCsv());
     return csv.rows[row][*csv.Find(column)];
   }
   static double Number(size_t row, const std::string& column) { return std::stod(Get(row, column)); }
 
-  static FormulationAudit* audit_;
+  static Section* audit_;
 };
 
-FormulationAudit* Formulations::audit_ = nullptr;
+Section* Formulations::audit_ = nullptr;
 
 // The exact gradient by the initial state is (-1, -1) in task 1, that of `direct` (1, -0.1); in task 3 all is known.
 TEST_F(Formulations, LossesAndErrorsAreThoseOfTheTasks) {
@@ -48,14 +52,14 @@ TEST_F(Formulations, LossesAndErrorsAreThoseOfTheTasks) {
 TEST_F(Formulations, ClassesAreJoinedWhereTasksAgree) {
   EXPECT_EQ(Get(0, "class"), "impulse at a step boundary");
   EXPECT_EQ(Get(2, "class"), "continuous force (1), force with a jump (2)");
-  EXPECT_THAT(audit_->Classes(),
+  EXPECT_THAT(audit_->findings,
               Contains(AllOf(HasSubstr("continuous force"), HasSubstr("`smooth_compliant`"), HasSubstr("in task 1"))));
 }
 
 TEST_F(Formulations, CostsAreThoseOfDirect) {
   EXPECT_EQ(Number(0, "cost of a step"), 1);
   EXPECT_GT(Number(3, "cost of a step"), 1);  // four substeps
-  const Figure figure = audit_->ToFigure().figure;
+  const Figure figure = audit_->figures.at(0).figure;
   ASSERT_EQ(figure.panels.size(), 2u);
   for (const Panel& panel : figure.panels) {
     ASSERT_EQ(panel.series.size(), 4u);

@@ -17,9 +17,9 @@ double Number(const CsvDocument& csv, size_t row, const std::string& column) {
 // `event` is within four of its standard errors from either recording; `primal_descent` reads no restitution; `direct`,
 // whose gradient has the wrong sign at an impact, does not find the optimum of its own motion, where the misfit is 1.
 TEST(ParameterFits, ExactGradientsFindTheParametersAndWrongOnesDoNot) {
-  ParameterFits fits({"event", "direct", "primal_descent", "position_qp"});
-  ASSERT_TRUE(fits.Run(2, ProgressMode::kNone));
-  const CsvDocument csv = FindTable({fits.ToTable()}, "parameter_fits");
+  const auto fits = FitParameters({"event", "direct", "primal_descent", "position_qp"}, 2, ProgressMode::kNone);
+  ASSERT_TRUE(fits.has_value());
+  const CsvDocument csv = FindTable(fits->tables, "parameter_fits");
   ASSERT_EQ(csv.rows.size(), 6u);
   for (size_t row = 0; row < csv.rows.size(); ++row) {
     const std::string contact = Get(csv, row, "contact"), of = Get(csv, row, "recording of");
@@ -51,9 +51,9 @@ TEST(LearnALaw, FindsTheLawThatMadeTheRecordings) {
 }
 
 TEST(ParameterFits, FindingsTellTheModelsApart) {
-  ParameterFits fits({"event", "direct", "primal_descent", "position_qp"});
-  ASSERT_TRUE(fits.Run(2, ProgressMode::kNone));
-  const std::vector<std::string> findings = fits.Findings();
+  const auto fits = FitParameters({"event", "direct", "primal_descent", "position_qp"}, 2, ProgressMode::kNone);
+  ASSERT_TRUE(fits.has_value());
+  const std::vector<std::string> findings = fits->findings;
   ASSERT_EQ(findings.size(), 3u);
   EXPECT_THAT(findings[0], testing::HasSubstr("under `event`, `primal_descent`."));
   EXPECT_THAT(findings[1], testing::HasSubstr("under `direct`:"));

@@ -19,16 +19,17 @@ class Comparison : public testing::Test {
   static void SetUpTestSuite() {
     Experiments experiments(SourceFolder() + "/problems");
     ASSERT_TRUE(experiments.Run(2, ProgressMode::kNone));
-    comparison_ = new SolverComparison(experiments);
-    ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
+    const auto compared = CompareSolvers(experiments, OtherSolvers::kQuick, 2, ProgressMode::kNone);
+    ASSERT_TRUE(compared.has_value());
+    comparison_ = new Section(*compared);
   }
 
-  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
+  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->tables, name); }
 
-  static SolverComparison* comparison_;
+  static Section* comparison_;
 };
 
-SolverComparison* Comparison::comparison_ = nullptr;
+Section* Comparison::comparison_ = nullptr;
 
 TEST_F(Comparison, HasEveryModelWithEveryGeneralSolver) {
   for (const char* name : {"comparison_ground_wall", "comparison_ground_wall_mu", "comparison_two_balls"}) {
@@ -97,7 +98,7 @@ TEST_F(Comparison, TheLagrangianNeverConverges) {
 }
 
 TEST_F(Comparison, FiguresHaveALineForEachSolver) {
-  const std::vector<PaperFigure> figures = comparison_->Figures();
+  const std::vector<PaperFigure> figures = comparison_->figures;
   ASSERT_EQ(figures.size(), 3u);
   size_t exact_solvers = 0;
   for (const SolverEntry& solver : AllSolvers()) {
@@ -111,7 +112,7 @@ TEST_F(Comparison, FiguresHaveALineForEachSolver) {
 }
 
 TEST_F(Comparison, FindingsNameModelAndSolver) {
-  const std::vector<std::string> findings = comparison_->Findings();
+  const std::vector<std::string> findings = comparison_->findings;
   ASSERT_GE(findings.size(), 4u);
   EXPECT_THAT(findings[0], HasSubstr("`event`"));
   EXPECT_THAT(findings[1], HasSubstr("`ceres_lm`"));

@@ -18,11 +18,12 @@ namespace {
 class Strike : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    comparison_ = new StrikeComparison(ProblemScene("two_balls"),
-                                       ReadBoundedReferences(SourceFolder() + "/data/constrained_references.json"));
-    ASSERT_TRUE(comparison_->Run(2, ProgressMode::kNone));
+    const auto references = ReadBoundedReferences(SourceFolder() + "/data/constrained_references.json");
+    const auto compared = CompareStrikes(ProblemScene("two_balls"), references, 2, ProgressMode::kNone);
+    ASSERT_TRUE(compared.has_value());
+    comparison_ = new Section(*compared);
   }
-  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->Tables(), name); }
+  static CsvDocument Find(const std::string& name) { return FindTable(comparison_->tables, name); }
   static double Gap(const std::string& steps, const std::string& solver) {
     const CsvDocument csv = Find("strike");
     for (size_t row = 0; row < csv.rows.size(); ++row) {
@@ -34,10 +35,10 @@ class Strike : public testing::Test {
     return NAN;
   }
 
-  static StrikeComparison* comparison_;
+  static Section* comparison_;
 };
 
-StrikeComparison* Strike::comparison_ = nullptr;
+Section* Strike::comparison_ = nullptr;
 
 TEST_F(Strike, HasEverySolverOnBothGridsAndNoneBelowTheOptimum) {
   for (const char* steps : {"480", "1000"}) {

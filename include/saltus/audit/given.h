@@ -9,15 +9,13 @@
 
 namespace saltus {
 
-// An externally computed gradient. Unknown entries are std::nullopt, and lists may end early.
+// An externally computed gradient. Numbers that are not known are NaN, and lists may end early.
 struct GivenGradient {
   std::string name;
-  double tolerance = 0;  // absolute, for numbers that were rounded when they were printed
-  std::vector<std::optional<Vec2d>> position, velocity;    // by disc of the scene
-  std::vector<std::vector<std::optional<Vec2d>>> control;  // by control interval and controlled disc
-  std::vector<std::vector<std::optional<double>>>
-      torque;         // 1/(N m), by control interval and disc with a torque control
-  int intervals = 0;  // of the control, equal parts of the horizon; 0: one a step
+  double tolerance = 0;                    // absolute, for numbers that were rounded when they were printed
+  std::vector<double> position, velocity;  // B x 2, by x and y of each disc of the scene
+  std::vector<double> control;             // by the rows of a control (control_rows.h)
+  int intervals = 0;                       // of the control, equal parts of the horizon; 0: one a step
 };
 
 struct GivenEntry {

@@ -7,6 +7,7 @@
 
 #include "base/statistics.h"
 #include "saltus/audit/audit.h"
+#include "saltus/control/control_rows.h"
 
 namespace saltus {
 namespace {
@@ -27,56 +28,44 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
   CHECK_EQ(static_cast<int>(exact.gradient.initial.size()), InitialSize(scene));
   CHECK_EQ(static_cast<int>(exact.gradient.control.size()), scene.control_width() * exact.num_steps);
   std::vector<GivenEntry> entries;
-  const auto judge = [&](double value, double at, double largest) {
-    return exact.ambiguous.empty() ? Judge(value, at, largest, given.tolerance) : Verdict::kAmbiguous;
-  };
-  // Judges the given entries of one vector; `values` and `at` name the exact ones.
-  const auto add = [&](const std::optional<Vec2d>& value,
-                       const std::string& name,
-                       const std::string& of,
-                       const double* at,
-                       double largest) {
-    for (int j = 0; value && j < 2; ++j) {
-      entries.push_back({name + (j == 0 ? "x" : "y") + of, (*value)[j], at[j], judge((*value)[j], at[j], largest)});
-    }
+  // Adds a number that is known. Derivatives by a torque are judged as those by the force at the radius that makes it.
+  const auto add = [&](const std::string& name, double value, double at, double largest, double radius = 1) {
+    if (std::isnan(value)) return;
+    const Verdict verdict = Judge(value * radius, at, largest, given.tolerance);
+    entries.push_back({name, value, at / radius, exact.ambiguous.empty() ? verdict : Verdict::kAmbiguous});
   };
   for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
     const bool position = quantity == Quantity::kPosition;
-    const auto& values = position ? given.position : given.velocity;
-    CHECK_LE(static_cast<int>(values.size()), scene.num_bodies());
+    const std::vector<double>& values = position ? given.position : given.velocity;
+    CHECK_LE(values.size(), 2 * scene.bodies.size());
     const double largest = Largest(EntriesOf(scene, exact, quantity, 1));
     for (size_t i = 0; i < values.size(); ++i) {
-      if (scene.bodies[i].fixed) continue;
-      add(values[i],
-          position ? "p" : "v",
-          " " + scene.bodies[i].name,
-          &exact.gradient.initial[4 * i + (position ? 0 : 2)],
-          largest);
+      const Body& body = scene.bodies[i / 2];
+      const std::string name = std::string(position ? "p" : "v") + (i % 2 == 0 ? "x " : "y ") + body.name;
+      const double at = exact.gradient.initial[4 * (i / 2) + (position ? 0 : 2) + i % 2];
+      if (!body.fixed) add(name, values[i], at, largest);
     }
   }
+  if (given.control.empty()) return entries;
   const int intervals = given.intervals > 0 ? given.intervals : exact.num_steps;
-  CHECK_LE(static_cast<int>(given.control.size()), intervals);
+  const int columns = ControlColumns(scene), width = columns * scene.num_controlled();
+  const int given_intervals = static_cast<int>(given.control.size()) / width;
+  CHECK_LE(given_intervals, intervals);
   const std::vector<double> control = CoarsenControl(exact.gradient.control, exact.num_steps, intervals);
   const double largest = Largest(control);
-  for (size_t k = 0; k < given.control.size(); ++k) {
-    CHECK_LE(static_cast<int>(given.control[k].size()), scene.num_controlled());
-    for (size_t c = 0; c < given.control[k].size(); ++c) {
-      add(given.control[k][c],
-          "u",
-          "[" + std::to_string(k) + "] " + scene.bodies[scene.control.bodies[c]].name,
-          &control[scene.ForceIndex(k, c)],
-          largest);
+  const auto of = [&](int k, int body) { return "[" + std::to_string(k) + "] " + scene.bodies[body].name; };
+  for (int k = 0; k < given_intervals; ++k) {
+    for (int c = 0; c < scene.num_controlled(); ++c) {
+      const double *row = &given.control[k * width + c * columns], *at = &control[scene.ForceIndex(k, c)];
+      for (int j = 0; j < 2; ++j) add((j == 0 ? "ux" : "uy") + of(k, scene.control.bodies[c]), row[j], at[j], largest);
     }
   }
-  for (size_t k = 0; k < given.torque.size(); ++k) {
-    for (size_t t = 0; t < given.torque[k].size(); ++t) {
-      if (!given.torque[k][t]) continue;
-      const Body& body = scene.bodies[scene.control.turned[t]];
-      const double by_force = *given.torque[k][t] * body.radius, at = control[scene.TurnIndex(k, static_cast<int>(t))];
-      entries.push_back({"torque[" + std::to_string(k) + "] " + body.name,
-                         *given.torque[k][t],
-                         at / body.radius,
-                         judge(by_force, at, largest)});
+  for (int k = 0; k < given_intervals; ++k) {
+    for (int t = 0; t < scene.num_turned(); ++t) {
+      const int body = scene.control.turned[t];
+      const auto c = std::ranges::find(scene.control.bodies, body) - scene.control.bodies.begin();
+      const double torque = given.control[k * width + c * columns + 2], at = control[scene.TurnIndex(k, t)];
+      add("torque" + of(k, body), torque, at, largest, scene.bodies[body].radius);
     }
   }
   return entries;

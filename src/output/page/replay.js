@@ -30,7 +30,7 @@ function rounded(value, quantum) {
 }
 
 class Replay {
-  // In place of an element that is in the page; the data are those of output/replay.h.
+  // In place of an element that is in the page; the data are those of ReplayToJson() in programs/scene_drawing.h.
   constructor(place, data) {
     const {discs, walls, outlines, targets} = data;
     Object.assign(this, {place, discs, walls, outlines, targets});

@@ -1,4 +1,4 @@
-// Reads the data of a replay as replay.cc writes them.
+// Reads the data of a replay as scene_drawing.cc writes them.
 
 // Bytes of base64 text.
 function bytesOf(text) {
