@@ -353,3 +353,18 @@ def test_remarks_are_shown():
         motion = saltus.rollout(saltus.Scene(settling_bag(0)))
     assert "steps use the time-stepping fallback" in repr(motion) and motion.remarks[0]["kind"] == "fallback"
     assert SOURCE.exists()
+
+
+def test_a_reset_onto_a_guard_that_rises_is_remarked():
+    """Motions nearby have the event of the guard at once: x(2) jumps from 0.5 to 0 as v falls below 0."""
+    system = saltus.HybridSystem(
+        states={k: ["x", "v"] for k in "abc"},
+        flow={"a": lambda: [0, 0], "b": lambda x: [x[1], 1], "c": lambda: [0, 0]},
+        guards={"a": {"start": lambda t: 1 - t}, "b": {"halt": lambda x: x[1]}},
+        resets={"a": {"start": lambda x: ("b", x)}, "b": {"halt": lambda x: ("c", x)}})
+    ends = {}
+    for v in (0.0, 1e-9, -1e-9):
+        motion = saltus.rollout(saltus.HybridProblem(system, mode="a", initial=[0, v], duration=2.0))
+        ends[v] = motion.final[0]
+        assert motion.remark == ("the reset at t = 1 leads onto guard 'halt'" if v == 0 else "")
+    assert abs(ends[1e-9] - 0.5) < 1e-8 and abs(ends[-1e-9]) < 1e-8

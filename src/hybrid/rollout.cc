@@ -422,7 +422,7 @@ void RolloutRun::RemarkOnStart(const std::vector<int>& guards, bool first) {
   at_start_.push_back(std::move(all));
 }
 
-// Whether the last reset leads onto a switch from all motions nearby, too: behind it the switch's number changes only
+// Whether the last reset leads onto a switch or guard from all motions nearby, too: behind it its number changes only
 // as the guard did before.
 bool RolloutRun::AllLandOn(int guard) const {
   const TapeEntry& reset = tape_.entries.back();
@@ -472,6 +472,14 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
       Remark("the reset", " leads onto " + name);
     }
   }
+}
+
+// A reset onto a guard of the mode behind it, which rises from zero there, leads motions nearby below it, where they
+// have its event at once; unless all of them land on it, as those that bounce do.
+void RolloutRun::RemarkOnRisingGuard(int guard) {
+  const HybridEvent& event = events_.back();
+  if (functions_.CreatesModes() || event.is_switch || (event.mode == at_.mode && event.guard == guard)) return;
+  if (!AllLandOn(guard)) Remark("the reset", " leads onto guard '" + system_.GuardName(at_.mode, guard) + "'");
 }
 
 // A motion that stays on a switch from an event on leaves other switches on which it stays as well, zero at the rate
@@ -544,6 +552,7 @@ bool RolloutRun::Enter(Entry entry) {
         at_.at_zero[guard] = 0;
         continue;
       }
+      if (standing == Standing::kRising && entry == Entry::kAfterReset && is_reset) RemarkOnRisingGuard(guard);
       if (standing == Standing::kArmed || standing == Standing::kRising) continue;
       if (standing == Standing::kBehind) {
         if (entry == Entry::kStart) {

@@ -93,6 +93,7 @@ class RolloutRun {
   bool StaysOn(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
   void RemarkOnSwitches(Entry entry);
+  void RemarkOnRisingGuard(int guard);
   void RemarkOnSharedSurfaces(const FlowStep& here);
   bool AllLandOn(int guard) const;
   bool StepTo(int node);
