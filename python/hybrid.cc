@@ -311,6 +311,44 @@ StopRequest StopAfterGrace(Computation* computation) {
   };
 }
 
+// Returns why a mechanical system is not in a mode: a closed contact has a gap.
+std::string WhyNotIn(const MechanicalSystem& system, int mode, const HybridInput& input) {
+  const MechanicalFunctions& functions = system.functions();
+  const std::string status = system.hybrid().ModeName(mode);
+  double size = 1;
+  for (const double number : input.initial) size = std::max(size, std::abs(number));
+  for (int i = 0; i < functions.layout().num_contacts; ++i) {
+    const double gap = functions.Gap(i, input.initial.data(), input.parameters.data());
+    if (status[i] == 'o' || std::abs(gap) <= kMostGap * size) continue;
+    return "contact '" + functions.layout().contact_names[i] + "' is closed in mode '" + status + "', and its gap is " +
+           ToText(gap, 6) + "; leave the mode out to have it found";
+  }
+  return "";
+}
+
+}  // namespace
+
+std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input) {
+  const auto finite = [](const std::vector<double>& numbers) {
+    return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+  };
+  if (!finite(input->initial) || !finite(input->parameters)) {
+    input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
+    return "";
+  }
+  if (input->mode >= 0) {
+    const std::string why = system.WhatIsWrongAt(input->initial, input->parameters);
+    return why.empty() ? WhyNotIn(system, input->mode, *input) : why;
+  }
+  std::vector<double> control = input->control;
+  control.resize(system.hybrid().num_controls());
+  MechanicalSystem::Start start = system.FindMode(input->initial, control, input->parameters, input->begin);
+  input->mode = start.mode;
+  return start.mode >= 0 ? "" : std::move(start.why);
+}
+
+namespace {
+
 // A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
  public:
@@ -344,7 +382,8 @@ class Problem {
     }
     if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
     if (mechanical_) {
-      if (const std::string why = WhyNoStart(&input); !why.empty()) throw py::value_error("initial: " + why);
+      if (const std::string why = WhyNoStart(*mechanical_, &input); !why.empty())
+        throw py::value_error("initial: " + why);
     }
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
@@ -454,7 +493,7 @@ class Problem {
         HybridInput input = first.InputAt(point);
         input.mode = std::get<0>(guess);
         std::string& why = reasons[i];
-        if (mechanical_) why = WhyNoStart(&input);
+        if (mechanical_) why = WhyNoStart(*mechanical_, &input);
         if (why.empty()) {
           auto known = shootings[thread].find(input.mode);
           if (known == shootings[thread].end()) {
@@ -641,41 +680,6 @@ class Problem {
   }
 
  private:
-  // Returns why a mechanical system is not in a mode: a closed contact has a gap.
-  std::string WhyNotIn(int mode, const HybridInput& input) const {
-    const MechanicalFunctions& functions = mechanical_->functions();
-    const std::string status = problem_.system.ModeName(mode);
-    double size = 1;
-    for (const double number : input.initial) size = std::max(size, std::abs(number));
-    for (int i = 0; i < functions.layout().num_contacts; ++i) {
-      const double gap = functions.Gap(i, input.initial.data(), input.parameters.data());
-      if (status[i] == 'o' || std::abs(gap) <= kMostGap * size) continue;
-      return "contact '" + functions.layout().contact_names[i] + "' is closed in mode '" + status +
-             "', and its gap is " + ToText(gap, 6) + "; leave the mode out to have it found";
-    }
-    return "";
-  }
-
-  // Returns why a mechanical system has no motion from an input, whose mode is found if it is not given.
-  std::string WhyNoStart(HybridInput* input) const {
-    const auto finite = [](const std::vector<double>& numbers) {
-      return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
-    };
-    if (!finite(input->initial) || !finite(input->parameters)) {
-      input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
-      return "";
-    }
-    if (input->mode >= 0) {
-      const std::string why = mechanical_->WhatIsWrongAt(input->initial, input->parameters);
-      return why.empty() ? WhyNotIn(input->mode, *input) : why;
-    }
-    std::vector<double> control = input->control;
-    control.resize(problem_.system.num_controls());
-    MechanicalSystem::Start start = mechanical_->FindMode(input->initial, control, input->parameters);
-    input->mode = start.mode;
-    return start.mode >= 0 ? "" : std::move(start.why);
-  }
-
   HybridProblem problem_;
   std::optional<MechanicalSystem> mechanical_;
   std::unique_ptr<HybridShooting> shooting_;  // of the last gradient

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
-from ._hybrid import HybridProblem, HybridRun, HybridSystem
+from ._hybrid import HybridProblem, HybridRun, HybridSystem, System
 from ._own import as_contact
 from ._results import Result, Run
 from ._scene import SceneLike, as_scene, of_run
@@ -192,22 +192,24 @@ def noisy_runs(
 
 
 class SaltedKalmanFilter(Remade):
-    """An extended Kalman filter whose mean flows through the events of a HybridSystem or of a scene, and whose covariance
-    passes them by saltation matrices.
+    """An extended Kalman filter whose mean flows through the events of a hybrid or mechanical system or of a scene, and whose
+    covariance passes them by saltation matrices.
 
     The estimate may be in another mode than the truth: see docs/how-to/feedback.md.
 
     Args:
-        system: a HybridSystem; or a Scene, a dict or the path of a scene file, whose state is that of all discs in one row.
+        system: a HybridSystem, or a MechanicalSystem, whose state is [q v]; or a Scene, a dict or the path of a scene file,
+            whose state is that of all discs in one row.
         mean, covariance: the estimate, (n,) and (n, n).
         time: its time, s.
-        mode: its mode, of a HybridSystem; default: the first.
-        parameters: of a HybridSystem.
+        mode: its mode, of a system; default: the first of a HybridSystem, and of a MechanicalSystem that in which a motion
+            from the mean starts without a control.
+        parameters: of a system.
     """
 
     def __init__(
         self,
-        system: HybridSystem | SceneLike,
+        system: System | SceneLike,
         mean: ArrayLike,
         covariance: ArrayLike,
         *,
@@ -217,13 +219,11 @@ class SaltedKalmanFilter(Remade):
     ):
         expect("a number", time=time)
         estimate = (np.ravel(mean), np.asarray(covariance))
-        self._system = system if isinstance(system, HybridSystem) else as_scene(system)
+        self._system: Any = system if isinstance(system, System) else as_scene(system)
         self._parameters = np.array(parameters)
-        self._modes = system.modes if isinstance(system, HybridSystem) else []
-        if isinstance(system, HybridSystem):
-            if mode is not None and mode not in self._modes:
-                raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self._modes)}")
-            number = 0 if mode is None else self._modes.index(mode)
+        if isinstance(system, System):
+            first = system.modes[0] if mode is None and isinstance(system, HybridSystem) else mode
+            number = system._mode_number(first)
             self._filter = _saltus.SaltedKalmanFilter(system._system, parameters, time, number, *estimate)
         else:
             self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
@@ -254,7 +254,7 @@ class SaltedKalmanFilter(Remade):
     @property
     def mode(self) -> str:
         """The name of the mode; empty in a scene."""
-        return self._modes[self._filter.mode] if self._modes else ""
+        return self._filter.mode
 
     @property
     def mean(self) -> Floats:
