@@ -550,8 +550,8 @@ class Problem {
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
                   double learning_rate, std::vector<double> guess_states, const py::object& callback,
-                  const std::optional<std::vector<std::pair<int, int>>>& sequence) const {
-    Computation computation;
+                  const std::optional<std::vector<std::pair<int, int>>>& sequence, double seconds) const {
+    Computation computation(seconds);
     HybridProblem problem = At(guess, StopAfterGrace(&computation));
     problem.guess_states = std::move(guess_states);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
@@ -595,6 +595,7 @@ class Problem {
     }
     computation.Run([&] {
       report = saltus::Solve(solver, problem, options);
+      if (report.termination == Termination::kInterrupted) report.reason += computation.WhyTimedOut();
       if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
     });
     if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);
@@ -662,11 +663,12 @@ class Problem {
 
   // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
-                 const std::string& command, int steps, bool width_sweep, double budget) const {
+                 const std::string& command, int steps, bool width_sweep, double budget, double seconds) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
     Computation computation;
     const HybridProblem problem = At(guess, StopAfterGrace(&computation));
-    HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
+    HybridAuditOptions options{
+        .steps = steps, .seconds = seconds, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
@@ -745,7 +747,8 @@ void BindHybrid(py::module_* module) {
            py::arg("learning_rate"),
            py::arg("guess_states"),
            py::arg("callback"),
-           py::arg("sequence"));
+           py::arg("sequence"),
+           py::arg("seconds"));
   problem
       .def("losses",
            &Problem::Losses,
@@ -779,7 +782,8 @@ void BindHybrid(py::module_* module) {
               py::arg("command"),
               py::arg("steps"),
               py::arg("width_sweep"),
-              py::arg("budget"));
+              py::arg("budget"),
+              py::arg("seconds"));
   module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }
 

@@ -54,7 +54,7 @@ Recording ReadRecording(const py::handle& given, const std::string& name, const 
 
 struct FitKeywords {
   std::string law, events, loss;
-  double loss_scale, segment;
+  double loss_scale, segment, seconds;
   bool known_start;
   int starts, threads;
 };
@@ -104,7 +104,7 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     const std::string name = "recordings[" + std::to_string(i) + "]";
     identified.recordings.push_back(ReadRecording(recordings[i], name, scene));
   }
-  Computation computation;
+  Computation computation(keywords.seconds);
   options.stop = computation.stop();
   if (!status.is_none()) {
     options.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
@@ -113,8 +113,9 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     identified.reports.push_back(
         Identify(contact, scene, identified.recordings, std::get<std::vector<Unknown>>(unknowns), options));
   });
-  const IdentifyReport& report = identified.reports[0];
+  IdentifyReport& report = identified.reports[0];
   if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(contact.name() + ": " + report.reason);
+  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation.WhyTimedOut();
   return py::make_tuple(ToPython(IdentifiedToJson(scene, identified)["fits"][0]), computation.StoppedBy());
 }
 
@@ -132,6 +133,7 @@ void BindIdentify(py::module_* module) {
          const std::string& loss,
          double loss_scale,
          double segment,
+         double seconds,
          bool known_start,
          int starts,
          int threads,
@@ -141,7 +143,7 @@ void BindIdentify(py::module_* module) {
                              unknown,
                              contact,
                              status,
-                             {law, events, loss, loss_scale, segment, known_start, starts, threads});
+                             {law, events, loss, loss_scale, segment, seconds, known_start, starts, threads});
       },
       py::arg("scene"),
       py::arg("recordings"),
@@ -153,6 +155,7 @@ void BindIdentify(py::module_* module) {
       py::arg("loss"),
       py::arg("loss_scale"),
       py::arg("segment"),
+      py::arg("seconds"),
       py::arg("known_start"),
       py::arg("starts"),
       py::arg("threads"),

@@ -27,6 +27,7 @@ struct Keywords {
   int threads;
   double memory_limit;  // MiB
   bool keep_iterates;
+  double seconds;
 };
 
 void SetSequence(const Scene& scene, const std::string& sequence, SolverOptions* options) {
@@ -88,7 +89,7 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
                      const Keywords& keywords) {
   const Contact contact = ReadContact(contact_name);
   SolverOptions options = ReadOptions(scene, keywords);
-  Computation computation;
+  Computation computation(keywords.seconds);
   options.stop = computation.stop();
   if (!callback.is_none()) {
     options.callback = [&](int iteration, double loss) {
@@ -103,6 +104,7 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   const Precision arithmetic = ReadPrecision(precision);
   computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
+  if (run.report.termination == Termination::kInterrupted) run.report.reason += computation.WhyTimedOut();
   return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
 }
 
@@ -185,7 +187,8 @@ void BindSolve(py::module_* module) {
          const py::object& surrogate,
          int threads,
          double memory_limit,
-         bool keep_iterates) {
+         bool keep_iterates,
+         double seconds) {
         return SolveScene(scene,
                           contact,
                           solver,
@@ -200,7 +203,8 @@ void BindSolve(py::module_* module) {
                            surrogate,
                            threads,
                            memory_limit,
-                           keep_iterates});
+                           keep_iterates,
+                           seconds});
       },
       py::arg("scene"),
       py::arg("contact"),
@@ -217,7 +221,8 @@ void BindSolve(py::module_* module) {
       py::arg("surrogate"),
       py::arg("threads"),
       py::arg("memory_limit"),
-      py::arg("keep_iterates"));
+      py::arg("keep_iterates"),
+      py::arg("seconds"));
   module->def("solvers", [] {
     std::vector<SolverEntry> solvers = AllSolvers();
     solvers.insert(solvers.end(), SolversByName().begin(), SolversByName().end());

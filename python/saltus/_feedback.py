@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from . import _saltus
 from ._hybrid import HybridProblem, HybridRun, HybridSystem, System
 from ._own import as_contact
+from ._progress import Progress
 from ._results import Result, Run
 from ._scene import SceneLike, as_scene, of_run
 from ._types import Floats, Remade, expect, expect_int
@@ -169,21 +170,24 @@ def noisy_runs(
     samples: int = 1000,
     seed: int = 1,
     threads: int = 0,
+    progress: bool | None = None,
 ) -> NoisyRuns:
     """Simulates a plan with noise, in open loop or with a regulator, which compares states with equally many events behind
     them (reference spreading).
 
     Covariance matrices, ``regulator``, ``plan`` and ``durations`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
-    0 is one for each core; results do not depend on it.
+    0 is one for each core; results do not depend on it. ``progress``: whether a line on stderr shows the progress after two seconds;
+    default: on terminals and in notebooks.
     """
     expect_int(samples=samples, threads=threads)
     expect("a whole number", seed=seed)
     if not 0 <= seed < 2**64:
         raise ValueError(f"seed: found {seed}, expected a whole number from 0 to {2**64 - 1}")
     matrices = [_matrix(value) for value in (initial, control, process, measurement)]
-    mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
-        matrices, _gains(regulator), samples, seed, threads
-    )
+    with Progress("noisy runs", progress):
+        mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
+            matrices, _gains(regulator), samples, seed, threads
+        )
     error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")
     return NoisyRuns({
         "mean": mean, "covariance": covariance, "final_error": error, "counted": counted, "failed": failed,

@@ -1268,6 +1268,7 @@ def solve(
     guess_states: Any,
     callback: Any,
     sequence: Any,
+    seconds: float,
 ) -> HybridRun:
     for cost in problem._costs():
         if cost._times and cost.role in ("equality", "inequality"):
@@ -1284,7 +1285,7 @@ def solve(
     pairs = problem._bounds(bounds, free)
     found, stopped_by = problem._call(
         "solve", solver, *free, pairs, iterations, learning_rate, np.ravel(states).tolist(), callback,
-        along
+        along, float(seconds)
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
             "remarks": found.get("remarks", []), "loss": None}
@@ -1339,9 +1340,12 @@ _BUDGET = 2e4
 
 
 def audit(
-    problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str
+    problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str,
+    seconds: float
 ) -> HybridAudit:
     expect_int(steps=steps)
+    if not 0 <= seconds < np.inf:
+        raise ValueError("audit_seconds: expected seconds, or 0 for no limit")
     if simulate is not None and (step is not None or not isinstance(simulate, str)):
         raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
     if simulate is None and not callable(step):
@@ -1368,6 +1372,7 @@ def audit(
         return call_step
 
     found = problem._call(
-        "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET
+        "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET,
+        float(seconds)
     )
     return HybridAudit(found)

@@ -133,6 +133,7 @@ def solve(
     threads: int,
     memory_limit: float,
     keep_iterates: bool,
+    seconds: float,
 ) -> tuple[dict[str, Any], BaseException | None]: ...
 def identify(
     scene: Scene,
@@ -145,6 +146,7 @@ def identify(
     loss: str,
     loss_scale: float,
     segment: float,
+    seconds: float,
     known_start: bool,
     starts: int,
     threads: int,
@@ -211,6 +213,7 @@ class HybridProblem:
         guess_states: list[float],
         callback: Any,
         sequence: Sequence[tuple[int, int]] | None,
+        seconds: float,
     ) -> tuple[dict[str, Any], BaseException | None]: ...
     def losses(
         self,
@@ -239,6 +242,7 @@ class HybridProblem:
         steps: int,
         width_sweep: bool,
         budget: float,
+        seconds: float,
     ) -> dict[str, Any]: ...
 
 class PlannedMotion:
