@@ -155,18 +155,20 @@ std::vector<std::string> NextModesOf(const MechanicalSystem& system, int mode, i
   return names;
 }
 
-// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, interval, letters
-// of what the function reads (some of "xiupth", in this order; i: the initial state), sizes of these, the function.
-using TermTuple =
-    std::tuple<std::string, std::string, std::string, int, int, bool, int, std::string, std::vector<int>, Outputs>;
+// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, name of the guard, before, the
+// only interval or event, letters of what the function reads (some of "xiupth", in this order; i: the initial state),
+// sizes of these, the function.
+using TermTuple = std::tuple<std::string, std::string, std::string, int, std::string, bool, int, std::string,
+                             std::vector<int>, Outputs>;
 
 // A term that was recorded, or one that was read from a file.
 using GivenTerm = std::variant<HybridTerm, TermTuple>;
 
 HybridTerm ReadTerm(const GivenTerm& given) {
   if (const auto* term = std::get_if<HybridTerm>(&given)) return *term;
-  const auto& [name, at, role, mode, guard, before, interval, reads, sizes, function] = std::get<TermTuple>(given);
-  HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before, .interval = interval};
+  const auto& [name, at, role, mode, event, before, only, reads, sizes, function] = std::get<TermTuple>(given);
+  HybridTerm term{.name = name, .mode = mode, .event = event, .before = before};
+  (at == "event" ? term.occurrence : term.interval) = only;
   term.at = at == "steps"   ? HybridTerm::At::kEachInterval
             : at == "event" ? HybridTerm::At::kEvent
                             : HybridTerm::At::kEnd;

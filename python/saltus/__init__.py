@@ -20,7 +20,7 @@ Sweeps          sweep: many points of some options, on all cores or with a distr
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
 Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where, interp, spline; terminal, effort,
-                final_time, residuals, cost, maximise, measurements; rollout, final_derivatives, loss_and_gradient, solve,
+                final_time, residuals, cost, maximise, measurements, event_times; rollout, final_derivatives, loss_and_gradient, solve,
                 hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
@@ -54,6 +54,7 @@ from ._hybrid import (
     HybridSystem,
     cost,
     effort,
+    event_times,
     final_derivatives,
     final_time,
     hybrid_solvers,
@@ -106,6 +107,7 @@ __all__ = [
     "contact_models",
     "cost",
     "effort",
+    "event_times",
     "final_derivatives",
     "final_time",
     "hybrid_solvers",

@@ -48,7 +48,7 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
     guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
   }
   for (const HybridTerm& term : problem_.terms) {
-    if (!term.IsCost() || term.at == HybridTerm::At::kEvent) continue;
+    if (!term.IsCost() || (term.at == HybridTerm::At::kEvent && term.occurrence < 0)) continue;
     const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
     const int times = repeats ? start_.num_intervals : 1;
     num_residuals_ += times * term.function->num_residuals();
@@ -79,9 +79,10 @@ bool HybridShooting::Rollout(std::span<const double> z) {
 
 bool HybridShooting::RolloutOf(HybridInput input) {
   input_ = std::move(input);
+  has_motion_ = false;
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
-  const bool ok = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
-  return ok ? FindPlaces() : Fail(simulator_.WhyFailed());
+  has_motion_ = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
+  return has_motion_ ? FindPlaces() : Fail(simulator_.WhyFailed());
 }
 
 bool HybridShooting::Fail(std::string why) {
@@ -102,16 +103,25 @@ bool HybridShooting::FindPlaces() {
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
     if (term.at == HybridTerm::At::kEvent) {
+      int found = 0;
       for (std::size_t i = 0; i < events.size(); ++i) {
-        if (functions.BaseMode(events[i].mode) != term.mode || events[i].guard != term.guard) continue;
+        if (!term.CountsAt(functions, events[i].mode, events[i].guard)) continue;
+        if (found++ != term.occurrence && term.occurrence >= 0) continue;
         const std::span<const double> state = term.before ? events[i].before : events[i].after;
         if (term.with_state && static_cast<int>(state.size()) != state_size) {
           return Fail(term.name + ": found a state of " + std::to_string(state.size()) +
                       " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
                       std::to_string(state_size));
         }
-        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, -1});
+        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, term.occurrence < 0 ? -1 : rows});
       }
+      if (term.occurrence >= found) {
+        const std::string name = term.event.empty() ? functions.GuardName(term.mode, term.guard) : term.event;
+        return Fail(term.name + ": found " + std::to_string(found) + " events '" + name +
+                    "' in the motion, expected at least " + std::to_string(term.occurrence + 1) +
+                    "; start from a guess that has them, or solve along a sequence with them");
+      }
+      if (is_cost && term.occurrence >= 0) rows += count;
       continue;
     }
     const bool at_end = term.at == HybridTerm::At::kEnd;
@@ -264,16 +274,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
     };
     if (term.with_state) {
       const Eigen::RowVectorXd by_state = pull_back();
-      std::vector<double>* sum = &cotangent.final_state;
-      if (place.interval >= 0) {
-        cotangent.nodes.resize(input_.num_intervals);
-        sum = &cotangent.nodes[place.interval];
-      } else if (place.event >= 0) {
-        std::vector<std::vector<double>>& of_events = term.before ? cotangent.before : cotangent.after;
-        of_events.resize(simulator_.events().size());
-        sum = &of_events[place.event];
-      }
-      add_to(sum, by_state.data(), by_state.size());
+      add_to(StateIn(&cotangent, place), by_state.data(), by_state.size());
     }
     if (term.with_initial) {
       const Eigen::RowVectorXd by_start = pull_back();
@@ -326,13 +327,28 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
   return why_.empty();
 }
 
-// Returns the derivative by all of the input of a row with this derivative by the state of a place.
-Eigen::RowVectorXd HybridShooting::RowByMotion(const Place& place, const Eigen::RowVectorXd& by_state) {
+// Returns the part of a cotangent that belongs to the state at a place.
+std::vector<double>* HybridShooting::StateIn(HybridCotangent* cotangent, const Place& place) const {
+  if (place.interval >= 0) {
+    cotangent->nodes.resize(input_.num_intervals);
+    return &cotangent->nodes[place.interval];
+  }
+  if (place.event < 0) return &cotangent->final_state;
+  std::vector<std::vector<double>>& of_events = place.term->before ? cotangent->before : cotangent->after;
+  of_events.resize(simulator_.events().size());
+  return &of_events[place.event];
+}
+
+// Returns the derivative by all of the input of a number with these derivatives by the state of a place, if it has any,
+// and by the time of its event.
+Eigen::RowVectorXd HybridShooting::RowByMotion(const Place& place, std::span<const double> by_state, double by_time) {
   HybridCotangent cotangent;
   cotangent.final_state.assign(simulator_.final_state().size(), 0.0);
-  if (place.interval >= 0) cotangent.nodes.resize(input_.num_intervals);
-  (place.interval >= 0 ? cotangent.nodes[place.interval] : cotangent.final_state)
-      .assign(by_state.begin(), by_state.end());
+  if (!by_state.empty()) StateIn(&cotangent, place)->assign(by_state.begin(), by_state.end());
+  if (place.event >= 0) {
+    cotangent.event_times.resize(simulator_.events().size());
+    cotangent.event_times[place.event] = by_time;
+  }
   const HybridGradient by = simulator_.Adjoint(cotangent);
   Eigen::RowVectorXd row(by.initial.size() + by.control.size() + by.parameters.size() + 1);
   auto next = row.begin();
@@ -352,7 +368,8 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
   const int columns = duration + 1;
   int rows_of_motion = 0;
   for (const Place& place : places_) {
-    if (place.first_row >= 0 && place.term->with_state) rows_of_motion += place.term->function->num_residuals();
+    const bool of_motion = place.term->with_state || (place.event >= 0 && place.term->with_time);
+    if (place.first_row >= 0 && of_motion) rows_of_motion += place.term->function->num_residuals();
   }
   std::optional<HybridSensitivity> motion;
   if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity();
@@ -377,18 +394,28 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       return J;
     };
     if (term.with_state) {
-      const auto by_state = next();
-      if (motion) {
-        const std::vector<double>& by = place.interval >= 0 ? motion->nodes[place.interval] : motion->final_state;
+      const Matrix by_state = next();
+      const bool by_adjoint = !motion || (place.event >= 0 && term.before);
+      if (!by_adjoint) {
+        const std::vector<double>& by = place.interval >= 0 ? motion->nodes[place.interval]
+                                        : place.event >= 0  ? motion->after[place.event]
+                                                            : motion->final_state;
         all += by_state * Eigen::Map<const Matrix>(by.data(), by_state.cols(), columns);
       }
-      for (int row = 0; !motion && row < rows; ++row) all.row(row) = RowByMotion(place, by_state.row(row));
+      for (int row = 0; by_adjoint && row < rows; ++row) {
+        all.row(row) += RowByMotion(place, {by_state.row(row).data(), static_cast<std::size_t>(by_state.cols())}, 0);
+      }
     }
     const int m = system.num_controls();
     if (term.with_initial) all.leftCols(n0) += next();
     if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();
     if (term.with_parameters) all.middleCols(first_parameter, system.num_parameters()) += next();
-    if (term.with_time) all.col(duration) += next() * (place.time / input_.duration);
+    if (term.with_time && place.event >= 0) {
+      all += next() * (motion ? Eigen::Map<const Eigen::RowVectorXd>(motion->times[place.event].data(), columns)
+                              : RowByMotion(place, {}, 1));
+    } else if (term.with_time) {
+      all.col(duration) += next() * (place.time / input_.duration);
+    }
     if (term.with_length) all.col(duration) += next() * (place.length / input_.duration);
     for (std::size_t j = 0; j < variables_.size(); ++j) {
       const int column = first_of_kind[static_cast<int>(variables_[j].kind)] + variables_[j].index;

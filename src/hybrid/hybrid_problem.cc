@@ -6,8 +6,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "base/number_text.h"
+#include "base/table.h"
 #include "hybrid/free_variables.h"
 
 namespace saltus {
@@ -69,11 +71,22 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
   const HybridSystem& system = problem.system;
   if (term.function == nullptr) return "found no function";
   const bool of_events = term.at == HybridTerm::At::kEvent;
-  if (term.mode < (of_events ? 0 : -1) || term.mode >= system.num_modes()) {
-    return "found mode " + Number(term.mode) + ", expected " + (of_events ? "0" : "-1") + " to " +
+  const bool of_guard = of_events && term.event.empty();
+  if (term.mode < (of_guard ? 0 : -1) || term.mode >= system.num_modes()) {
+    return "found mode " + Number(term.mode) + ", expected " + (of_guard ? "0" : "-1") + " to " +
            Number(system.num_modes() - 1);
   }
-  if (of_events && (term.guard < 0 || term.guard >= system.num_guards(term.mode))) {
+  if (of_events && !of_guard && !system.functions().CreatesModes()) {
+    std::set<std::string> names;
+    for (int mode = 0; mode < system.num_modes(); ++mode) {
+      for (int guard = 0; guard < system.num_guards(mode); ++guard) names.insert(system.GuardName(mode, guard));
+    }
+    if (!names.contains(term.event)) {
+      return "found the event '" + term.event + "', expected " +
+             (names.empty() ? "none, as there are no guards" : "some of " + Joined({names.begin(), names.end()}));
+    }
+  }
+  if (of_guard && (term.guard < 0 || term.guard >= system.num_guards(term.mode))) {
     return "found guard " + Number(term.guard) + ", expected 0 to " + Number(system.num_guards(term.mode) - 1);
   }
   if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
@@ -146,6 +159,12 @@ std::string WhatIsWrongWithStates(const HybridProblem& problem) {
 }
 
 }  // namespace
+
+bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int of_guard) const {
+  if (of_guard < 0 || functions.IsSwitch(of_mode, of_guard) || (mode >= 0 && functions.BaseMode(of_mode) != mode))
+    return false;
+  return event.empty() ? of_guard == guard : functions.GuardName(of_mode, of_guard) == event;
+}
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
   auto function =

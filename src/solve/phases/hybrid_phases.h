@@ -22,6 +22,7 @@ struct HybridMotion {
   std::vector<double> control, durations, initial, parameters;
   struct Exact {
     bool ok = false;
+    bool moves = false;  // there is a motion, to which a term may not apply
     std::string reason;  // if not ok
     double loss = INFINITY;
     double violation = 0;      // of constraints and bounds: the largest
@@ -71,7 +72,9 @@ class HybridPhaseRun final : public SequenceRun {
   // Plans a sequence. An event that the motion lacks is put between its neighbours, where its guard is smallest.
   void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
                  std::vector<double>* times) const;
-  // Whether each event is one of the mode that the event before it leads to, and the terms at the end apply there.
+  // Whether the guess has a motion, and a sequence is given along which the terms apply, if not to that motion.
+  bool StartsAlongSequence() const { return sequence_ && guess_.exact.moves && guess_.exact.only_impacts; }
+  // Whether each event is one of the mode that the event before it leads to, and the terms apply to such a motion.
   bool IsPossible(const PlanOf<ModeEvent>& plan) const { return IsPossible(plan.Sequence()); }
   bool IsPossible(const std::vector<ModeEvent>& sequence) const;
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {

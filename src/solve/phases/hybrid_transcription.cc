@@ -647,12 +647,11 @@ void HybridTranscription::AddTerms() {
       add(term, phases_.back().last_node, -1, {}, 1, {End(num_phases() - 1)});
       continue;
     }
-    for (int j = 0; j < num_phases(); ++j) {
+    for (int j = 0, found = 0; j < num_phases(); ++j) {
       const Phase& phase = phases_[j];
       if (term.at == HybridTerm::At::kEvent) {
-        if (j + 1 == num_phases() || functions_.BaseMode(plan_.cuts[j]->mode) != term.mode ||
-            plan_.cuts[j]->guard != term.guard)
-          continue;
+        if (j + 1 == num_phases() || !term.CountsAt(functions_, plan_.cuts[j]->mode, plan_.cuts[j]->guard)) continue;
+        if (found++ != term.occurrence && term.occurrence >= 0) continue;
         add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
         continue;
       }

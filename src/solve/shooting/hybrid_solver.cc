@@ -126,7 +126,7 @@ std::string WhyNotLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue)
       return term.name + " is a cost that is no square: least squares needs squares";
-    if (term.at == HybridTerm::At::kEvent) {
+    if (term.at == HybridTerm::At::kEvent && term.occurrence < 0) {
       return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
     }
   }
