@@ -91,7 +91,7 @@ IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) 
   return options;
 }
 
-// A fit, and what has stopped it: an exception or None.
+// A fit, the function that writes its page to a folder, and what has stopped it: an exception or None.
 py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const std::string& unknown,
                         const py::object& contact_name, const py::object& status, const FitKeywords& keywords) {
   const Contact contact = ReadContact(contact_name);
@@ -116,7 +116,13 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
   IdentifyReport& report = identified.reports[0];
   if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(contact.name() + ": " + report.reason);
   if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation.WhyTimedOut();
-  return py::make_tuple(ToPython(IdentifiedToJson(scene, identified)["fits"][0]), computation.StoppedBy());
+  const Json document = IdentifiedToJson(scene, identified);
+  const py::object result = ToPython(document["fits"][0]);
+  const py::cpp_function page([scene, identified = std::move(identified), document](const std::string& folder) {
+    const Request request{.scene = scene, .output_dir = folder};
+    Computation().RunOrThrow([&] { WriteIdentifyReport(request, identified, document); });
+  });
+  return py::make_tuple(result, page, computation.StoppedBy());
 }
 
 }  // namespace

@@ -83,7 +83,21 @@ py::dict RunToPython(const Scene& scene, const SolvedRun& run) {
   return result;
 }
 
-// A run, and what has stopped it: an exception or None.
+// Returns a function that writes the page and the solution of a run to a folder, as programs do.
+py::object PageOfRun(const Scene& scene, const Contact& contact, SolvedRun run, Precision precision) {
+  Request request{.scene = scene, .contacts = {contact.name()}, .solvers = {run.report.solver}, .precision = precision};
+  run.report.iterates.clear();
+  return py::cpp_function([request, solved = SolvedRuns{{std::move(run)}}](const std::string& folder) {
+    Request in_folder = request;
+    in_folder.output_dir = folder;
+    Computation().RunOrThrow([&] {
+      WriteSolutions(in_folder, solved);
+      WriteSolveReport(in_folder, solved);
+    });
+  });
+}
+
+// A run, the function of its page, and what has stopped it: an exception or None.
 py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const std::string& solver,
                      const std::string& precision, const py::object& callback, const py::object& status,
                      const Keywords& keywords) {
@@ -105,7 +119,8 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
   if (run.report.termination == Termination::kInterrupted) run.report.reason += computation.WhyTimedOut();
-  return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
+  py::dict result = RunToPython(scene, run);
+  return py::make_tuple(result, PageOfRun(scene, contact, std::move(run), arithmetic), computation.StoppedBy());
 }
 
 // Returns sequences by the names of their pairs, with their bounds.

@@ -85,7 +85,7 @@ def identify(
     given = [recordings] if isinstance(recordings, (str, os.PathLike, Mapping)) else list(recordings)
     names = unknown if isinstance(unknown, str) else ",".join(unknown)
     with Progress("identify", progress) as shown:
-        found, stopped_by = _saltus.identify(
+        found, page, stopped_by = _saltus.identify(
             as_scene(scene),
             [_plain(recording, index) for index, recording in enumerate(given)],
             names or ("" if law or events else "restitution"),
@@ -102,6 +102,7 @@ def identify(
             status=shown.status(status),
         )
     fit = Fit(found)
+    fit._page = page
     if stopped_by is not None:
         stopped_by.fit = fit  # type: ignore[attr-defined]
         raise stopped_by

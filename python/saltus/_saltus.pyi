@@ -134,7 +134,7 @@ def solve(
     memory_limit: float,
     keep_iterates: bool,
     seconds: float,
-) -> tuple[dict[str, Any], BaseException | None]: ...
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
 def identify(
     scene: Scene,
     recordings: Sequence[str | dict[str, Any]],
@@ -151,7 +151,7 @@ def identify(
     starts: int,
     threads: int,
     status: Any,
-) -> tuple[dict[str, Any], BaseException | None]: ...
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
 class HybridSystem:
     def __init__(self, modes: Any, controls: Sequence[str], parameters: Sequence[str], slides: bool) -> None: ...
 

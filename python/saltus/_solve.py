@@ -123,7 +123,7 @@ def solve(
             raise TypeError(f"start: found {type(start).__name__}, expected a Run")
         given, *guess = of_run(given, start)
     with Progress("solve", progress, iterations) as shown:
-        found, stopped_by = _saltus.solve(
+        found, page, stopped_by = _saltus.solve(
             given,
             as_contact(contact),
             solver,
@@ -142,6 +142,7 @@ def solve(
             seconds=float(seconds),
         )
     run = Run(found)
+    run._page = None if is_own(contact) else page
     if stopped_by is not None:
         stopped_by.run = run  # type: ignore[attr-defined]
         raise stopped_by

@@ -80,6 +80,14 @@ class TestFits:
         few = {name: recording[name][::6] for name in ("time", "body", "position")}
         assert saltus.identify(scene, {**few, "sigma": 100 * SIGMA}).remarks == []  # so few may do so by chance
 
+    def test_a_page(self, scene, recording, tmp_path):
+        fit = saltus.identify(scene, recording, law="network:2")
+        fit.save_page(tmp_path / "page")
+        page = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+        for heading in ("Fits", "Law of impact", "Motions", "Scene"):
+            assert f'"text":"{heading}"' in page
+        assert saltus.load_result(tmp_path / "page" / "result.json").to_dict() == fit.to_dict()
+
     def test_a_law_of_impact(self, scene, recording):
         fit = saltus.identify(scene, recording, law="network:2")
         assert fit["law"]["impacts"] == 1
