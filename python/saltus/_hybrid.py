@@ -355,8 +355,10 @@ class Cost(Closed):
         return () if isinstance(self.at, str) else tuple(self.at)
 
     def _terms(self, problem: HybridProblem) -> list[Any]:
-        """The terms of C++: one, or one for each time."""
+        """The terms of C++: one, or one for each time, or for each mode in which one holds always."""
         recorded = self._recorded(problem)
+        if self.at == "always":
+            return recorded
         if not self._times:
             return [recorded]
         return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
@@ -369,6 +371,8 @@ class Cost(Closed):
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
         if isinstance(self.function, Record):
+            if self.at == "always":
+                return self.function.of_cost
             reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
@@ -383,6 +387,8 @@ class Cost(Closed):
             if name not in _LETTERS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
+        if self.at == "always" and "h" not in names and "x0" not in names:
+            return self._recorded_always(system, names)
         if self.at != "steps" and ("u" in names or "h" in names):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
         if self.at != "end" and ("x0" in names or "xT" in names):
@@ -401,6 +407,21 @@ class Cost(Closed):
         found = _outputs(self.name, tape, values)
         at = self.at if isinstance(self.at, str) else "steps"
         return (self.name, at, self.role, mode, self.guard or "", self.before, -1, "".join(reads), [sizes[r] for r in reads], found)
+
+    def _recorded_always(self, system: System, names: list[str]) -> list[Any]:
+        """Records the function for its mode, or for each mode, with the inputs of a flow."""
+        if not isinstance(system, HybridSystem):
+            raise ValueError(f"{self.name}: found at='always' with a MechanicalSystem, expected a HybridSystem; "
+                             "at='steps' holds at the beginnings of control intervals, which may be short")
+        self._mode_in(system)
+        if self.mode is None and "x" in names:
+            self._state_size(system)
+        terms = []
+        for mode in system.modes if self.mode is None else [self.mode]:
+            tape, symbols = system._symbols(mode, control=True)
+            found = _outputs(self.name, tape, _call(self.name, self.function, {name: symbols[name] for name in names}, ""))
+            terms.append((self.name, "always", self.role, system._mode_number(mode), "", False, -1, "", [], found))
+        return terms
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
@@ -465,14 +486,20 @@ def residuals(
     beginnings of control intervals or of the end (``durations=`` puts these anywhere). A function at the end may also read
     the state at the start as x0 and that at the end as xT: ``lambda x0, xT: xT - x0`` is zero for a periodic motion. mode:
     where it counts; any without.
+    "always" is for inequalities that hold at all times, between the beginnings of intervals too: in each interval each residual is
+    taken where it is greatest along the flow of the mode, which is integrated in eight parts and searched for times at which
+    the rate of the residual falls through zero. Solvers in phases put the ends of intervals at events.
     role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
     """
     if not isinstance(at, str):
         at = _read_times("at", at)
-    elif at not in ("steps", "event", "end"):
-        raise ValueError(f"at: found {at!r}, expected one of steps, event, end, or a list of times")
+    elif at not in ("steps", "always", "event", "end"):
+        raise ValueError(f"at: found {at!r}, expected one of steps, always, event, end, or a list of times")
     if role not in ("cost", "equality", "inequality"):
         raise ValueError(f"role: found {role!r}, expected one of cost, equality, inequality")
+    if at == "always" and role != "inequality":
+        raise ValueError(f"at: found 'always' with the role {role!r}, expected 'inequality'; a cost over time is one at steps, whose "
+                         "function multiplies by the length h of the interval")
     if not callable(function):
         raise TypeError(f"function: found {type(function).__name__}, expected a function")
     if at == "event" and guard is None:
