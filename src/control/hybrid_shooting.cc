@@ -116,8 +116,7 @@ bool HybridShooting::FindPlaces() {
         places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, term.occurrence < 0 ? -1 : rows});
       }
       if (term.occurrence >= found) {
-        const std::string name = term.event.empty() ? functions.GuardName(term.mode, term.guard) : term.event;
-        return Fail(term.name + ": found " + std::to_string(found) + " events '" + name +
+        return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
                     "' in the motion, expected at least " + std::to_string(term.occurrence + 1) +
                     "; start from a guess that has them, or solve along a sequence with them");
       }

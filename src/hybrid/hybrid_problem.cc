@@ -71,23 +71,18 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
   const HybridSystem& system = problem.system;
   if (term.function == nullptr) return "found no function";
   const bool of_events = term.at == HybridTerm::At::kEvent;
-  const bool of_guard = of_events && term.event.empty();
-  if (term.mode < (of_guard ? 0 : -1) || term.mode >= system.num_modes()) {
-    return "found mode " + Number(term.mode) + ", expected " + (of_guard ? "0" : "-1") + " to " +
-           Number(system.num_modes() - 1);
+  if (term.mode < -1 || term.mode >= system.num_modes()) {
+    return "found mode " + Number(term.mode) + ", expected -1 to " + Number(system.num_modes() - 1);
   }
-  if (of_events && !of_guard && !system.functions().CreatesModes()) {
+  if (of_events && !system.functions().CreatesModes()) {
     std::set<std::string> names;
-    for (int mode = 0; mode < system.num_modes(); ++mode) {
+    for (int mode = std::max(0, term.mode); mode < (term.mode < 0 ? system.num_modes() : term.mode + 1); ++mode) {
       for (int guard = 0; guard < system.num_guards(mode); ++guard) names.insert(system.GuardName(mode, guard));
     }
     if (!names.contains(term.event)) {
       return "found the event '" + term.event + "', expected " +
              (names.empty() ? "none, as there are no guards" : "some of " + Joined({names.begin(), names.end()}));
     }
-  }
-  if (of_guard && (term.guard < 0 || term.guard >= system.num_guards(term.mode))) {
-    return "found guard " + Number(term.guard) + ", expected 0 to " + Number(system.num_guards(term.mode) - 1);
   }
   if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
     return "only a term of each interval reads a control or a length";
@@ -160,10 +155,9 @@ std::string WhatIsWrongWithStates(const HybridProblem& problem) {
 
 }  // namespace
 
-bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int of_guard) const {
-  if (of_guard < 0 || functions.IsSwitch(of_mode, of_guard) || (mode >= 0 && functions.BaseMode(of_mode) != mode))
-    return false;
-  return event.empty() ? of_guard == guard : functions.GuardName(of_mode, of_guard) == event;
+bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int guard) const {
+  return guard >= 0 && !functions.IsSwitch(of_mode, guard) && (mode < 0 || functions.BaseMode(of_mode) == mode) &&
+         functions.GuardName(of_mode, guard) == event;
 }
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {

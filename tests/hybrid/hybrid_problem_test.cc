@@ -61,7 +61,7 @@ HybridProblem BallWithAllKindsOfTerms() {
   HybridTerm events{.name = "events",
                     .at = HybridTerm::At::kEvent,
                     .mode = 0,
-                    .guard = 0,
+                    .event = "ground",
                     .with_state = true,
                     .with_parameters = true,
                     .with_time = true};
@@ -341,7 +341,8 @@ TEST(HybridProblem, SaysWhatIsWrong) {
             "terminal cost of component 0: found no function");
   EXPECT_EQ(with([](HybridProblem* p) { p->terms[1].with_time = true; }),
             "terminal cost of component 1: found a function of blocks of sizes 2, expected 2 1");
-  EXPECT_EQ(with([](HybridProblem* p) { p->terms[4].guard = 1; }), "events: found guard 1, expected 0 to 0");
+  EXPECT_EQ(with([](HybridProblem* p) { p->terms[4].event = "wall"; }),
+            "events: found the event 'wall', expected some of ground");
   EXPECT_EQ(with([](HybridProblem* p) { p->free.initial = {2}; }),
             "found number 2 of the initial state, expected 0 to 1");
   EXPECT_EQ(with([](HybridProblem* p) { p->free.control_min = {1, 2}; }), "found 2 bounds of the control, expected 1");

@@ -34,16 +34,13 @@ struct HybridTerm {
   std::string name = "term";  // for messages
   At at = At::kEnd;
   Role role = Role::kCost;
-  // kEvent: of events of this guard in this mode, both given, or of those of this name in this mode or in any;
-  // otherwise the mode in which the term counts, or any mode. At the end of a motion that ends in another mode than the
-  // one given, there is no loss.
+  // The mode in which the term counts; -1: any. At the end of a motion that ends in another mode there is no loss.
   int mode = -1;
-  int guard = -1;
-  std::string event = "";
+  std::string event = "";  // kEvent: the name of the guard
   // kEvent: the only one of these events at which it counts, from 0; -1: at each. A motion without it has no loss.
   int occurrence = -1;
   // Returns whether it counts at events of a guard in a mode. Precondition: kEvent.
-  bool CountsAt(const HybridFunctions& functions, int of_mode, int of_guard) const;
+  bool CountsAt(const HybridFunctions& functions, int of_mode, int guard) const;
   bool before = false;  // kEvent: the state before the reset, in the place of that after it
   // kEachInterval: the only interval at whose beginning it counts; -1: at each. Solvers in phases do not support it.
   int interval = -1;

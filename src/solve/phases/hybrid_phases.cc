@@ -164,8 +164,7 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
     guess_ = std::move(*start);
     Simulate(&guess_);
   }
-  const bool starts = guess_.exact.ok || StartsAlongSequence() || !guess_.guess_states.empty();
-  if (starts) Record(guess_.exact.loss);  // infinite without a motion
+  if (Starts()) Record(guess_.exact.loss);  // infinite without a motion
 }
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
@@ -175,9 +174,8 @@ std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
                       " does not lead from the mode at the start to one in which the terms at the end apply, or lacks "
                       "an event of a term");
   }
-  if (!guess_.exact.ok && (StartsAlongSequence() || !guess_.guess_states.empty())) return std::nullopt;
-  if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
-  if (guess_.exact.only_impacts) return std::nullopt;
+  if (!Starts()) return Refuse(Termination::kFailed, guess_.exact.reason);
+  if (!guess_.exact.ok || guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
                 "distinct times only");

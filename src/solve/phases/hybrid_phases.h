@@ -72,8 +72,12 @@ class HybridPhaseRun final : public SequenceRun {
   // Plans a sequence. An event that the motion lacks is put between its neighbours, where its guard is smallest.
   void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
                  std::vector<double>* times) const;
-  // Whether the guess has a motion, and a sequence is given along which the terms apply, if not to that motion.
-  bool StartsAlongSequence() const { return sequence_ && guess_.exact.moves && guess_.exact.only_impacts; }
+  // Whether there is something to start from: a motion, to which the terms need not apply if a sequence is given, or
+  // states.
+  bool Starts() const {
+    const auto& exact = guess_.exact;
+    return exact.ok || (sequence_ && exact.moves && exact.only_impacts) || !guess_.guess_states.empty();
+  }
   // Whether each event is one of the mode that the event before it leads to, and the terms apply to such a motion.
   bool IsPossible(const PlanOf<ModeEvent>& plan) const { return IsPossible(plan.Sequence()); }
   bool IsPossible(const std::vector<ModeEvent>& sequence) const;
