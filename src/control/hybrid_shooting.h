@@ -96,7 +96,17 @@ class HybridShooting final : public ShootingFunction {
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
   std::vector<double>* StateIn(HybridCotangent* cotangent, const Place& place) const;
-  Eigen::RowVectorXd RowByMotion(const Place& place, std::span<const double> by_state, double by_time);
+  // The derivative of weighted residuals: through the motion, and by the parts of the input that terms read directly.
+  struct Derivative {
+    HybridCotangent cotangent;
+    bool reads_motion = false;
+    HybridGradient direct;
+  };
+  Derivative NoDerivative() const;
+  // Adds that of the residuals at a place, weighted.
+  void PullBack(const Place& place, const Values& values, const Eigen::RowVectorXd& weights, Derivative* sum) const;
+  // Returns the derivative by all of the input: by the sensitivities of the motion, or by an adjoint without these.
+  HybridGradient TotalOf(Derivative of, const HybridSensitivity* motion);
   std::string DescribePlace(const Place& place) const;
   // Keep the reason why there is no loss, or no derivative of it, and return false.
   bool Fail(std::string why);
