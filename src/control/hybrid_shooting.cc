@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "base/number_text.h"
+#include "base/statistics.h"
 
 namespace saltus {
 namespace {
@@ -19,10 +20,6 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 
 // A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
 constexpr int kColumnsOfRow = 4;
-
-bool AllFinite(std::span<const double> numbers) {
-  return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
-}
 
 }  // namespace
 

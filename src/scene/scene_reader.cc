@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "base/suggestion.h"
+#include "base/table.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/scene_rules.h"
@@ -41,7 +42,7 @@ const Value& SceneReader::Fields::Require(const std::string& key, const std::str
 }
 
 SceneReader::Fields SceneReader::ReadFields(const Value& map, const std::vector<std::string>& known) {
-  if (!map.node.IsMap()) FailExpected(map, "a map with keys out of " + Join(known));
+  if (!map.node.IsMap()) FailExpected(map, "a map with keys out of " + Joined(known));
   Fields fields{map, {}};
   for (const auto& entry : map.node) {
     const YAML::Node& key = entry.first;
@@ -51,7 +52,7 @@ SceneReader::Fields SceneReader::ReadFields(const Value& map, const std::vector<
     const std::string path = (map.path.empty() ? "" : map.path + '.') + Printable(key.Scalar());
     if (std::find(known.begin(), known.end(), key.Scalar()) == known.end()) {
       throw SceneFileFailure{
-          line, path, "found an unknown key, expected one of " + Join(known) + Suggestion(key.Scalar(), known)};
+          line, path, "found an unknown key, expected one of " + Joined(known) + Suggestion(key.Scalar(), known)};
     }
     if (!fields.values.emplace(key.Scalar(), Value{entry.second, path, line}).second) {
       throw SceneFileFailure{line, path, "found the key again, expected it once"};
@@ -220,7 +221,7 @@ int SceneReader::ReadMaterial(const Value& value) const {
   if (name == kNoMaterial && !names.empty()) return -1;
   FailExpected(value,
                names.empty() ? "no such key: the scene has no materials"
-                             : "one of the scene's materials, " + Join(names) + Suggestion(name, names));
+                             : "one of the scene's materials, " + Joined(names) + Suggestion(name, names));
 }
 
 int SceneReader::ReadMaterialOf(const Fields& fields) const {

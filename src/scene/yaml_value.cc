@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "base/suggestion.h"
+#include "base/table.h"
 
 namespace saltus::internal {
 namespace {
@@ -140,12 +141,6 @@ std::string Printable(std::string_view text) {
   return length < text.size() ? printable + "..." : printable;
 }
 
-std::string Join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
-
 YAML::Node LoadYaml(std::string_view text) {
   CheckText(text);
   std::istringstream stream{std::string(text)};
@@ -200,7 +195,7 @@ int ReadChoice(const Value& value, const std::vector<std::string>& choices) {
   const auto choice = std::find(choices.begin(), choices.end(), value.node.IsScalar() ? value.node.Scalar() : "");
   if (choice == choices.end()) {
     FailExpected(value,
-                 "one of " + Join(choices) + (value.node.IsScalar() ? Suggestion(value.node.Scalar(), choices) : ""));
+                 "one of " + Joined(choices) + (value.node.IsScalar() ? Suggestion(value.node.Scalar(), choices) : ""));
   }
   return static_cast<int>(choice - choices.begin());
 }

@@ -24,9 +24,6 @@ struct SceneFileFailure {
 // Returns `text` on one line, without control characters, cut at a character of UTF-8.
 std::string Printable(std::string_view text);
 
-// Joins words with commas.
-std::string Join(const std::vector<std::string>& words);
-
 // Parses one document without anchors, aliases and tags, not deeper than kMaxSceneDepth.
 YAML::Node LoadYaml(std::string_view text);
 

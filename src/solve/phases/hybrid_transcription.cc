@@ -8,6 +8,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "base/statistics.h"
+
 namespace saltus {
 namespace {
 
@@ -45,9 +47,7 @@ class Rows : public ceres::CostFunction {
     if (jacobians[block] == nullptr) return;
     Eigen::Map<Matrix>(jacobians[block], derivative.rows(), derivative.cols()) = derivative;
   }
-  bool AreFinite(const double* rows) const {
-    return std::all_of(rows, rows + num_residuals(), [](double row) { return std::isfinite(row); });
-  }
+  bool AreFinite(const double* rows) const { return AllFinite(std::span(rows, num_residuals())); }
 };
 
 // The sizes that are not 0.
@@ -458,9 +458,7 @@ bool HybridTranscription::Lay(const Start& start) {
     after.resize(functions_.state_size(event.next_mode));
     nodes_.push_back(std::move(after));
   }
-  return std::all_of(nodes_.begin(), nodes_.end(), [](const std::vector<double>& x) {
-    return std::all_of(x.begin(), x.end(), [](double number) { return std::isfinite(number); });
-  });
+  return std::ranges::all_of(nodes_, AllFinite);
 }
 
 void HybridTranscription::AddSteps() {
