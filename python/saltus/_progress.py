@@ -10,6 +10,7 @@ from typing import Any, Callable, TextIO
 _DELAY = 2.0  # s, before the first line
 _INTERVAL = 0.2  # s, between lines
 _WIDTH = 100  # characters of a line
+_line = threading.Lock()  # held by what writes lines: a call within another one, or beside it, writes none
 
 
 def _is_notebook() -> bool:
@@ -40,7 +41,8 @@ class Progress:
         if shown not in (None, True, False):
             raise TypeError(f"progress: found {type(shown).__name__}, expected True, False or None")
         self._out = sys.stderr if out is None else out
-        self.shown = self._out.isatty() or _is_notebook() if shown is None else bool(shown)
+        wanted = self._out is not None and (self._out.isatty() or _is_notebook()) if shown is None else bool(shown)
+        self.shown = wanted and self._out is not None
         self._name, self._total, self._delay = name, total, _DELAY if delay is None else delay
         self._done, self._text, self._width = 0, "", 0
         self._end = threading.Event()
@@ -74,6 +76,7 @@ class Progress:
         return noted
 
     def __enter__(self) -> Progress:
+        self.shown = self.shown and _line.acquire(blocking=False)
         if self.shown:
             self._thread = threading.Thread(target=self._write_lines, daemon=True)
             self._thread.start()
@@ -83,6 +86,7 @@ class Progress:
         if self._thread is not None:
             self._end.set()
             self._thread.join()
+            _line.release()
 
     def _write_lines(self) -> None:
         begin = time.monotonic()

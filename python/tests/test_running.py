@@ -285,6 +285,16 @@ class TestProgress:
         saltus.solve(two_balls, "ncp", "gd", iterations=LONG, seconds=0.5, progress=True)
         assert "/10000000, " in capsys.readouterr().err
 
+    def test_calls_within_others_have_no_line(self):
+        out = io.StringIO()
+        with _progress.Progress("sweep", True, 2, out, delay=0) as shown, _progress.Progress("solve", True, 9, out, delay=0) as inner:
+            assert shown.shown and not inner.shown
+            while "sweep" not in out.getvalue():
+                time.sleep(0.01)
+        assert "solve" not in out.getvalue()
+        with _progress.Progress("solve", True, 9, out) as later:
+            assert later.shown
+
     def test_files_have_no_line_unless_asked_for(self, two_balls):
         assert not _progress.Progress("solve", None, out=io.StringIO()).shown
         with pytest.raises(TypeError, match="progress: found str, expected True, False or None"):
