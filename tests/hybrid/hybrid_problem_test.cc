@@ -103,13 +103,15 @@ TEST(HybridShooting, GradientAgreesWithDifferences) {
   }
 }
 
-// 2 J' r is the gradient, of all that is no cost at events.
+// 2 J' r is the gradient, of all that is no cost at each event.
 TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
   HybridProblem problem = BallWithAllKindsOfTerms();
-  std::erase_if(problem.terms, [](const HybridTerm& term) { return term.at == HybridTerm::At::kEvent; });
+  for (HybridTerm& term : problem.terms) {
+    if (term.at == HybridTerm::At::kEvent) term.occurrence = term.before ? 0 : 1;
+  }
   HybridShooting shooting(problem);
   const int rows = shooting.num_residuals(), columns = shooting.num_variables();
-  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 7);
+  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 2 + 2 + 7);
   std::vector<double> residuals(rows), jacobian(rows * columns), gradient(columns);
   double loss = 0;
   ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
@@ -327,6 +329,15 @@ TEST(HybridSolvers, SayWhatTheyCannotTake) {
   problem.terms[0].role = HybridTerm::Role::kEquality;
   EXPECT_THAT(Solve("gd", problem, {}).reason, HasSubstr("terminal cost of component 0 is a constraint"));
   EXPECT_EQ(Solve("gd", problem, {}).termination, Termination::kNotApplicable);
+}
+
+TEST(HybridShooting, AMotionWithoutTheEventOfATermHasNoLoss) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  problem.terms[4].occurrence = 2;  // of two
+  HybridShooting shooting(problem);
+  double loss = 0;
+  EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr));
+  EXPECT_THAT(shooting.WhyFailed(), HasSubstr("events: found 2 events 'ground' in the motion, expected at least 3"));
 }
 
 TEST(HybridProblem, SaysWhatIsWrong) {
