@@ -115,7 +115,7 @@ def audit(
     surrogate: str | Mapping[str, Any] | None,
     threads: int,
     audit_seconds: float,
-) -> dict[str, Any]: ...
+) -> tuple[dict[str, Any], BaseException | None]: ...
 def solve(
     scene: Scene,
     contact: Any,

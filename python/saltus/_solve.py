@@ -211,7 +211,8 @@ def audit(
 
     A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
     (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
-    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt. This exception, and one that
+    ``simulate`` raises, has the models that were audited until then as its attribute ``audit``.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -280,7 +281,7 @@ def audit(
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     with Progress("audit", progress):
-        found = _saltus.audit(
+        found, stopped_by = _saltus.audit(
             as_scene(scene),
             names,
             own,
@@ -290,4 +291,8 @@ def audit(
             threads=threads,
             audit_seconds=audit_seconds,
         )
-    return Audit(found)
+    report = Audit(found)
+    if stopped_by is not None:
+        stopped_by.audit = report  # type: ignore[attr-defined]
+        raise stopped_by
+    return report

@@ -84,9 +84,26 @@ class TestInterrupts:
             saltus.Batch(two_balls, "ncp").loss_and_gradient(np.full((20_000, 960), 3.0))
         timer.join()
         timer = interrupt_soon()
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt) as caught:
             saltus.audit(two_balls.replace(steps=96_000), "all")
         timer.join()
+        assert isinstance(caught.value.audit, saltus.Audit)
+
+    def test_an_audit_keeps_the_models_that_it_has_judged(self, two_balls):
+        calls = []
+
+        def simulate(scene, initial, control, dt):
+            calls.append(1)
+            if len(calls) == 3:
+                raise KeyboardInterrupt
+            return initial
+
+        expected = saltus.audit(two_balls, "toi_velocity").of("toi_velocity")
+        with pytest.raises(KeyboardInterrupt) as caught:
+            saltus.audit(two_balls, "toi_velocity", simulate=simulate)
+        kept = caught.value.audit
+        assert kept.of("toi_velocity").to_dict() == expected.to_dict()
+        assert kept.verdicts.get("simulate", "interrupted") == "interrupted"
 
     def test_another_handler(self, two_balls):
         def handler(number, frame):
