@@ -421,7 +421,7 @@ def interp(x: Any, xs: Any, ys: Any) -> Any:
 
     x: a number, a symbol of a function that is recorded, such as a state or the time, or an array of these. xs: numbers.
     ys: numbers or symbols, such as parameters. The points are switches of x: the simulation locates where it passes them.
-    Of numbers it is numpy.interp.
+    For numbers it equals numpy.interp.
     """
     return _table("interp xs ys", x, xs, ys, _linear)
 
@@ -440,7 +440,7 @@ def spline(x: Any, xs: Any, ys: Any) -> Any:
 
     It has two continuous derivatives, the third one is also continuous at the second and the last but one point
     (not-a-knot), and outside of the points it goes on with its first and last cubic. Through two points it is a line, and
-    through three a parabola. The points are switches of x. Of numbers it is scipy.interpolate.CubicSpline(xs, ys)(x).
+    through three a parabola. The points are switches of x. For numbers it equals scipy.interpolate.CubicSpline(xs, ys)(x).
     """
     return _table("spline xs ys", x, xs, ys, _cubic)
 

@@ -387,7 +387,7 @@ class Cost(Closed):
             if name not in _LETTERS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
-        if self.at == "always" and "h" not in names and "x0" not in names:
+        if self.at == "always" and not {"h", "x0", "xT"}.intersection(names):
             return self._recorded_always(system, names)
         if self.at != "steps" and ("u" in names or "h" in names):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")

@@ -238,8 +238,8 @@ def audit(
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
         audit_seconds: time, s, within which the audit of ``simulate`` is planned, from the time that its first gradient
-            takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not. Of a
-            HybridProblem, the time for the refinement, which makes at least four levels.
+            takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not. For a
+            HybridProblem it limits the refinement beyond its first four levels.
         progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step, a function of some of

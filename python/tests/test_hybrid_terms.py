@@ -691,6 +691,7 @@ class TestAlways:
     @pytest.mark.parametrize("arguments, words", [
         ({"function": lambda x: x[0]}, "at: found 'always' with the role 'cost', expected 'inequality'; a cost over time is one at steps"),
         ({"function": lambda x, h: x[0], "role": "inequality"}, "only a cost at steps reads a control u or the length h"),
+        ({"function": lambda xT: xT[0], "role": "inequality"}, "only a term at the end reads the states x0 at the start and xT"),
         ({"function": lambda x: x[0], "role": "inequality", "mode": "n"}, "found 'n', expected some of m"),
         ({"function": lambda x: x[5], "role": "inequality", "name": "far"}, "far: IndexError: index 5 is out of bounds"),
         ({"function": lambda x, q: x[0], "role": "inequality"}, "found an argument 'q'"),
