@@ -6,6 +6,7 @@ import os
 from typing import Any, Callable, Mapping, Sequence, Union
 
 from . import _saltus
+from ._hybrid import HybridProblem
 from ._progress import Progress
 from ._results import Fit
 from ._scene import SceneLike, as_scene
@@ -77,6 +78,10 @@ def identify(
     Raises:
         ValueError: a recording, a name or an option is wrong, or the model does not support the scene.
     """
+    for given_scene in scene if isinstance(scene, (list, tuple)) else [scene]:
+        if isinstance(given_scene, HybridProblem):
+            raise TypeError("scene: found a HybridProblem, expected a scene; data of a HybridProblem are costs, saltus.measurements and "
+                            "saltus.event_times, which saltus.solve(problem, optimize=[...]) fits")
     expect("text", law=law, events=events, loss=loss)
     expect_int(starts=starts, threads=threads)
     expect("a number", loss_scale=loss_scale, segment=segment, seconds=seconds)
