@@ -60,9 +60,10 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
 // gradients are of ("final state", "loss", or "" without any), and whether it has single steps.
 using OwnSimulator = std::tuple<std::string, py::object, std::string, bool>;
 
-py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
-                    const std::string& precision, bool width_sweep, const py::object& surrogate, int threads,
-                    double audit_seconds) {
+// An audit, and what has stopped it: an exception or None. One that was stopped has the models that were begun.
+py::tuple AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
+                     const std::string& precision, bool width_sweep, const py::object& surrogate, int threads,
+                     double audit_seconds) {
   Request request;
   request.scene = scene;
   request.precision = ReadPrecision(precision);
@@ -86,7 +87,7 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
   }
   AuditReport report;
   report.models.resize(contacts.size());
-  computation.RunOrThrow([&] {
+  const auto audit = [&] {
     report.reference = ExactGradientOf(scene, options.stop);
     ParallelFor(workers, static_cast<int>(contacts.size()), [&](int /*thread*/, int i) {
       report.models[i] = AuditModel(request.contacts[i], scene, request.precision, report.reference, options);
@@ -95,12 +96,18 @@ py::dict AuditScene(const Scene& scene, const std::vector<std::string>& contacts
     for (const std::shared_ptr<BlackBox>& box : boxes) {
       report.models.push_back(AuditBlackBox(box, scene, report.reference, options, {audit_seconds}));
     }
-  });
+  };
+  try {
+    computation.RunOrThrow(audit);
+  } catch (const py::error_already_set& error) {
+    std::erase_if(report.models, [](const ModelAudit& model) { return model.gradient.contact.empty(); });
+    return py::make_tuple(ToPython(AuditToJson(request, report)), error.value());
+  }
   const ModelGradient& first = report.models[0].gradient;
   if (contacts.size() + own.size() == 1 && !first.ok() && IsNotApplicable(first, scene)) {
     throw py::value_error("contact " + first.contact + ": " + first.reason);
   }
-  return ToPython(AuditToJson(request, report));
+  return py::make_tuple(ToPython(AuditToJson(request, report)), py::none());
 }
 
 // Colour, line and marker of a contact model in every figure, in matplotlib's names.

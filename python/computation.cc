@@ -1,5 +1,9 @@
 #include "computation.h"
 
+#include <cmath>
+
+#include "base/number_text.h"
+
 namespace saltus::python {
 namespace {
 
@@ -8,6 +12,18 @@ constexpr std::chrono::milliseconds kLook(50);  // how often signals are looked 
 }  // namespace
 
 thread_local Computation* Computation::current_ = nullptr;
+
+Computation::Computation(double seconds) : caller_(std::this_thread::get_id()), seconds_(seconds) {
+  if (!(seconds >= 0) || std::isinf(seconds)) {
+    throw py::value_error("seconds: found " + ToText(seconds) +
+                          ", expected a finite number of at least 0; 0 is no limit");
+  }
+}
+
+std::string Computation::WhyTimedOut() const {
+  if (!stopped_ || error_) return "";
+  return "the limit of " + ToText(seconds_) + " s was reached; raise seconds, or go on from what was found";
+}
 
 void Computation::StopCurrent(std::exception_ptr error) {
   if (current_ != nullptr) current_->StopFor(std::move(error));
@@ -24,8 +40,9 @@ py::object Computation::StoppedBy() const {
 
 bool Computation::Stopped() {
   if (stopped_) return true;
-  if (std::this_thread::get_id() != caller_) return false;
   const auto now = std::chrono::steady_clock::now();
+  if (seconds_ > 0 && std::chrono::duration<double>(now - begin_).count() >= seconds_) return stopped_ = true;
+  if (std::this_thread::get_id() != caller_) return false;
   if (now < next_look_) return false;
   next_look_ = now + kLook;
   WithPython([] {

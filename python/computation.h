@@ -8,6 +8,7 @@
 #include <exception>
 #include <mutex>
 #include <stdexcept>
+#include <string>
 #include <thread>
 #include <utility>
 
@@ -20,7 +21,8 @@ namespace py = pybind11;
 // To be made and destroyed with the GIL held.
 class Computation {
  public:
-  Computation() : caller_(std::this_thread::get_id()) {}
+  // `seconds`: after which it is to end; 0 is no limit. Throws ValueError for a number that is no such time.
+  explicit Computation(double seconds = 0);
   Computation(const Computation&) = delete;
   Computation& operator=(const Computation&) = delete;
 
@@ -57,6 +59,8 @@ class Computation {
     return [this] { return Stopped(); };
   }
   bool Stopped();
+  // Returns the reason why it has ended before it was done, if that was the limit of time, otherwise an empty text.
+  std::string WhyTimedOut() const;
 
   // Runs `call` with the GIL, from any thread; stops the computation if it throws. False then, and without a call if it
   // has been stopped before.
@@ -90,10 +94,12 @@ class Computation {
 
   static thread_local Computation* current_;
   std::thread::id caller_;
+  const double seconds_;  // limit of time; 0: none
+  const std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
   std::chrono::steady_clock::time_point next_look_{};  // of the caller's thread
   std::atomic<bool> stopped_{false};
   std::mutex mutex_;
-  std::exception_ptr error_;  // the first
+  std::exception_ptr error_;  // the first; none if the time was over
 };
 
 // Lets one thread at a time use a simulator, and tells that one, all its life, when its user is asked to stop.

@@ -170,28 +170,37 @@ class Filter {
   Filter(const Scene& scene, double time, const py::object& mean, const py::object& covariance)
       : num_controls_(scene.control_width()), state_sizes_{static_cast<int>(InitialSize(scene))} {
     CheckTakes("event", scene);
-    const Eigen::VectorXd estimate = ReadMean(mean, 0);  // the mean is named first where both are wrong
-    filter_.emplace(scene, ReadTime(time), estimate, ReadCovariance(covariance, "covariance", 0), user_.stop());
+    const int n = state_sizes_[0];
+    const Eigen::VectorXd estimate = ReadVector(mean, "mean", n);  // the mean is named first where both are wrong
+    filter_.emplace(scene, ReadTime(time), estimate, ReadCovariance(covariance, "covariance", n), user_.stop());
   }
   Filter(const HybridSystem& system, const py::object& parameters, double time, int mode, const py::object& mean,
          const py::object& covariance)
-      : num_controls_(system.num_controls()) {
+      : num_controls_(system.num_controls()), system_(system) {
     for (int i = 0; i < system.num_modes(); ++i) state_sizes_.push_back(system.state_size(i));
-    const Eigen::VectorXd estimate = ReadMean(mean, mode);
+    const int n = system.state_size(mode);
+    const Eigen::VectorXd estimate = ReadVector(mean, "mean", n);
     filter_.emplace(system,
                     ToVector(ReadArray(parameters, "parameters", {system.num_parameters()})),
                     ReadTime(time),
                     mode,
                     estimate,
-                    ReadCovariance(covariance, "covariance", mode),
+                    ReadCovariance(covariance, "covariance", n),
                     HybridOptions{.stop = user_.stop()});
   }
+  // Mode -1: that in which a motion from the mean starts without a control.
+  Filter(const MechanicalSystem& system, const py::object& parameters, double time, int mode, const py::object& mean,
+         const py::object& covariance)
+      : Filter(system.hybrid(), parameters, time, StartOf(system, parameters, ReadTime(time), mode, mean), mean,
+               covariance) {}
 
   double time() {
     return Read<double>([this] { return filter_->time(); });
   }
-  int mode() {
-    return Read<int>([this] { return filter_->mode(); });
+  // The name of the mode; empty in a scene.
+  std::string mode() {
+    if (!system_) return "";
+    return Read<std::string>([this] { return system_->ModeName(filter_->mode()); });
   }
   // Copies, because the filter gives up its own when it moves on.
   Eigen::VectorXd mean() {
@@ -210,8 +219,7 @@ class Filter {
     if (!process.is_none()) {
       const py::array given = py::array::ensure(process);
       const auto size = std::ranges::find(state_sizes_, given && given.ndim() == 2 ? given.shape(0) : -1);
-      const int mode = size == state_sizes_.end() ? 0 : static_cast<int>(size - state_sizes_.begin());
-      added = ReadCovariance(process, "process", mode);
+      added = ReadCovariance(process, "process", size == state_sizes_.end() ? state_sizes_[0] : *size);
     }
     Compute([&] {
       if (!(time >= filter_->time())) {
@@ -260,11 +268,16 @@ class Filter {
     if (!std::isfinite(time)) throw py::value_error("time: found " + std::to_string(time) + ", expected a finite time");
     return time;
   }
-  Eigen::VectorXd ReadMean(const py::object& mean, int mode) const {
-    return ReadVector(mean, "mean", state_sizes_.at(mode));
+  static int StartOf(const MechanicalSystem& system, const py::object& parameters, double time, int mode,
+                     const py::object& mean) {
+    const HybridSystem& hybrid = system.hybrid();
+    HybridInput input{.mode = mode, .begin = time};
+    input.initial = ToVector(ReadArray(mean, "mean", {hybrid.state_size(0)}));
+    input.parameters = ToVector(ReadArray(parameters, "parameters", {hybrid.num_parameters()}));
+    if (const std::string why = WhyNoStart(system, &input); !why.empty()) throw py::value_error("mean: " + why);
+    return input.mode;
   }
-  Eigen::MatrixXd ReadCovariance(const py::object& value, const std::string& name, int mode) const {
-    const int n = state_sizes_.at(mode);
+  static Eigen::MatrixXd ReadCovariance(const py::object& value, const std::string& name, int n) {
     Eigen::MatrixXd covariance = ReadMatrix(value, name, n, n);
     CheckCovariance(covariance, name);
     return covariance;
@@ -272,6 +285,7 @@ class Filter {
 
   int num_controls_;              // numbers of a control
   std::vector<int> state_sizes_;  // of the modes
+  std::optional<HybridSystem> system_;
   std::optional<SaltedKalmanFilter> filter_;
   OneUser user_;
 };
@@ -298,17 +312,22 @@ void BindFeedback(py::module_* module) {
            py::arg("samples"),
            py::arg("seed"),
            py::arg("threads"));
-  py::class_<Filter>(*module, "SaltedKalmanFilter")
+  py::class_<Filter> filter(*module, "SaltedKalmanFilter");
+  const auto define_with = [&]<typename System>(const System*) {
+    filter.def(py::init<const System&, const py::object&, double, int, const py::object&, const py::object&>(),
+               py::arg("system"),
+               py::arg("parameters"),
+               py::arg("time"),
+               py::arg("mode"),
+               py::arg("mean"),
+               py::arg("covariance"));
+  };
+  define_with(static_cast<const HybridSystem*>(nullptr));
+  define_with(static_cast<const MechanicalSystem*>(nullptr));
+  filter
       .def(py::init<const Scene&, double, const py::object&, const py::object&>(),
            py::arg("scene"),
            py::arg("time"),
-           py::arg("mean"),
-           py::arg("covariance"))
-      .def(py::init<const HybridSystem&, const py::object&, double, int, const py::object&, const py::object&>(),
-           py::arg("system"),
-           py::arg("parameters"),
-           py::arg("time"),
-           py::arg("mode"),
            py::arg("mean"),
            py::arg("covariance"))
       .def("predict", &Filter::Predict, py::arg("time"), py::arg("control"), py::arg("process"))

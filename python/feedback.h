@@ -8,6 +8,7 @@
 #include <string>
 
 #include "saltus/feedback/closed_loop.h"
+#include "saltus/hybrid/mechanical_system.h"
 
 namespace saltus::python {
 
@@ -19,6 +20,10 @@ struct PlannedMotion {
   std::function<std::unique_ptr<Plant>()> make_plant;
   std::string remark = {};  // why there is no derivative, or only a one-sided one
 };
+
+// Returns why a mechanical system has no motion from an input, empty if it has one. Sets the mode of the input if it is
+// -1.
+std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input);
 
 // Gains, costs to go and closed loops of the intervals; the events of a regulator in continuous time; the remark.
 pybind11::tuple RegulatorToPython(const Regulator& regulator, const std::string& remark);

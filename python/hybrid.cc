@@ -20,6 +20,7 @@
 #include "control/hybrid_shooting.h"
 #include "convert.h"
 #include "feedback.h"
+#include "greatest_value.h"
 #include "hybrid/recorded_functions.h"
 #include "hybrid/recorded_mechanics.h"
 #include "output/page.h"
@@ -155,25 +156,37 @@ std::vector<std::string> NextModesOf(const MechanicalSystem& system, int mode, i
   return names;
 }
 
-// name, "steps" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, guard, before, interval, letters
-// of what the function reads (some of "xiupth", in this order; i: the initial state), sizes of these, the function.
-using TermTuple =
-    std::tuple<std::string, std::string, std::string, int, int, bool, int, std::string, std::vector<int>, Outputs>;
+// name, "steps" | "always" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, name of the guard,
+// before, the only interval or event, letters of what the function reads (some of "xiupth", in this order; i: the
+// initial state), sizes of these, the function. One "always" holds in a control interval that begins in its mode, and
+// reads [x t p u].
+using TermTuple = std::tuple<std::string, std::string, std::string, int, std::string, bool, int, std::string,
+                             std::vector<int>, Outputs>;
 
 // A term that was recorded, or one that was read from a file.
 using GivenTerm = std::variant<HybridTerm, TermTuple>;
 
-HybridTerm ReadTerm(const GivenTerm& given) {
+HybridTerm ReadTerm(const GivenTerm& given, const HybridSystem& system) {
   if (const auto* term = std::get_if<HybridTerm>(&given)) return *term;
-  const auto& [name, at, role, mode, guard, before, interval, reads, sizes, function] = std::get<TermTuple>(given);
-  HybridTerm term{.name = name, .mode = mode, .guard = guard, .before = before, .interval = interval};
-  term.at = at == "steps"   ? HybridTerm::At::kEachInterval
-            : at == "event" ? HybridTerm::At::kEvent
-                            : HybridTerm::At::kEnd;
+  const auto& [name, at, role, mode, event, before, only, reads, sizes, function] = std::get<TermTuple>(given);
+  HybridTerm term{.name = name, .mode = mode, .event = event, .before = before};
+  (at == "event" ? term.occurrence : term.interval) = only;
+  const bool always = at == "always";
+  term.at = always || at == "steps" ? HybridTerm::At::kEachInterval
+            : at == "event"         ? HybridTerm::At::kEvent
+                                    : HybridTerm::At::kEnd;
   term.role = role == "equality"     ? HybridTerm::Role::kEquality
               : role == "inequality" ? HybridTerm::Role::kInequality
               : role == "value"      ? HybridTerm::Role::kValue
                                      : HybridTerm::Role::kCost;
+  if (always) {
+    const int n = system.state_size(mode), m = system.num_controls(), num_p = system.num_parameters();
+    term.with_state = term.with_time = term.with_length = true;
+    term.with_control = m > 0;
+    term.with_parameters = num_p > 0;
+    term.function = std::make_shared<GreatestValue>(system, mode, ReadFunction(n + 1 + num_p + m, function));
+    return term;
+  }
   const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
   term.with_state = has('x');
   term.with_initial = has('i');
@@ -311,6 +324,44 @@ StopRequest StopAfterGrace(Computation* computation) {
   };
 }
 
+// Returns why a mechanical system is not in a mode: a closed contact has a gap.
+std::string WhyNotIn(const MechanicalSystem& system, int mode, const HybridInput& input) {
+  const MechanicalFunctions& functions = system.functions();
+  const std::string status = system.hybrid().ModeName(mode);
+  double size = 1;
+  for (const double number : input.initial) size = std::max(size, std::abs(number));
+  for (int i = 0; i < functions.layout().num_contacts; ++i) {
+    const double gap = functions.Gap(i, input.initial.data(), input.parameters.data());
+    if (status[i] == 'o' || std::abs(gap) <= kMostGap * size) continue;
+    return "contact '" + functions.layout().contact_names[i] + "' is closed in mode '" + status + "', and its gap is " +
+           ToText(gap, 6) + "; leave the mode out to have it found";
+  }
+  return "";
+}
+
+}  // namespace
+
+std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input) {
+  const auto finite = [](const std::vector<double>& numbers) {
+    return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
+  };
+  if (!finite(input->initial) || !finite(input->parameters)) {
+    input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
+    return "";
+  }
+  if (input->mode >= 0) {
+    const std::string why = system.WhatIsWrongAt(input->initial, input->parameters);
+    return why.empty() ? WhyNotIn(system, input->mode, *input) : why;
+  }
+  std::vector<double> control = input->control;
+  control.resize(system.hybrid().num_controls());
+  MechanicalSystem::Start start = system.FindMode(input->initial, control, input->parameters, input->begin);
+  input->mode = start.mode;
+  return start.mode >= 0 ? "" : std::move(start.why);
+}
+
+namespace {
+
 // A problem without its guess, which every call brings along: several threads may call at the same time.
 class Problem {
  public:
@@ -319,7 +370,7 @@ class Problem {
       : problem_{.system = system,
                  .guess = {},
                  .integration = ReadIntegration(tolerance, steps, wait, most_events, most_repeats)} {
-    for (const GivenTerm& term : terms) problem_.terms.push_back(ReadTerm(term));
+    for (const GivenTerm& term : terms) problem_.terms.push_back(ReadTerm(term, system));
   }
   Problem(const MechanicalSystem& system, const std::vector<GivenTerm>& terms, double tolerance, int steps, bool wait,
           int most_events, int most_repeats)
@@ -344,7 +395,8 @@ class Problem {
     }
     if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
     if (mechanical_) {
-      if (const std::string why = WhyNoStart(&input); !why.empty()) throw py::value_error("initial: " + why);
+      if (const std::string why = WhyNoStart(*mechanical_, &input); !why.empty())
+        throw py::value_error("initial: " + why);
     }
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
@@ -454,7 +506,7 @@ class Problem {
         HybridInput input = first.InputAt(point);
         input.mode = std::get<0>(guess);
         std::string& why = reasons[i];
-        if (mechanical_) why = WhyNoStart(&input);
+        if (mechanical_) why = WhyNoStart(*mechanical_, &input);
         if (why.empty()) {
           auto known = shootings[thread].find(input.mode);
           if (known == shootings[thread].end()) {
@@ -511,8 +563,8 @@ class Problem {
                   const std::vector<int>& parameters, bool duration,
                   const std::vector<std::vector<std::pair<double, double>>>& bounds, int iterations,
                   double learning_rate, std::vector<double> guess_states, const py::object& callback,
-                  const std::optional<std::vector<std::pair<int, int>>>& sequence) const {
-    Computation computation;
+                  const std::optional<std::vector<std::pair<int, int>>>& sequence, double seconds) const {
+    Computation computation(seconds);
     HybridProblem problem = At(guess, StopAfterGrace(&computation));
     problem.guess_states = std::move(guess_states);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
@@ -556,6 +608,7 @@ class Problem {
     }
     computation.Run([&] {
       report = saltus::Solve(solver, problem, options);
+      if (report.termination == Termination::kInterrupted) report.reason += computation.WhyTimedOut();
       if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
     });
     if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);
@@ -623,11 +676,12 @@ class Problem {
 
   // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
-                 const std::string& command, int steps, bool width_sweep, double budget) const {
+                 const std::string& command, int steps, bool width_sweep, double budget, double seconds) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
     Computation computation;
     const HybridProblem problem = At(guess, StopAfterGrace(&computation));
-    HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
+    HybridAuditOptions options{
+        .steps = steps, .seconds = seconds, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
@@ -641,41 +695,6 @@ class Problem {
   }
 
  private:
-  // Returns why a mechanical system is not in a mode: a closed contact has a gap.
-  std::string WhyNotIn(int mode, const HybridInput& input) const {
-    const MechanicalFunctions& functions = mechanical_->functions();
-    const std::string status = problem_.system.ModeName(mode);
-    double size = 1;
-    for (const double number : input.initial) size = std::max(size, std::abs(number));
-    for (int i = 0; i < functions.layout().num_contacts; ++i) {
-      const double gap = functions.Gap(i, input.initial.data(), input.parameters.data());
-      if (status[i] == 'o' || std::abs(gap) <= kMostGap * size) continue;
-      return "contact '" + functions.layout().contact_names[i] + "' is closed in mode '" + status +
-             "', and its gap is " + ToText(gap, 6) + "; leave the mode out to have it found";
-    }
-    return "";
-  }
-
-  // Returns why a mechanical system has no motion from an input, whose mode is found if it is not given.
-  std::string WhyNoStart(HybridInput* input) const {
-    const auto finite = [](const std::vector<double>& numbers) {
-      return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
-    };
-    if (!finite(input->initial) || !finite(input->parameters)) {
-      input->mode = std::max(input->mode, 0);  // what checks the input of any system refuses it
-      return "";
-    }
-    if (input->mode >= 0) {
-      const std::string why = mechanical_->WhatIsWrongAt(input->initial, input->parameters);
-      return why.empty() ? WhyNotIn(input->mode, *input) : why;
-    }
-    std::vector<double> control = input->control;
-    control.resize(problem_.system.num_controls());
-    MechanicalSystem::Start start = mechanical_->FindMode(input->initial, control, input->parameters);
-    input->mode = start.mode;
-    return start.mode >= 0 ? "" : std::move(start.why);
-  }
-
   HybridProblem problem_;
   std::optional<MechanicalSystem> mechanical_;
   std::unique_ptr<HybridShooting> shooting_;  // of the last gradient
@@ -741,7 +760,8 @@ void BindHybrid(py::module_* module) {
            py::arg("learning_rate"),
            py::arg("guess_states"),
            py::arg("callback"),
-           py::arg("sequence"));
+           py::arg("sequence"),
+           py::arg("seconds"));
   problem
       .def("losses",
            &Problem::Losses,
@@ -775,7 +795,8 @@ void BindHybrid(py::module_* module) {
               py::arg("command"),
               py::arg("steps"),
               py::arg("width_sweep"),
-              py::arg("budget"));
+              py::arg("budget"),
+              py::arg("seconds"));
   module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }
 

@@ -54,7 +54,7 @@ Recording ReadRecording(const py::handle& given, const std::string& name, const 
 
 struct FitKeywords {
   std::string law, events, loss;
-  double loss_scale, segment;
+  double loss_scale, segment, seconds;
   bool known_start;
   int starts, threads;
 };
@@ -91,7 +91,7 @@ IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) 
   return options;
 }
 
-// A fit, and what has stopped it: an exception or None.
+// A fit, the function that writes its page to a folder, and what has stopped it: an exception or None.
 py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const std::string& unknown,
                         const py::object& contact_name, const py::object& status, const FitKeywords& keywords) {
   const Contact contact = ReadContact(contact_name);
@@ -104,7 +104,7 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     const std::string name = "recordings[" + std::to_string(i) + "]";
     identified.recordings.push_back(ReadRecording(recordings[i], name, scene));
   }
-  Computation computation;
+  Computation computation(keywords.seconds);
   options.stop = computation.stop();
   if (!status.is_none()) {
     options.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
@@ -113,9 +113,18 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     identified.reports.push_back(
         Identify(contact, scene, identified.recordings, std::get<std::vector<Unknown>>(unknowns), options));
   });
-  const IdentifyReport& report = identified.reports[0];
+  IdentifyReport& report = identified.reports[0];
   if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(contact.name() + ": " + report.reason);
-  return py::make_tuple(ToPython(IdentifiedToJson(scene, identified)["fits"][0]), computation.StoppedBy());
+  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation.WhyTimedOut();
+  const Json document = IdentifiedToJson(scene, identified);
+  const py::object result = ToPython(document["fits"][0]);
+  const py::cpp_function page([scene, identified = std::move(identified), document](const std::string& folder) {
+    Request request;
+    request.scene = scene;
+    request.output_dir = folder;
+    Computation().RunOrThrow([&] { WriteIdentifyReport(request, identified, document); });
+  });
+  return py::make_tuple(result, page, computation.StoppedBy());
 }
 
 }  // namespace
@@ -132,6 +141,7 @@ void BindIdentify(py::module_* module) {
          const std::string& loss,
          double loss_scale,
          double segment,
+         double seconds,
          bool known_start,
          int starts,
          int threads,
@@ -141,7 +151,7 @@ void BindIdentify(py::module_* module) {
                              unknown,
                              contact,
                              status,
-                             {law, events, loss, loss_scale, segment, known_start, starts, threads});
+                             {law, events, loss, loss_scale, segment, seconds, known_start, starts, threads});
       },
       py::arg("scene"),
       py::arg("recordings"),
@@ -153,6 +163,7 @@ void BindIdentify(py::module_* module) {
       py::arg("loss"),
       py::arg("loss_scale"),
       py::arg("segment"),
+      py::arg("seconds"),
       py::arg("known_start"),
       py::arg("starts"),
       py::arg("threads"),

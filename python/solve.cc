@@ -27,6 +27,7 @@ struct Keywords {
   int threads;
   double memory_limit;  // MiB
   bool keep_iterates;
+  double seconds;
 };
 
 void SetSequence(const Scene& scene, const std::string& sequence, SolverOptions* options) {
@@ -82,13 +83,31 @@ py::dict RunToPython(const Scene& scene, const SolvedRun& run) {
   return result;
 }
 
-// A run, and what has stopped it: an exception or None.
+// Returns a function that writes the page and the solution of a run to a folder, as programs do.
+py::object PageOfRun(const Scene& scene, const Contact& contact, SolvedRun run, Precision precision) {
+  Request request;
+  request.scene = scene;
+  request.contacts = {contact.name()};
+  request.solvers = {run.report.solver};
+  request.precision = precision;
+  run.report.iterates.clear();
+  return py::cpp_function([request, solved = SolvedRuns{{std::move(run)}}](const std::string& folder) {
+    Request in_folder = request;
+    in_folder.output_dir = folder;
+    Computation().RunOrThrow([&] {
+      WriteSolutions(in_folder, solved);
+      WriteSolveReport(in_folder, solved);
+    });
+  });
+}
+
+// A run, the function of its page, and what has stopped it: an exception or None.
 py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const std::string& solver,
                      const std::string& precision, const py::object& callback, const py::object& status,
                      const Keywords& keywords) {
   const Contact contact = ReadContact(contact_name);
   SolverOptions options = ReadOptions(scene, keywords);
-  Computation computation;
+  Computation computation(keywords.seconds);
   options.stop = computation.stop();
   if (!callback.is_none()) {
     options.callback = [&](int iteration, double loss) {
@@ -103,7 +122,9 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   const Precision arithmetic = ReadPrecision(precision);
   computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
-  return py::make_tuple(RunToPython(scene, run), computation.StoppedBy());
+  if (run.report.termination == Termination::kInterrupted) run.report.reason += computation.WhyTimedOut();
+  py::dict result = RunToPython(scene, run);
+  return py::make_tuple(result, PageOfRun(scene, contact, std::move(run), arithmetic), computation.StoppedBy());
 }
 
 // Returns sequences by the names of their pairs, with their bounds.
@@ -185,7 +206,8 @@ void BindSolve(py::module_* module) {
          const py::object& surrogate,
          int threads,
          double memory_limit,
-         bool keep_iterates) {
+         bool keep_iterates,
+         double seconds) {
         return SolveScene(scene,
                           contact,
                           solver,
@@ -200,7 +222,8 @@ void BindSolve(py::module_* module) {
                            surrogate,
                            threads,
                            memory_limit,
-                           keep_iterates});
+                           keep_iterates,
+                           seconds});
       },
       py::arg("scene"),
       py::arg("contact"),
@@ -217,7 +240,8 @@ void BindSolve(py::module_* module) {
       py::arg("surrogate"),
       py::arg("threads"),
       py::arg("memory_limit"),
-      py::arg("keep_iterates"));
+      py::arg("keep_iterates"),
+      py::arg("seconds"));
   module->def("solvers", [] {
     std::vector<SolverEntry> solvers = AllSolvers();
     solvers.insert(solvers.end(), SolversByName().begin(), SolversByName().end());

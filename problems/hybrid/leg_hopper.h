@@ -118,7 +118,7 @@ inline HybridProblem LegHopperProblem() {
                                   {.name = "apex",
                                    .at = HybridTerm::At::kEvent,
                                    .mode = flight,
-                                   .guard = 0,  // the foot hits the ground
+                                   .event = "foot hit",
                                    .before = true,
                                    .with_state = true,
                                    .with_parameters = true,

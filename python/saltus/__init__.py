@@ -19,8 +19,8 @@ Optimisation    solve, solvers, bound_globally
 Sweeps          sweep: many points of some options, on all cores or with a distributed.Client of Dask
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
-Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where; terminal, effort,
-                final_time, residuals, cost, maximise, measurements; rollout, final_derivatives, loss_and_gradient, solve,
+Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where, interp, spline; terminal, effort,
+                final_time, residuals, cost, maximise, measurements, event_times; rollout, final_derivatives, loss_and_gradient, solve,
                 hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
@@ -41,7 +41,7 @@ raises RuntimeError, which names the step. The interpreter lock is released whil
 computation.
 """
 
-from ._expression import where
+from ._expression import interp, spline, where
 from ._feedback import Covariance, NoisyRuns, Regulator, SaltedKalmanFilter, noisy_runs, propagate, track
 from ._hybrid import (
     HybridAudit,
@@ -54,6 +54,7 @@ from ._hybrid import (
     HybridSystem,
     cost,
     effort,
+    event_times,
     final_derivatives,
     final_time,
     hybrid_solvers,
@@ -106,10 +107,12 @@ __all__ = [
     "contact_models",
     "cost",
     "effort",
+    "event_times",
     "final_derivatives",
     "final_time",
     "hybrid_solvers",
     "identify",
+    "interp",
     "linearize",
     "load_bodies",
     "load_result",
@@ -123,6 +126,7 @@ __all__ = [
     "rollout",
     "solve",
     "solvers",
+    "spline",
     "sweep",
     "terminal",
     "track",

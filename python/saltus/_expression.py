@@ -384,10 +384,109 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0)
     return default
 
 
+def _table(name: str, x: Any, xs: Any, ys: Any, piece: Callable[[Any, Any], Callable[[int, Any], Any]]) -> Any:
+    """The values at x of a table, by the function of its intervals and of a number that `piece` returns for its points.
+    Interval -1 is before the first point, and interval n - 1 behind the last one of n. Symbols have the points as switches.
+
+    name: of the function, points and values, for messages."""
+    name, *kinds = name.split()
+    symbols, points, values = _as_array(x), _as_array(xs), _as_array(ys)
+    for kind, numbers in zip(kinds, (points, values)):
+        if not all(isinstance(entry, Expression) or math.isfinite(entry) for entry in numbers.flat):
+            raise ValueError(f"{name}: found {kind} with a number that is not finite, expected finite numbers")
+    known = not any(isinstance(entry, Expression) for entry in points.flat)
+    if not known or points.ndim != 1 or points.shape != values.shape or len(points) == 0 or not np.all(np.diff(points) > 0):
+        raise ValueError(f"{name}: expected {kinds[0]} with increasing numbers, and as many values {kinds[1]}")
+    points = points.astype(float)
+    of_piece = piece(points, values)
+
+    def between(v: Any, low: int, high: int) -> Any:
+        if low == high:
+            return of_piece(low, v)
+        middle = (low + high + 1) // 2
+        return where(v < points[middle], between(v, low, middle - 1), between(v, middle, high))
+
+    result = np.empty(symbols.shape, dtype=object)
+    for i in np.ndindex(symbols.shape):
+        v = symbols[i]
+        known = not isinstance(v, Expression)
+        result[i] = of_piece(int(np.searchsorted(points, v, "right")) - 1, v) if known else between(v, -1, len(points) - 1)
+    if not any(isinstance(entry, Expression) for entry in result.flat):
+        result = result.astype(float)
+    return result if result.ndim else result[()]
+
+
+def interp(x: Any, xs: Any, ys: Any) -> Any:
+    """The value at x of a table of values ys at increasing points xs, linear between them and constant outside.
+
+    x: a number, a symbol of a function that is recorded, such as a state or the time, or an array of these. xs: numbers.
+    ys: numbers or symbols, such as parameters. The points are switches of x: the simulation locates where it passes them.
+    For numbers it equals numpy.interp.
+    """
+    return _table("interp xs ys", x, xs, ys, _linear)
+
+
+def _linear(points: Any, values: Any) -> Callable[[int, Any], Any]:
+    def at(i: int, v: Any) -> Any:
+        if i < 0 or i == len(points) - 1:
+            return values[max(i, 0)]
+        return values[i] + (values[i + 1] - values[i]) / (points[i + 1] - points[i]) * (v - points[i])
+
+    return at
+
+
+def spline(x: Any, xs: Any, ys: Any) -> Any:
+    """The value at x of the cubic spline through values ys at increasing points xs; arguments as of `interp`.
+
+    It has two continuous derivatives, the third one is also continuous at the second and the last but one point
+    (not-a-knot), and outside of the points it goes on with its first and last cubic. Through two points it is a line, and
+    through three a parabola. The points are switches of x. For numbers it equals scipy.interpolate.CubicSpline(xs, ys)(x).
+    """
+    return _table("spline xs ys", x, xs, ys, _cubic)
+
+
+def _cubic(points: Any, values: Any) -> Callable[[int, Any], Any]:
+    n, h = len(points), np.diff(points).tolist()
+    if n < 2:
+        raise ValueError("spline: found one point in xs, expected at least two")
+    rises = [(values[i + 1] - values[i]) / h[i] for i in range(n - 1)]
+    slopes = _slopes_of_spline(h, rises) if n > 3 else [rises[0]] * 2 if n == 2 else _slopes_of_parabola(h, rises)
+
+    def at(i: int, v: Any) -> Any:
+        i = min(max(i, 0), n - 2)
+        s, bend = v - points[i], (slopes[i] + slopes[i + 1] - 2 * rises[i]) / h[i]
+        return values[i] + s * (slopes[i] + s * ((rises[i] - slopes[i]) / h[i] - bend + s * (bend / h[i])))
+
+    return at
+
+
+def _slopes_of_parabola(h: list[float], rises: list[Any]) -> list[Any]:
+    bend = (rises[1] - rises[0]) / (h[0] + h[1])
+    return [rises[0] - h[0] * bend, rises[0] + h[0] * bend, rises[1] + h[1] * bend]
+
+
+def _slopes_of_spline(h: list[float], rises: list[Any]) -> list[Any]:
+    """The slopes at the points of a spline that is not-a-knot, by elimination in its tridiagonal equations."""
+    ends = []
+    for (h0, h1), (r0, r1) in ((h[:2], rises[:2]), ((h[-1], h[-2]), (rises[-1], rises[-2]))):
+        ends.append((h1, h0 + h1, ((3 * h0 + 2 * h1) * h1 * r0 + h0 * h0 * r1) / (h0 + h1)))
+    diagonal, above, right = [ends[0][0]], [ends[0][1]], [ends[0][2]]
+    below = [*h[1:], ends[1][1]]
+    for i in range(1, len(h) + 1):
+        inner = i < len(h)
+        factor = below[i - 1] / diagonal[-1]
+        diagonal.append((2 * (h[i - 1] + h[i]) if inner else ends[1][0]) - factor * above[-1])
+        right.append((3 * (h[i] * rises[i - 1] + h[i - 1] * rises[i]) if inner else ends[1][2]) - factor * right[-1])
+        above.append(h[i - 1])
+    slopes = [right[-1] / diagonal[-1]]
+    for i in reversed(range(len(h))):
+        slopes.insert(0, (right[i] - above[i] * slopes[0]) / diagonal[i])
+    return slopes
+
+
 def _interp(x: Any, xp: Any, fp: Any, *arguments: Any, **keywords: Any) -> Any:
-    """numpy.interp of a table, whose points are switches of the symbol x."""
-    symbols, points, values = _as_array(x), np.asarray(xp), _as_array(fp)
-    if not any(isinstance(entry, Expression) for entry in (*symbols.flat, *points.flat, *values.flat)):
+    """numpy.interp in functions that are recorded."""
+    if not any(isinstance(entry, Expression) for of in (x, xp, fp) for entry in _as_array(of).flat):
         return np.interp(x, xp, fp, *arguments, **keywords)
     if arguments or keywords:
         raise TypeError(
@@ -395,26 +494,7 @@ def _interp(x: Any, xp: Any, fp: Any, *arguments: Any, **keywords: Any) -> Any:
             "saltus.where(x < xp[0], left, saltus.where(x > xp[-1], right, np.interp(x, xp, fp))); for a period, let xp cover it and pass "
             "x % period"
         )
-    if points.dtype == object or points.ndim != 1 or points.shape != values.shape or len(points) == 0 or not np.all(np.diff(points) > 0):
-        raise ValueError("numpy.interp: expected xp with increasing numbers, and as many values fp")
-    for name, numbers in (("xp", points), ("fp", values)):
-        if not all(isinstance(entry, Expression) or math.isfinite(entry) for entry in numbers.flat):
-            raise ValueError(f"numpy.interp: found {name} with a number that is not finite, expected finite numbers")
-    last = len(points) - 1
-
-    def at(v: Any) -> Any:
-        def between(low: int, high: int) -> Any:
-            if high - low > 1:
-                middle = (low + high) // 2
-                return where(v < points[middle], between(low, middle), between(middle, high))
-            return values[low] + (values[high] - values[low]) / (points[high] - points[low]) * (v - points[low])
-
-        return where(v < points[0], values[0], where(v < points[last], between(0, last), values[last])) if last else values[0]
-
-    result = np.empty(symbols.shape, dtype=object)
-    for i in np.ndindex(symbols.shape):
-        result[i] = at(symbols[i])
-    return result if result.ndim else result[()]
+    return _table("numpy.interp xp fp", x, xp, fp, _linear)
 
 
 def _inverse(a: Any) -> Any:

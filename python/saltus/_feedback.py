@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _saltus
-from ._hybrid import HybridProblem, HybridRun, HybridSystem
+from ._hybrid import HybridProblem, HybridRun, HybridSystem, System
 from ._own import as_contact
+from ._progress import Progress
 from ._results import Result, Run
 from ._scene import SceneLike, as_scene, of_run
 from ._types import Floats, Remade, expect, expect_int
@@ -173,21 +174,24 @@ def noisy_runs(
     samples: int = 1000,
     seed: int = 1,
     threads: int = 0,
+    progress: bool | None = None,
 ) -> NoisyRuns:
     """Simulates a plan with noise, in open loop or with a regulator, which compares states with equally many events behind
     them (reference spreading).
 
     Covariance matrices, ``regulator``, ``plan`` and ``durations`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
-    0 is one for each core; results do not depend on it.
+    0 is one for each core; results do not depend on it. ``progress``: whether a line on stderr shows the progress after two seconds;
+    default: on terminals and in notebooks.
     """
     expect_int(samples=samples, threads=threads)
     expect("a whole number", seed=seed)
     if not 0 <= seed < 2**64:
         raise ValueError(f"seed: found {seed}, expected a whole number from 0 to {2**64 - 1}")
     matrices = _covariances(initial=initial, control=control, process=process, measurement=measurement)
-    mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
-        matrices, _gains(regulator), samples, seed, threads
-    )
+    with Progress("noisy runs", progress):
+        mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
+            matrices, _gains(regulator), samples, seed, threads
+        )
     error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")
     return NoisyRuns({
         "mean": mean, "covariance": covariance, "final_error": error, "counted": counted, "failed": failed,
@@ -196,22 +200,24 @@ def noisy_runs(
 
 
 class SaltedKalmanFilter(Remade):
-    """An extended Kalman filter whose mean flows through the events of a HybridSystem or of a scene, and whose covariance
-    passes them by saltation matrices.
+    """An extended Kalman filter whose mean flows through the events of a hybrid or mechanical system or of a scene, and whose
+    covariance passes them by saltation matrices.
 
     The estimate may be in another mode than the truth: see docs/how-to/feedback.md.
 
     Args:
-        system: a HybridSystem; or a Scene, a dict or the path of a scene file, whose state is that of all discs in one row.
+        system: a HybridSystem, or a MechanicalSystem, whose state is [q v]; or a Scene, a dict or the path of a scene file,
+            whose state is that of all discs in one row.
         mean, covariance: the estimate, (n,) and (n, n).
         time: its time, s.
-        mode: its mode, of a HybridSystem; default: the first.
-        parameters: of a HybridSystem.
+        mode: its mode, of a system; default: the first of a HybridSystem, and of a MechanicalSystem that in which a motion
+            from the mean starts without a control.
+        parameters: of a system.
     """
 
     def __init__(
         self,
-        system: HybridSystem | SceneLike,
+        system: System | SceneLike,
         mean: ArrayLike,
         covariance: ArrayLike,
         *,
@@ -221,13 +227,11 @@ class SaltedKalmanFilter(Remade):
     ):
         expect("a number", time=time)
         estimate = (np.ravel(mean), np.asarray(covariance))
-        self._system = system if isinstance(system, HybridSystem) else as_scene(system)
+        self._system: Any = system if isinstance(system, System) else as_scene(system)
         self._parameters = np.array(parameters)
-        self._modes = system.modes if isinstance(system, HybridSystem) else []
-        if isinstance(system, HybridSystem):
-            if mode is not None and mode not in self._modes:
-                raise ValueError(f"mode: found {mode!r}, expected some of {', '.join(self._modes)}")
-            number = 0 if mode is None else self._modes.index(mode)
+        if isinstance(system, System):
+            first = system.modes[0] if mode is None and isinstance(system, HybridSystem) else mode
+            number = system._mode_number(first)
             self._filter = _saltus.SaltedKalmanFilter(system._system, parameters, time, number, *estimate)
         else:
             self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
@@ -258,7 +262,7 @@ class SaltedKalmanFilter(Remade):
     @property
     def mode(self) -> str:
         """The name of the mode; empty in a scene."""
-        return self._modes[self._filter.mode] if self._modes else ""
+        return self._filter.mode
 
     @property
     def mean(self) -> Floats:

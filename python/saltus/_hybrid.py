@@ -90,6 +90,10 @@ class System(Closed):
     def _guards_of(self, mode: str) -> list[str]:
         raise NotImplementedError
 
+    def _all_guards(self) -> list[str]:
+        """Returns the names of the guards of all modes."""
+        raise NotImplementedError
+
     def _size_after(self, mode: str, guard: str) -> int:
         """Returns the size of the state after an event."""
         raise NotImplementedError
@@ -254,6 +258,9 @@ class HybridSystem(System):
     def _guards_of(self, mode: str) -> list[str]:
         return self.guards[mode]
 
+    def _all_guards(self) -> list[str]:
+        return list(dict.fromkeys(guard for guards in self.guards.values() for guard in guards))
+
     def _size_after(self, mode: str, guard: str) -> int:
         return len(self.states[self._next_modes[mode, guard]])
 
@@ -348,8 +355,10 @@ class Cost(Closed):
         return () if isinstance(self.at, str) else tuple(self.at)
 
     def _terms(self, problem: HybridProblem) -> list[Any]:
-        """The terms of C++: one, or one for each time."""
+        """The terms of C++: one, or one for each time, or for each mode in which one holds always."""
         recorded = self._recorded(problem)
+        if self.at == "always":
+            return recorded
         if not self._times:
             return [recorded]
         return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
@@ -362,6 +371,8 @@ class Cost(Closed):
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
         if isinstance(self.function, Record):
+            if self.at == "always":
+                return self.function.of_cost
             reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
@@ -376,11 +387,14 @@ class Cost(Closed):
             if name not in _LETTERS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
+        if self.at == "always" and not {"h", "x0", "xT"}.intersection(names):
+            return self._recorded_always(system, names)
         if self.at != "steps" and ("u" in names or "h" in names):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
         if self.at != "end" and ("x0" in names or "xT" in names):
             raise ValueError(f"{self.name}: only a term at the end reads the states x0 at the start and xT at the end")
         letters = {_LETTERS[name] for name in names}
+        mode = self._mode_in(system)
         sizes = {"x": self._state_size(system) if "x" in letters else 0, "i": len(system._states_of(problem.mode)),
                  "u": len(system.controls), "p": len(system.parameters), "t": 1, "h": 1}
         tape, first, symbols = Tape(), 0, {}
@@ -390,31 +404,46 @@ class Cost(Closed):
             symbols[name] = inputs[0] if name in "th" else inputs
             first += sizes[name]
         values = _call(self.name, self.function, {name: symbols[_LETTERS[name]] for name in names}, "")
-        mode = -1 if self.mode is None else system._mode_number(self.mode)
-        guard = -1 if self.guard is None else system._guards_of(str(self.mode)).index(self.guard)
         found = _outputs(self.name, tape, values)
         at = self.at if isinstance(self.at, str) else "steps"
-        return (self.name, at, self.role, mode, guard, self.before, -1, "".join(reads), [sizes[r] for r in reads], found)
+        return (self.name, at, self.role, mode, self.guard or "", self.before, -1, "".join(reads), [sizes[r] for r in reads], found)
+
+    def _recorded_always(self, system: System, names: list[str]) -> list[Any]:
+        """Records the function for its mode, or for each mode, with the inputs of a flow."""
+        if not isinstance(system, HybridSystem):
+            raise ValueError(f"{self.name}: found at='always' with a MechanicalSystem, expected a HybridSystem; "
+                             "at='steps' holds at the beginnings of control intervals, which may be short")
+        self._mode_in(system)
+        if self.mode is None and "x" in names:
+            self._state_size(system)
+        terms = []
+        for mode in system.modes if self.mode is None else [self.mode]:
+            tape, symbols = system._symbols(mode, control=True)
+            found = _outputs(self.name, tape, _call(self.name, self.function, {name: symbols[name] for name in names}, ""))
+            terms.append((self.name, "always", self.role, system._mode_number(mode), "", False, -1, "", [], found))
+        return terms
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
             raise ValueError(f"{self.name}: found a state of {size} numbers, which no mode has")
 
+    def _mode_in(self, system: System) -> int:
+        """Returns the number of its mode, -1 without one. Raises ValueError if the system has no such mode or guard."""
+        try:
+            number = -1 if self.mode is None else system._mode_number(self.mode)
+        except ValueError as error:
+            raise _at(self.name, error) from error
+        guards = [] if self.guard is None else system._all_guards() if self.mode is None else system._guards_of(self.mode)
+        if self.guard is not None and self.guard not in guards:
+            of = "" if self.mode is None else f" of mode '{self.mode}'"
+            raise ValueError(f"{self.name}: found guard {self.guard!r}{of}, expected some of {', '.join(guards)}")
+        return number
+
     def _state_size(self, system: System) -> int:
-        if self.mode is not None:
-            try:
-                system._mode_number(self.mode)
-            except ValueError as error:
-                raise _at(self.name, error) from error
-        if self.guard is not None and self.guard not in system._guards_of(str(self.mode)):
-            raise ValueError(
-                f"{self.name}: found guard {self.guard!r} of mode '{self.mode}', expected some of "
-                f"{', '.join(system._guards_of(str(self.mode)))}"
-            )
         if self.size is not None:
             self._check_size(system, self.size)
             return self.size
-        if self.guard is not None and not self.before:
+        if self.guard is not None and self.mode is not None and not self.before:
             return system._size_after(str(self.mode), self.guard)
         if self.mode is not None:
             return len(system._states_of(self.mode))
@@ -452,23 +481,29 @@ def residuals(
 ) -> Cost:
     """A term of a problem from a function of some of t, x, u, p and h, by the names of its arguments.
 
-    at: "steps", the beginnings of the control intervals, of length h; "event", every event of `guard` in `mode`, with
-    the state after it, or before it if `before`; "end", after events there; or a list of times, which are those of
+    at: "steps", the beginnings of the control intervals, of length h; "event", every event of `guard`, in any mode or in
+    `mode`, with the state after it, or before it if `before`; "end", after events there; or a list of times, which are those of
     beginnings of control intervals or of the end (``durations=`` puts these anywhere). A function at the end may also read
     the state at the start as x0 and that at the end as xT: ``lambda x0, xT: xT - x0`` is zero for a periodic motion. mode:
     where it counts; any without.
+    "always" is for inequalities that hold at all times, between the beginnings of intervals too: in each interval each residual is
+    taken where it is greatest along the flow of the mode, which is integrated in eight parts and searched for times at which
+    the rate of the residual falls through zero. Solvers in phases put the ends of intervals at events.
     role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
     """
     if not isinstance(at, str):
         at = _read_times("at", at)
-    elif at not in ("steps", "event", "end"):
-        raise ValueError(f"at: found {at!r}, expected one of steps, event, end, or a list of times")
+    elif at not in ("steps", "always", "event", "end"):
+        raise ValueError(f"at: found {at!r}, expected one of steps, always, event, end, or a list of times")
     if role not in ("cost", "equality", "inequality"):
         raise ValueError(f"role: found {role!r}, expected one of cost, equality, inequality")
+    if at == "always" and role != "inequality":
+        raise ValueError(f"at: found 'always' with the role {role!r}, expected 'inequality'; a cost over time is one at steps, whose "
+                         "function multiplies by the length h of the interval")
     if not callable(function):
         raise TypeError(f"function: found {type(function).__name__}, expected a function")
-    if at == "event" and (mode is None or guard is None):
-        raise ValueError("at: an event needs the mode and the guard")
+    if at == "event" and guard is None:
+        raise ValueError("at: found an event without a guard, expected guard= with its name")
     if at != "event" and (guard is not None or before):
         raise ValueError("guard: only a term at events has one")
     place = at if isinstance(at, str) else "given times"
@@ -687,6 +722,51 @@ def measurements(
     if not np.all((deviations > 0) & np.isfinite(deviations)):
         raise ValueError("sigma: expected finite numbers > 0")
     return _Measurements(at, array, states, deviations)
+
+
+class _EventTimes(Cost):
+    """The times of the first, second, ... event of a guard, each compared with its value by a term of its own."""
+
+    def __init__(self, guard: str, mode: str | None, times: Any, sigma: Any):
+        super().__init__(f"times of '{guard}'", lambda t: t, "event", "cost", mode, guard, False, None)
+        self._data, self._sigma = times, sigma
+
+    def __reduce__(self) -> Any:
+        return (_EventTimes, (self.guard, self.mode, self._data, self._sigma))
+
+    def _as_recorded(self, problem: HybridProblem) -> Cost:
+        return self
+
+    def _terms(self, problem: HybridProblem) -> list[Any]:
+        terms = []
+        for number, (time, sigma) in enumerate(zip(self._data, self._sigma)):
+            if np.isnan(time):
+                continue
+            miss = Cost(self.name, lambda t, time=time, sigma=sigma: (t - float(time)) / float(sigma), "event", "cost", self.mode,
+                        self.guard, False, None)
+            term = miss._recorded(problem)
+            terms.append((*term[:6], number, *term[7:]))
+        return terms
+
+
+def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: str | None = None) -> Cost:
+    """A term that compares the times of events with data: the sum of ((time - value) / sigma)^2.
+
+    guard: the name of the events, such as "ground", or "tip hit" of a MechanicalSystem. times: (N,), of the first N such
+    events of the motion; NaN is one that was not seen. A motion with fewer events has no loss, and further ones do not count.
+    sigma: the standard deviation of a time: one number, or one for each time. mode: counts events from this mode only.
+    """
+    expect("text", guard=guard)
+    values = np.array(times, dtype=float)
+    if values.ndim != 1 or np.any(np.isinf(values)) or np.all(np.isnan(values)):
+        raise ValueError(f"times: found {times!r}, expected a list of finite numbers, and NaN where one is missing")
+    seen = values[~np.isnan(values)]
+    if np.any(np.diff(seen) < 0):
+        raise ValueError(f"times: found {seen[1:][np.diff(seen) < 0][0]:g} behind a later one, expected rising times")
+    deviations = _spread("sigma", sigma, values.shape, {values.shape: f"({len(values)},), one for each time"})
+    if not np.all((deviations > 0) & np.isfinite(deviations)):
+        raise ValueError("sigma: expected finite numbers > 0")
+    return _EventTimes(guard, mode, values, deviations)
 
 
 def effort(weight: float = 1.0) -> Cost:
@@ -1268,6 +1348,7 @@ def solve(
     guess_states: Any,
     callback: Any,
     sequence: Any,
+    seconds: float,
 ) -> HybridRun:
     free = problem._free(optimize)
     along = None if sequence is None else _sequence(problem, sequence)
@@ -1278,7 +1359,7 @@ def solve(
     pairs = problem._bounds(bounds, free)
     found, stopped_by = problem._call(
         "solve", solver, *free, pairs, iterations, learning_rate, np.ravel(states).tolist(), callback,
-        along
+        along, float(seconds)
     )
     data = {"solver": found["solver"], "termination": found["termination"], "reason": found.get("reason", ""),
             "remarks": found.get("remarks", []), "loss": None}
@@ -1333,9 +1414,12 @@ _BUDGET = 2e4
 
 
 def audit(
-    problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str
+    problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str,
+    seconds: float
 ) -> HybridAudit:
     expect_int(steps=steps)
+    if not 0 <= seconds < np.inf:
+        raise ValueError("audit_seconds: expected seconds, or 0 for no limit")
     if simulate is not None and (step is not None or not isinstance(simulate, str)):
         raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
     if simulate is None and not callable(step):
@@ -1366,6 +1450,7 @@ def audit(
         return call_step
 
     found = problem._call(
-        "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET
+        "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET,
+        float(seconds)
     )
     return HybridAudit(found)

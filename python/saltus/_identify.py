@@ -6,6 +6,8 @@ import os
 from typing import Any, Callable, Iterable, Mapping, Sequence, Union
 
 from . import _saltus
+from ._hybrid import HybridProblem
+from ._progress import Progress
 from ._results import Fit
 from ._scene import SceneLike, as_scene
 from ._types import expect, expect_int
@@ -38,6 +40,8 @@ def identify(
     starts: int = 12,
     threads: int = 0,
     status: Callable[[str], None] | None = None,
+    seconds: float = 0,
+    progress: bool | None = None,
 ) -> Fit:
     """Fits parameters of a scene to recorded positions of its discs, by least squares through impacts.
 
@@ -65,6 +69,8 @@ def identify(
         starts: largest number of starts of the fit.
         threads: number of threads; 0 is one per core.
         status: called as status(text) with the progress.
+        seconds: limit of time, s, after which the fit ends as "interrupted" with what it has; 0 is no limit.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Returns:
         The fit, whatever its verdict.
@@ -72,30 +78,37 @@ def identify(
     Raises:
         ValueError: a recording, a name or an option is wrong, or the model does not support the scene.
     """
+    for given_scene in scene if isinstance(scene, (list, tuple)) else [scene]:
+        if isinstance(given_scene, HybridProblem):
+            raise TypeError("scene: found a HybridProblem, expected a scene; data of a HybridProblem are costs, saltus.measurements and "
+                            "saltus.event_times, which saltus.solve(problem, optimize=[...]) fits")
     expect("text", law=law, events=events, loss=loss)
     expect_int(starts=starts, threads=threads)
-    expect("a number", loss_scale=loss_scale, segment=segment)
+    expect("a number", loss_scale=loss_scale, segment=segment, seconds=seconds)
     expect("True or False", known_start=known_start)
     expect("a callable", status=status)
     is_list = isinstance(recordings, Iterable) and not isinstance(recordings, (str, os.PathLike, Mapping))
     given = list(recordings) if is_list else [recordings]
     names = unknown if isinstance(unknown, str) else ",".join(unknown)
-    found, stopped_by = _saltus.identify(
-        as_scene(scene),
-        [_plain(recording, index) for index, recording in enumerate(given)],
-        names or ("" if law or events else "restitution"),
-        contact,
-        law=law,
-        events=events,
-        loss=loss,
-        loss_scale=loss_scale,
-        segment=segment,
-        known_start=known_start,
-        starts=starts,
-        threads=threads,
-        status=status,
-    )
+    with Progress("identify", progress) as shown:
+        found, page, stopped_by = _saltus.identify(
+            as_scene(scene),
+            [_plain(recording, index) for index, recording in enumerate(given)],
+            names or ("" if law or events else "restitution"),
+            contact,
+            law=law,
+            events=events,
+            loss=loss,
+            loss_scale=loss_scale,
+            segment=segment,
+            seconds=float(seconds),
+            known_start=known_start,
+            starts=starts,
+            threads=threads,
+            status=shown.status(status),
+        )
     fit = Fit(found)
+    fit._page = page
     if stopped_by is not None:
         stopped_by.fit = fit  # type: ignore[attr-defined]
         raise stopped_by

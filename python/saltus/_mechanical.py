@@ -15,6 +15,7 @@ from ._scene import _plain
 from ._types import Closed, expect
 
 _LAWS = ("newton", "poisson")
+_EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, behind the name of a contact
 _REST_SPEED = 1e-5  # that of C++
 
 
@@ -205,6 +206,9 @@ class MechanicalSystem(System):
 
     def _guards_of(self, mode: str) -> list[str]:
         return self._system.guards(self._system.mode(mode))
+
+    def _all_guards(self) -> list[str]:
+        return [f"{contact} {what}" for contact in self.contacts for what in _EVENTS]
 
     def _size_after(self, mode: str, guard: str) -> int:
         return len(self.states)

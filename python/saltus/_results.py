@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
-from typing import Any, Iterator, Mapping
+from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -196,7 +196,30 @@ class Gradient(Result):
     _kind = "gradient"
 
 
-class Run(Result):
+class _OfScene(Result):
+    """A result of a scene that has a page."""
+
+    _page: Callable[[str], None] | None = None
+
+    def save_page(self, folder: str | os.PathLike[str]) -> None:
+        """Writes the page that programs write, ``report.html``, and its numbers, ``result.json``, to a folder, which is made if
+        there is none; of a run also its motion and control, an NPZ file.
+
+        Raises:
+            ValueError: this result was read from a file or a pickle, or is of a contact model in Python; such have no page.
+            OSError: the folder cannot be made.
+        """
+        if self._page is None:
+            raise ValueError(
+                f"save_page: found a {self._kind} without its scene, from a file, a pickle or a contact model in Python; expected one that "
+                "solve or identify has returned for a built-in contact model"
+            )
+        os.makedirs(folder, exist_ok=True)
+        self._page(os.fspath(folder))
+        self.save(os.path.join(folder, "result.json"))
+
+
+class Run(_OfScene):
     """A run of a solver: ``termination``, ``final_loss`` under its contact model, ``exact_loss`` under exact dynamics,
     ``losses``, ``control`` (K, C, 2) in N, ``velocity`` (B, 2) in m/s, ``events``, ``certificate``, ``remarks``, ... If the control's
     intervals are not those of the scene, ``durations`` (K,) has their lengths, s."""
@@ -263,7 +286,7 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
     return f"{item['contact']}: the gradient {found}{_why(item)}"
 
 
-class Fit(Result):
+class Fit(_OfScene):
     """Parameters fitted to recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
     ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
     and ``events`` if they were fitted, ..."""

@@ -115,7 +115,7 @@ def audit(
     surrogate: str | Mapping[str, Any] | None,
     threads: int,
     audit_seconds: float,
-) -> dict[str, Any]: ...
+) -> tuple[dict[str, Any], BaseException | None]: ...
 def solve(
     scene: Scene,
     contact: Any,
@@ -133,7 +133,8 @@ def solve(
     threads: int,
     memory_limit: float,
     keep_iterates: bool,
-) -> tuple[dict[str, Any], BaseException | None]: ...
+    seconds: float,
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
 def identify(
     scene: Scene,
     recordings: Sequence[str | dict[str, Any]],
@@ -145,11 +146,12 @@ def identify(
     loss: str,
     loss_scale: float,
     segment: float,
+    seconds: float,
     known_start: bool,
     starts: int,
     threads: int,
     status: Any,
-) -> tuple[dict[str, Any], BaseException | None]: ...
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
 class HybridSystem:
     def __init__(self, modes: Any, controls: Sequence[str], parameters: Sequence[str], slides: bool) -> None: ...
 
@@ -211,6 +213,7 @@ class HybridProblem:
         guess_states: list[float],
         callback: Any,
         sequence: Sequence[tuple[int, int]] | None,
+        seconds: float,
     ) -> tuple[dict[str, Any], BaseException | None]: ...
     def losses(
         self,
@@ -239,6 +242,7 @@ class HybridProblem:
         steps: int,
         width_sweep: bool,
         budget: float,
+        seconds: float,
     ) -> dict[str, Any]: ...
 
 class PlannedMotion:
@@ -260,7 +264,7 @@ class SaltedKalmanFilter:
     @property
     def time(self) -> float: ...
     @property
-    def mode(self) -> int: ...
+    def mode(self) -> str: ...
     @property
     def mean(self) -> _Array: ...
     @property

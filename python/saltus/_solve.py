@@ -7,6 +7,7 @@ from typing import Any, Callable, Mapping, Sequence
 from . import _hybrid, _saltus
 from ._hybrid import HybridProblem, HybridRun
 from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
+from ._progress import Progress
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene, of_run
 from ._types import expect, expect_int, expect_names
@@ -42,6 +43,8 @@ def solve(
     keep_iterates: bool = False,
     callback: Callable[[int, float], bool | None] | None = None,
     status: Callable[[str], None] | None = None,
+    seconds: float = 0,
+    progress: bool | None = None,
 ) -> Any:
     """Optimises a scene under a contact model, or a HybridProblem, with a solver.
 
@@ -76,8 +79,11 @@ def solve(
         keep_iterates: whether the run has ``iterates``, the decision variables after each iteration.
         callback: called as callback(iteration, loss) after each iteration; False ends the run as "interrupted".
         status: called as status(text) with the progress of solvers that take long.
+        seconds: limit of time, s, after which the run ends as "interrupted" with what it has; 0 is no limit.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
-    A HybridProblem takes optimize, bounds, iterations, learning_rate, sequence, start, guess_states and callback.
+    A HybridProblem takes optimize, bounds, iterations, learning_rate, sequence, start, guess_states, callback, seconds and
+    progress.
 
     Returns:
         A Run, or a HybridRun.
@@ -94,14 +100,17 @@ def solve(
         solver = "auto" if learning_rate is None and not rate_per_time else "gd"
     expect("text", solver=solver, precision=precision)
     expect_int(iterations=iterations, threads=threads)
-    expect("a number", memory_limit=memory_limit, learning_rate=0 if learning_rate is None else learning_rate)
+    expect("a number", memory_limit=memory_limit, seconds=seconds, learning_rate=0 if learning_rate is None else learning_rate)
     expect("True or False", rate_per_time=rate_per_time, keep_iterates=keep_iterates)
     expect("a callable", callback=callback, status=status)
     if isinstance(scene, HybridProblem):
         rate = 0.01 if learning_rate is None else float(learning_rate)
         problem = scene if start is None else scene._from(start)
         free = problem.optimize if optimize is None else optimize
-        return _hybrid.solve(problem, solver, free, bounds, iterations, rate, guess_states, callback, along)
+        with Progress("solve", progress, iterations) as shown:
+            return _hybrid.solve(
+                problem, solver, free, bounds, iterations, rate, guess_states, shown.callback(callback), along, seconds
+            )
     expect("text", sequence=sequence)
     if optimize is not None or bounds is not None:
         raise ValueError("optimize and bounds are for a HybridProblem; a scene defines what is free")
@@ -113,24 +122,27 @@ def solve(
         if not isinstance(start, Run):
             raise TypeError(f"start: found {type(start).__name__}, expected a Run")
         given, *guess = of_run(given, start)
-    found, stopped_by = _saltus.solve(
-        given,
-        as_contact(contact),
-        solver,
-        precision=precision,
-        callback=callback,
-        status=status,
-        iterations=iterations,
-        learning_rate=learning_rate,
-        rate_per_time=rate_per_time,
-        sequence=sequence,
-        guess=guess,
-        surrogate=surrogate,
-        threads=1 if is_own(contact) else threads,
-        memory_limit=memory_limit,
-        keep_iterates=keep_iterates,
-    )
+    with Progress("solve", progress, iterations) as shown:
+        found, page, stopped_by = _saltus.solve(
+            given,
+            as_contact(contact),
+            solver,
+            precision=precision,
+            callback=shown.callback(callback),
+            status=shown.status(status),
+            iterations=iterations,
+            learning_rate=learning_rate,
+            rate_per_time=rate_per_time,
+            sequence=sequence,
+            guess=guess,
+            surrogate=surrogate,
+            threads=1 if is_own(contact) else threads,
+            memory_limit=memory_limit,
+            keep_iterates=keep_iterates,
+            seconds=float(seconds),
+        )
     run = Run(found)
+    run._page = None if is_own(contact) else page
     if stopped_by is not None:
         stopped_by.run = run  # type: ignore[attr-defined]
         raise stopped_by
@@ -138,7 +150,8 @@ def solve(
 
 
 def bound_globally(
-    scene: SceneLike, loss: float, *, gap: float = 1e-6, seconds: float = 0.0, boxes: int = 400_000
+    scene: SceneLike, loss: float, *, gap: float = 1e-6, seconds: float = 0.0, boxes: int = 400_000,
+    progress: bool | None = None
 ) -> dict[str, Any]:
     """Bounds the loss of all controls from below, rigorously, over all sequences of impacts.
 
@@ -151,6 +164,7 @@ def bound_globally(
         gap: ends as soon as ``loss`` less the bound is at most this.
         seconds: limit of time; 0 is no limit.
         boxes: limit of the number of boxes; 0 is no limit. The default is that of the solver "global".
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Returns:
         A dict of ``loss``, ``lower_bound``, ``gap``, ``boxes``, ``complete`` (whether the gap was reached), ``remarks`` (such
@@ -165,9 +179,10 @@ def bound_globally(
     expect("a whole number", boxes=boxes)
     if not 0 <= boxes < 2**63:
         raise ValueError(f"boxes: found {boxes}, expected a whole number >= 0; 0 is no limit")
-    found, stopped_by = _saltus.bound_globally(
-        as_scene(scene), float(loss), gap=float(gap), seconds=float(seconds), boxes=boxes
-    )
+    with Progress("bound", progress):
+        found, stopped_by = _saltus.bound_globally(
+            as_scene(scene), float(loss), gap=float(gap), seconds=float(seconds), boxes=boxes
+        )
     if stopped_by is not None:
         stopped_by.bound = found
         raise stopped_by
@@ -190,12 +205,14 @@ def audit(
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
     audit_seconds: float = 0,
+    progress: bool | None = None,
 ) -> Any:
     """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
 
     A gradient of a simulator is compared with the exact one and with differences of the results of ``simulate``
     (``agrees_with_differences``). Without a gradient, these differences are judged, of a width that follows from the
-    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt.
+    measured precision. ``report.raise_if_wrong()`` makes a test of the audit. Ctrl-C raises KeyboardInterrupt. This exception, and one that
+    ``simulate`` raises, has the models that were audited until then as its attribute ``audit``.
 
     Args:
         scene: a Scene, a dict or the path of a scene file.
@@ -221,12 +238,14 @@ def audit(
         surrogate: as that of `solve`; its error is judged then.
         threads: number of threads; 0 is one per core.
         audit_seconds: time, s, within which the audit of ``simulate`` is planned, from the time that its first gradient
-            takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not.
+            takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not. For a
+            HybridProblem it limits the refinement beyond its first four levels.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step, a function of some of
     mode, t, x, u, p and h by the names of its arguments, which returns the mode's name and the state after a step of length h; or as simulate a
     command that speaks the line protocol; jacobian, with the arguments of step, which returns the derivatives by [x u p]
-    (differences without it); steps, the number of steps at which the refinement begins; width_sweep and name.
+    (differences without it); steps, the number of steps at which the refinement begins; width_sweep, name, audit_seconds and progress.
 
     Returns:
         An Audit, or a HybridAudit.
@@ -236,7 +255,9 @@ def audit(
     """
     if isinstance(scene, HybridProblem):
         expect("text", name=name)
-        return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name)
+        expect("a number", audit_seconds=audit_seconds)
+        with Progress("audit", progress):
+            return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name, audit_seconds)
     if isinstance(simulate, str):
         raise TypeError("simulate: found str, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
@@ -259,8 +280,8 @@ def audit(
     expect("a number", audit_seconds=audit_seconds)
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
-    return Audit(
-        _saltus.audit(
+    with Progress("audit", progress):
+        found, stopped_by = _saltus.audit(
             as_scene(scene),
             names,
             own,
@@ -270,4 +291,8 @@ def audit(
             threads=threads,
             audit_seconds=audit_seconds,
         )
-    )
+    report = Audit(found)
+    if stopped_by is not None:
+        stopped_by.audit = report  # type: ignore[attr-defined]
+        raise stopped_by
+    return report

@@ -6,13 +6,16 @@ import inspect
 import itertools
 import numbers
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout  # in Python 3.11 and later the TimeoutError of all
 from functools import lru_cache, partial
 from typing import Any, Callable, Mapping, Sequence, Union
 
 import numpy as np
 
 from . import _saltus
+from ._progress import Progress
 from ._scene import Scene, SceneLike, as_scene
 from ._types import expect, expect_int, expect_names
 
@@ -161,12 +164,15 @@ def sweep(
     learning_rate: float | None = None,
     point_seconds: float = 0,
     threads: int = 0,
+    seconds: float = 0,
+    progress: bool | None = None,
 ) -> dict[str, np.ndarray[Any, Any]]:
     """Computes every point of a grid, and returns the columns of the table by their names.
 
     Of a scene, rows and columns are those of saltus_sweep. Without a solver a row has the loss at the initial guess and
     the error of its gradient. A point that is impossible, raises or takes too long is a row with its ``reason`` and the
-    ``status`` "failed".
+    ``status`` "failed". Ctrl-C raises KeyboardInterrupt, which has the table of the points computed until then as its
+    attribute ``table``.
 
     Args:
         problem: a Scene, a dict or the path of a scene file; or a function that is called with the options of a point as
@@ -183,14 +189,19 @@ def sweep(
         learning_rate: step size of gradient descent; default: that of the published experiment.
         point_seconds: time limit of a point of a scene, s; 0 is no limit.
         threads: number of threads without a client; 0 is one per core.
+        seconds: limit of time, s, after which points that are not computed yet are rows with the status "failed"; 0 is no
+            limit. A call of a function that has begun is not ended.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Raises:
         ValueError: an argument or an option is wrong.
         TypeError: the function does not take the options of the grid.
     """
     expect_int(threads=threads, iterations=iterations)
-    expect("a number", point_seconds=point_seconds, learning_rate=0 if learning_rate is None else learning_rate)
+    expect("a number", seconds=seconds, point_seconds=point_seconds, learning_rate=0 if learning_rate is None else learning_rate)
     expect("text", precision=precision)
+    if not 0 <= seconds < np.inf:
+        raise ValueError(f"seconds: found {seconds:g}, expected a finite number of at least 0; 0 is no limit")
     if threads < 0:
         raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
     study = None
@@ -224,24 +235,44 @@ def sweep(
         else:
             task = partial(_scene_row, (scene.to_yaml(), *arguments), point_seconds)
     executor = ThreadPoolExecutor(threads or os.cpu_count()) if client is None else client
-    rows = []
+    rows: list[dict[str, Any]] = []
+    end = time.monotonic() + seconds if seconds else None
+    names = None if isinstance(grid, str) else _names(grid)
     try:
-        futures = [executor.submit(task, value) for value in inputs]
-        for value, future in zip(inputs, futures):
-            error = future.exception()
-            if error is not None and not isinstance(error, Exception):
-                raise error  # such as KeyboardInterrupt
-            rows.append(future.result() if error is None else failed(value, f"{type(error).__name__}: {error}"))
+        with Progress("sweep", progress, len(inputs)) as shown:
+            futures = [executor.submit(task, value) for value in inputs]
+            for value, future in zip(inputs, futures):
+                rows.append(_row_of(future, end, seconds, partial(failed, value)))
+                shown.advance(len(rows))
+    except BaseException as error:
+        error.table = _table(rows, names)  # type: ignore[attr-defined]
+        raise
     finally:
         if client is None:
             if study is not None:
                 study.stop()
             executor.shutdown(cancel_futures=True)
-    found = [name for row in rows for name in row]
-    if not rows and not isinstance(grid, str):
-        found = _names(grid)
-    names = [name for name in dict.fromkeys(found) if name not in _LAST]
-    return {name: _column([row.get(name) for row in rows]) for name in (*names, *_LAST)}
+    return _table(rows, names)
+
+
+def _row_of(future: Any, end: float | None, seconds: float, failed: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+    """Returns the row of a point; one that failed, if it is not computed at the end of the time."""
+    late = f"the point was not computed within {seconds:g} s, the limit of the sweep; raise seconds"
+    try:
+        error = future.exception(None if end is None else max(1e-3, end - time.monotonic()))
+    except (TimeoutError, FutureTimeout):
+        future.cancel()
+        return failed(late)
+    if error is not None and not isinstance(error, Exception):
+        raise error  # such as KeyboardInterrupt
+    return future.result() if error is None else failed(f"{type(error).__name__}: {error}")
+
+
+def _table(rows: list[dict[str, Any]], names: list[str] | None) -> dict[str, np.ndarray[Any, Any]]:
+    """Returns the columns of rows; those of `names`, if there are none."""
+    found = [name for row in rows for name in row] if rows else names or []
+    columns = [name for name in dict.fromkeys(found) if name not in _LAST]
+    return {name: _column([row.get(name) for row in rows]) for name in (*columns, *_LAST)}
 
 
 def _local_row(study: _saltus.SweepStudy, seconds: float, index: int) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """The probability that the sequence of events of a hybrid system changes: events at one time, grazes, near misses."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -51,3 +53,51 @@ def test_what_is_no_matrix_is_refused_by_its_name():
         saltus.track(problem, np.eye(6), 1, np.eye(6))
     with pytest.raises(ValueError, match=r"^process: found shape \(6,\), expected a matrix"):
         saltus.propagate(problem, process=np.ones(6))
+
+
+def test_a_filter_of_a_mechanical_system_is_that_of_its_hybrid_system():
+    """A bouncing ball as a mechanical system, whose mode is found, beside the same ball with a flow, a guard and a reset."""
+    mechanical = saltus.MechanicalSystem(
+        coordinates=["y"], controls=["f"], parameters=["e"], mass=lambda q: [[2.0]], force=lambda u: [u[0] - 19.6],
+        contacts={"ground": saltus.Contact(gap=lambda q: q[0], restitution="e")})
+    hybrid = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["f"], parameters=["e"],
+        flow={"flight": lambda x, u: [x[1], u[0] / 2 - 9.8]}, guards={"flight": {"ground": lambda x: x[0]}},
+        resets={"flight": {"ground": lambda x, p: ("flight", [x[0], -p[0] * x[1]])}})
+    P = np.array([[0.02, 0.01], [0.01, 0.04]])
+    found = [saltus.SaltedKalmanFilter(system, [1.0, 0.5], P, parameters=[0.6]) for system in (mechanical, hybrid)]
+    for time, position in ((0.3, 0.75), (0.7, 0.42), (1.1, 0.1)):
+        for estimate in found:
+            estimate.predict(time, [0.3], 1e-3 * np.eye(2))
+            estimate.update([position], [[1.0, 0.0]], [[0.01]])
+        np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=1e-9)
+        np.testing.assert_allclose(found[0].covariance, found[1].covariance, rtol=1e-9)
+    assert (found[0].mode, found[1].mode) == ("o", "flight")
+
+
+def test_a_filter_of_a_mechanical_system_follows_contacts_that_stay():
+    """Without restitution the ball stays on the ground, and its height is known from then on."""
+    system = saltus.MechanicalSystem(
+        coordinates=["x", "y"], mass=lambda q: np.eye(2), force=lambda q: [0.0, -9.8],
+        contacts={"ground": saltus.Contact(gap=lambda q: q[1], restitution=0.0)})
+    estimate = saltus.SaltedKalmanFilter(system, [0, 1, 3, 0], np.diag([0.04, 0.01, 0.09, 0.01]))
+    assert estimate.mode == "o"
+    estimate.predict(1.0)
+    assert estimate.mode == "n"
+    np.testing.assert_allclose(estimate.mean, [3, 0, 3, 0], atol=1e-12)
+    np.testing.assert_allclose(estimate.covariance, [[0.13, 0, 0.09, 0], [0] * 4, [0.09, 0, 0.09, 0], [0] * 4], atol=1e-12)
+    again = copy.copy(estimate)
+    assert (again.mode, again.time) == ("n", 1.0)
+    with pytest.raises(ValueError, match="mode: found 'x', expected a letter for each of 1 contacts"):
+        saltus.SaltedKalmanFilter(system, [0, 1, 3, 0], np.eye(4), mode="x")
+    with pytest.raises(ValueError, match="mean: contact 'ground' is closed in mode 'n', and its gap is 1"):
+        saltus.SaltedKalmanFilter(system, [0, 1, 3, 0], np.eye(4), mode="n")
+
+
+def test_a_filter_passes_switches():
+    """The name of the mode is that of the system, on either side of a switch of its flow."""
+    system = saltus.HybridSystem(states={"m": ["x"]}, flow={"m": lambda x: [saltus.where(x[0] < 1, 1.0, 3.0)]})
+    estimate = saltus.SaltedKalmanFilter(system, [0.5], [[0.01]])
+    estimate.predict(1.0)
+    assert estimate.mode == "m"
+    np.testing.assert_allclose([estimate.mean[0], estimate.covariance[0, 0]], [2.5, 0.09], rtol=1e-12)

@@ -364,3 +364,59 @@ def test_tables_and_steps_are_recorded():
 def test_tables_that_are_none_are_refused(table):
     with pytest.raises(ValueError, match="numpy.interp: expected xp with increasing numbers, and as many values fp"):
         one_mode(lambda t, x, u, p: [np.interp(x[0], *table)])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 9])
+def test_splines_are_those_of_scipy(count):
+    """x' is a spline of time whose values are parameters, y' one of the state: integrals by scipy, and its splines of numbers."""
+    interpolate = pytest.importorskip("scipy.interpolate")
+    random = np.random.default_rng(3)
+    points, values = np.cumsum(random.uniform(0.2, 0.5, count)), random.uniform(1, 1.5, count)
+    expected = interpolate.CubicSpline(points, values)
+    beyond = np.linspace(points[0] - 0.5, points[-1] + 0.5, 50)
+    assert_allclose(saltus.spline(beyond, points, values), expected(beyond), rtol=1e-12, atol=1e-13)
+    assert_allclose(saltus.interp(beyond, points, values), np.interp(beyond, points, values), rtol=1e-15)
+    names = [f"p{i}" for i in range(count)]
+    system = one_mode(lambda t, x, p: [saltus.spline(t, points, p), 1 / saltus.spline(x[1], points, values)], ["x", "y"], names)
+    end = points[-1] + 0.2
+    motion, d = derivatives(system, [0.0, 0.0], values, end)
+    assert_allclose(motion.final[0], expected.integrate(0, end), rtol=1e-12)
+    assert_allclose(expected.integrate(0, motion.final[1]), end, rtol=1e-11)
+    cardinal = [interpolate.CubicSpline(points, row).integrate(0, end) for row in np.eye(count)]
+    assert_allclose(d.by_parameters, [cardinal, [0] * count], rtol=1e-10, atol=1e-12)
+    assert_allclose(d.by_initial[1, 1], expected(0) / expected(motion.final[1]), rtol=1e-10)
+    assert len([number for *_, number in motion.switches if number.startswith("t")]) == count
+
+
+def test_tables_in_costs_and_guards():
+    """A ball falls onto ground whose height is a table of its position; its cost is one too."""
+    ground = ([0.0, 1.0, 3.0], [0.0, 0.2, 0.0])
+    ball = saltus.HybridSystem(
+        states={"m": ["x", "y", "v"]}, flow={"m": lambda x: [1.5, x[2], -9.8]},
+        guards={"m": {"ground": lambda x: x[1] - saltus.interp(x[0], *ground)}},
+        resets={"m": {"ground": lambda x: ("m", [x[0], x[1], -x[2]])}})
+    problem = saltus.HybridProblem(ball, mode="m", initial=[0.0, 1.4, 0.0], duration=0.7,
+                                   costs=[saltus.cost(lambda x: saltus.spline(x[0], [0, 1, 2, 3], [0, 1, 8, 27]))])
+    times = [event[0] for event in saltus.rollout(problem).events]
+    root = (-0.3 + math.sqrt(0.3**2 + 4 * 4.9 * 1.4)) / (2 * 4.9)  # 1.4 - 4.9 t^2 = 0.2 (1.5 t)
+    assert 1.5 * root < 1
+    assert_allclose(times, [root], rtol=1e-12)
+    found = saltus.loss_and_gradient(problem)
+    assert_allclose([found.loss, found.gradient.initial[0]], [1.05**3, 3 * 1.05**2], rtol=1e-12)
+
+
+@pytest.mark.parametrize("function", [saltus.interp, saltus.spline])
+@pytest.mark.parametrize("table, words", [
+    (([0, 0], [1, 2]), "expected xs with increasing numbers, and as many values ys"),
+    (([0, 1], [1]), "expected xs with increasing numbers, and as many values ys"),
+    (([0, np.nan], [1, 2]), "found xs with a number that is not finite"),
+    (([0, 1], [1, np.inf]), "found ys with a number that is not finite"),
+])
+def test_wrong_tables_are_refused_in_recorded_functions_and_outside(function, table, words):
+    name = f"{function.__name__}: "
+    with pytest.raises(ValueError, match=name + words):
+        function(0.5, *table)
+    with pytest.raises(ValueError, match="flow of mode 'm': " + name + words):
+        one_mode(lambda t, x, u, p: [function(x[0], *table)])
+    with pytest.raises(ValueError, match="spline: found one point in xs, expected at least two"):
+        saltus.spline(0, [0], [1])

@@ -514,3 +514,203 @@ def test_what_is_optimized_is_a_list_of_names(optimize):
     """The bounds of a dict would be lost."""
     with pytest.raises(TypeError, match=r"optimize: found .*, expected a list of names; bounds are given by bounds="):
         saltus.solve(ball(), optimize=optimize)
+
+
+def bounces(count, e, g=9.81, y0=1.0):
+    """The times of the bounces of the ball from rest, by their closed form."""
+    falls = math.sqrt(2 * y0 / g)
+    return np.cumsum([falls, *(2 * falls * e**k for k in range(1, count))])
+
+
+class TestTimesOfEvents:
+    def test_loss_and_gradient(self):
+        times = [0.4, np.nan, 1.6]
+        problem = ball(duration=2.0, costs=[saltus.event_times("ground", times, sigma=[0.01, 1.0, 0.02])])
+        exact = bounces(3, 0.8)
+        loss = ((exact[0] - 0.4) / 0.01) ** 2 + ((exact[2] - 1.6) / 0.02) ** 2
+        assert_allclose(saltus.loss_and_gradient(problem).loss, loss, rtol=1e-10)
+        check_gradient(pickle.loads(pickle.dumps(problem)))
+
+    @pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs", "ceres_phases", None])
+    def test_restitution_and_gravity_from_bounces(self, solver):
+        """The times of four bounces are those of e = 0.7 and g = 9.6; the guess is another one."""
+        data = saltus.event_times("ground", bounces(4, 0.7, 9.6), sigma=1e-3)
+        problem = ball(duration=2.4, costs=[data], optimize=["g", "e"])
+        run = saltus.solve(problem, **({} if solver is None else {"solver": solver}))
+        assert_allclose(run.parameters, [9.6, 0.7], rtol=1e-6)
+        assert run.loss < 1e-6
+
+    def test_of_a_mechanical_system_in_any_mode(self):
+        """A ball on a table: the events of one contact in the modes of both contacts."""
+        system = saltus.MechanicalSystem(
+            coordinates=["x", "y"], parameters=["e"], mass=lambda: np.eye(2), force=lambda: [0, -9.81],
+            contacts={"wall": saltus.Contact(gap=lambda q: 0.9 - q[0], restitution=1.0),
+                      "floor": saltus.Contact(gap=lambda q: q[1], restitution="e")})
+        problem = saltus.HybridProblem(system, initial=[0, 1, 1, 0], parameters=[0.8], duration=2.0,
+                                       costs=[saltus.event_times("floor hit", [0.5, 1.2]), saltus.event_times("wall hit", [0.8])])
+        first, second = bounces(2, 0.8)
+        assert_allclose(saltus.loss_and_gradient(problem).loss, (first - 0.5) ** 2 + (second - 1.2) ** 2 + 0.01, rtol=1e-10)
+        check_gradient(problem, ["parameters"])
+        with pytest.raises(ValueError, match="times of 'floor': found guard 'floor', expected some of wall hit, wall off, .* floor hit"):
+            saltus.loss_and_gradient(saltus.HybridProblem(system, initial=[0, 1, 1, 0], parameters=[0.8], duration=2.0,
+                                                          costs=[saltus.event_times("floor", [0.5])]))
+
+    def test_a_motion_without_an_event_has_no_loss(self):
+        problem = ball(duration=1.0, costs=[saltus.event_times("ground", bounces(2, 0.8))])
+        message = r"times of 'ground': found 1 events 'ground' in the motion, expected at least 2; start from a guess that has them"
+        with pytest.raises(RuntimeError, match=message):
+            saltus.loss_and_gradient(problem)
+        run = saltus.solve(problem, optimize=["e"], solver="ceres_lm")
+        assert run.termination == "failed" and "expected at least 2" in run.reason
+
+    def test_along_a_sequence_that_the_guess_does_not_have(self):
+        problem = ball(initial=[0.5, 0.0], duration=0.7, optimize=["e", "y"],
+                       costs=[saltus.event_times("ground", bounces(2, 0.5, y0=0.4), sigma=1e-2)])
+        assert len(saltus.rollout(problem).events) == 1
+        run = saltus.solve(problem, sequence=["ground", "ground"])
+        assert_allclose([run.parameters[1], run.initial[0]], [0.5, 0.4], rtol=1e-5)
+
+    def test_residuals_at_events_in_any_mode(self):
+        """A ball that lands in either of two modes of equal states, by the name of the guard."""
+        system = saltus.HybridSystem(
+            states={"a": ["y", "v"], "b": ["y", "v"]}, flow={mode: lambda x: [x[1], -9.81] for mode in "ab"},
+            guards={mode: {"ground": lambda x: x[0]} for mode in "ab"},
+            resets={"a": {"ground": lambda x: ("b", [x[0], -0.8 * x[1]])}, "b": {"ground": lambda x: ("a", [x[0], -0.8 * x[1]])}})
+        speed = saltus.residuals(lambda x: x[1], at="event", guard="ground")
+        problem = saltus.HybridProblem(system, mode="a", initial=[1, 0], duration=1.5, costs=[speed])
+        assert_allclose(saltus.loss_and_gradient(problem).loss, 2 * 9.81 * (0.8**2 + 0.8**4), rtol=1e-10)
+
+    @pytest.mark.parametrize("arguments, words", [
+        ((["ground"], [1.0]), "guard: found list, expected text"),
+        (("ground", []), "times: found .*expected a list of finite numbers, and NaN where one is missing"),
+        (("ground", [np.nan]), "times: found .*expected a list of finite numbers"),
+        (("ground", [1.0, np.nan, 0.5]), "found 0.5 behind a later one, expected rising times"),
+        (("ground", [1.0], 0.0), "sigma: expected finite numbers > 0"),
+        (("ground", [1.0], [1.0, 1.0]), r"sigma: found shape \(2,\), expected one number, or \(1,\), one for each time"),
+    ])
+    def test_wrong_data_are_refused(self, arguments, words):
+        guard, times, *sigma = arguments
+        with pytest.raises((TypeError, ValueError), match=words):
+            saltus.event_times(guard, times, **({"sigma": sigma[0]} if sigma else {}))
+        with pytest.raises(ValueError, match="times of 'wall': found guard 'wall', expected some of ground"):
+            ball(costs=[saltus.event_times("wall", [1.0])])
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
+def test_a_sequence_leads_to_the_mode_of_a_term_which_the_guess_does_not_reach(solver):
+    """The guess stops short of the line at x = 1, behind which the motion has to end: at best with a constant control of 2."""
+    if solver not in saltus.hybrid_solvers():
+        pytest.skip(f"{solver} is not built")
+    system = saltus.HybridSystem(
+        states={"before": ["x"], "behind": ["x"]}, controls=["u"], flow={mode: lambda u: [u[0]] for mode in ("before", "behind")},
+        guards={"before": {"line": lambda x: 1 - x[0]}}, resets={"before": {"line": lambda x: ("behind", x)}})
+    problem = saltus.HybridProblem(
+        system, mode="before", initial=[0.0], duration=1.0, control=np.full((10, 1), 0.1),
+        costs=[saltus.terminal([2.0], hard=True, mode="behind"), saltus.effort()])
+    run = saltus.solve(problem, solver=solver, sequence=["line"])
+    assert run.termination == "converged" and [event[2] for event in run.events] == ["line"]
+    assert_allclose([run.loss, run.final[0]], [4, 2], rtol=1e-6)
+    assert_allclose(np.asarray(run.control), 2, rtol=1e-3)
+
+
+PHASES = ["ceres_phases", *(["ipopt"] if "ipopt" in saltus.hybrid_solvers() else [])]
+
+
+class TestAlways:
+    """Inequalities that hold between the beginnings of control intervals too."""
+
+    @staticmethod
+    def point(costs, initial=(0, 1), **changes):
+        line = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow={"m": lambda x, u: [x[1], u[0]]})
+        given = {"mode": "m", "initial": initial, "duration": 1.0, "control": np.zeros((10, 1)), **changes}
+        return saltus.HybridProblem(line, costs=costs, **given)
+
+    @pytest.mark.parametrize("solver", PHASES)
+    def test_the_top_of_a_throw_within_one_interval(self, solver):
+        """Back at 0 after 1 s under a constant force, the top is at v / 4, which is to be 0.1 at most, of the largest v."""
+        def solved(at):
+            low = saltus.residuals(lambda x: x[0] - 0.1, at=at, role="inequality")
+            problem = self.point([saltus.maximise(lambda x0: x0[1]), saltus.terminal([0, None], hard=True), low], (0, 0.2),
+                                 control=[[-0.4]], optimize=["control", "v"], bounds={"v": (0, 3)})
+            return saltus.solve(pickle.loads(pickle.dumps(problem)), solver=solver)
+
+        run = solved("always")
+        assert run.termination == "converged" and run.certificate["verdict"] == "stationary"
+        assert_allclose(run.initial, [0, 0.4], atol=1e-8)
+        assert solved("steps").initial[1] > 2
+
+    @pytest.mark.parametrize("intervals", [7, 20])
+    def test_bryson_and_denham(self, intervals):
+        """x <= 1/9 at all times, by the parabolas between the beginnings of intervals."""
+        tops = {}
+        for at in ("steps", "always"):
+            limit = saltus.residuals(lambda x: x[0] - 1 / 9, at=at, role="inequality")
+            run = saltus.solve(self.point([saltus.effort(0.5), saltus.terminal([0, -1], hard=True), limit],
+                                          control=np.zeros((intervals, 1))))
+            assert run.termination == "converged", run.reason
+            x, v, top = 0.0, 1.0, 0.0
+            for (u,), h in zip(np.asarray(run.control), run.durations):
+                inside = 0 < -v / u < h if u != 0 else False
+                x, v, top = x + v * h + u * h * h / 2, v + u * h, max(top, x - v * v / (2 * u) if inside else x)
+            tops[at] = (top - 1 / 9, run.loss)
+        assert tops["steps"][0] > 5e-5 and abs(tops["always"][0]) < 1e-8
+        assert tops["always"][1] > tops["steps"][1] + 1e-3 and tops["always"][1] > 4
+
+    @pytest.mark.parametrize("solver", PHASES)
+    def test_the_top_behind_a_bounce(self, solver):
+        """Thrown down from 0.5 m, the ball may not rise above 1 m behind its bounce, with e = 0.8."""
+        problem = ball(initial=[0.5, -1.0], duration=1.0, control=np.zeros((8, 0)), optimize=["v"], bounds={"v": (-10, 0)},
+                       costs=[saltus.cost(lambda x0: x0[1]), saltus.residuals(lambda x: x[0] - 1, at="always", role="inequality")])
+        run = saltus.solve(problem, solver=solver)
+        assert_allclose(run.initial[1], -math.sqrt(2 * 9.81 / 0.64 - 9.81), rtol=1e-8)
+        assert run.certificate["verdict"] == "stationary"
+
+    @pytest.mark.parametrize("solver", PHASES)
+    def test_of_state_time_control_and_parameters_in_two_modes(self, solver):
+        """The largest value along the solution, by another integration, is zero in one mode and below it in the other."""
+        integrate = pytest.importorskip("scipy.integrate")
+
+        def flow(x, u, p):
+            return [x[1], p[0] * u[0] - x[0] ** 3]
+
+        def limits(x, t, u, p):
+            return [x[1] * np.cos(t) + 0.1 * u[0] - p[1], x[0] - 3]
+
+        system = saltus.HybridSystem(
+            states={"left": ["x", "v"], "right": ["x", "v"]}, controls=["u"], parameters=["gain", "limit"],
+            flow={"left": flow, "right": flow}, guards={"left": {"line": lambda x: 0.5 - x[0]}},
+            resets={"left": {"line": lambda x: ("right", [x[0], 0.9 * x[1]])}})
+        problem = saltus.HybridProblem(
+            system, mode="left", initial=[0, 0], parameters=[2.0, 0.6], duration=1.5, control=np.full((6, 1), 0.5),
+            costs=[saltus.effort(), saltus.terminal([1.0, None], hard=True, mode="right"),
+                   saltus.residuals(limits, at="always", role="inequality")])
+        run = saltus.solve(problem, solver=solver)
+        assert run.termination == "converged" and run.certificate["verdict"] == "stationary", run.reason
+        (hit, *_), = run.events
+        state, begin, greatest = [0.0, 0.0], 0.0, -np.inf
+        for (u,), h in zip(np.asarray(run.control), run.durations):
+            if abs(begin - hit) < 1e-9:
+                state[1] *= 0.9
+            arc = integrate.solve_ivp(lambda t, x: flow(x, [u], [2.0]), (begin, begin + h), state, rtol=1e-12, atol=1e-13,
+                                      t_eval=np.linspace(begin, begin + h, 2001))
+            greatest = max(greatest, np.max(arc.y[1] * np.cos(arc.t) + 0.1 * u - 0.6))
+            state, begin = list(arc.y[:, -1]), begin + h
+        assert abs(greatest) < 1e-6 and abs(state[0] - 1) < 1e-6
+
+    @pytest.mark.parametrize("arguments, words", [
+        ({"function": lambda x: x[0]}, "at: found 'always' with the role 'cost', expected 'inequality'; a cost over time is one at steps"),
+        ({"function": lambda x, h: x[0], "role": "inequality"}, "only a cost at steps reads a control u or the length h"),
+        ({"function": lambda xT: xT[0], "role": "inequality"}, "only a term at the end reads the states x0 at the start and xT"),
+        ({"function": lambda x: x[0], "role": "inequality", "mode": "n"}, "found 'n', expected some of m"),
+        ({"function": lambda x: x[5], "role": "inequality", "name": "far"}, "far: IndexError: index 5 is out of bounds"),
+        ({"function": lambda x, q: x[0], "role": "inequality"}, "found an argument 'q'"),
+    ])
+    def test_what_cannot_hold_always_is_refused(self, arguments, words):
+        with pytest.raises((ValueError, RuntimeError), match=words):
+            self.point([saltus.residuals(at="always", **arguments)])
+
+    def test_mechanical_systems_are_referred_to_steps(self):
+        disc = saltus.MechanicalSystem(coordinates=["y"], mass=lambda: [[1.0]], force=lambda: [-9.81])
+        with pytest.raises(ValueError, match="found at='always' with a MechanicalSystem, expected a HybridSystem; at='steps' holds at"):
+            saltus.HybridProblem(disc, initial=[1, 0], duration=1.0,
+                                 costs=[saltus.residuals(lambda x: x[0], at="always", role="inequality")])

@@ -80,6 +80,14 @@ class TestFits:
         few = {name: recording[name][::6] for name in ("time", "body", "position")}
         assert saltus.identify(scene, {**few, "sigma": 100 * SIGMA}).remarks == []  # so few may do so by chance
 
+    def test_a_page(self, scene, recording, tmp_path):
+        fit = saltus.identify(scene, recording, law="network:2")
+        fit.save_page(tmp_path / "page")
+        page = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+        for heading in ("Fits", "Law of impact", "Motions", "Scene"):
+            assert f'"text":"{heading}"' in page
+        assert saltus.load_result(tmp_path / "page" / "result.json").to_dict() == fit.to_dict()
+
     def test_a_law_of_impact(self, scene, recording):
         fit = saltus.identify(scene, recording, law="network:2")
         assert fit["law"]["impacts"] == 1
@@ -239,6 +247,13 @@ class TestRefusals:
     def test_options(self, scene, recording, wrong, words):
         with pytest.raises(ValueError, match=words):
             saltus.identify(scene, recording, **wrong)
+
+    def test_hybrid_problems_are_referred_to_solve(self, recording):
+        ball = saltus.HybridSystem(states={"m": ["y"]}, flow={"m": lambda x: [-x[0]]})
+        problem = saltus.HybridProblem(ball, mode="m", initial=[1.0], duration=1.0)
+        for given in (problem, [problem]):
+            with pytest.raises(TypeError, match="scene: found a HybridProblem, .* saltus.solve"):
+                saltus.identify(given, recording)
 
     def test_contacts_in_python(self, scene, recording):
         with pytest.raises(TypeError, match="contact: found type, expected the name of a contact model"):

@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import gc
+import io
 import os
 import resource
 import signal
@@ -15,6 +16,7 @@ import pytest
 from conftest import run_program, scene_of
 
 import saltus
+from saltus import _progress
 
 
 def interrupt_soon(seconds=0.3):
@@ -82,9 +84,26 @@ class TestInterrupts:
             saltus.Batch(two_balls, "ncp").loss_and_gradient(np.full((20_000, 960), 3.0))
         timer.join()
         timer = interrupt_soon()
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt) as caught:
             saltus.audit(two_balls.replace(steps=96_000), "all")
         timer.join()
+        assert isinstance(caught.value.audit, saltus.Audit)
+
+    def test_an_audit_keeps_the_models_that_it_has_judged(self, two_balls):
+        calls = []
+
+        def simulate(scene, initial, control, dt):
+            calls.append(1)
+            if len(calls) == 3:
+                raise KeyboardInterrupt
+            return initial
+
+        expected = saltus.audit(two_balls, "toi_velocity").of("toi_velocity")
+        with pytest.raises(KeyboardInterrupt) as caught:
+            saltus.audit(two_balls, "toi_velocity", simulate=simulate)
+        kept = caught.value.audit
+        assert kept.of("toi_velocity").to_dict() == expected.to_dict()
+        assert kept.verdicts.get("simulate", "interrupted") == "interrupted"
 
     def test_another_handler(self, two_balls):
         def handler(number, frame):
@@ -213,6 +232,90 @@ def test_pages_show_the_duration_that_was_found(tmp_path):
     (page,) = [file.read_text(encoding="utf-8") for file in tmp_path.glob("*.html")]
     assert '"subtitle":"20 steps over a free duration, given as 1 s"' in page
     assert f'"value":"{duration:.6g} s","label":"duration, by event ceres_phases"' in page
+
+
+LONG = 10_000_000  # iterations, which would take days
+
+
+class TestLimitsOfTime:
+    def test_a_solve_ends_with_what_it_has(self, two_balls):
+        run = saltus.solve(two_balls, "ncp", "gd", iterations=LONG, seconds=0.3)
+        assert run["termination"] == "interrupted" and run["iterations"] >= 1 and run["exact_loss"] > 1
+        assert run["reason"] == "the limit of 0.3 s was reached; raise seconds, or go on from what was found"
+        assert saltus.solve(two_balls, "direct_toi", "gd", iterations=3, seconds=1000)["termination"] == "iteration_limit"
+
+    def test_a_hybrid_solve(self):
+        ball = saltus.HybridSystem(
+            states={"m": ["y", "v"]}, controls=["f"], flow={"m": lambda x, u: [x[1], u[0] - 9.8]},
+            guards={"m": {"ground": lambda x: x[0]}}, resets={"m": {"ground": lambda x: ("m", [x[0], -0.7 * x[1]])}})
+        problem = saltus.HybridProblem(ball, mode="m", initial=[1, 0], duration=1.0, control=np.zeros((50, 1)),
+                                       costs=[saltus.terminal([0.5, 0]), saltus.effort(0.1)])
+        run = saltus.solve(problem, solver="gd", learning_rate=1e-9, iterations=LONG, seconds=0.3)
+        assert run.termination == "interrupted" and run.iterations >= 1 and len(run.events) == 1
+        assert "the limit of 0.3 s was reached" in run.reason
+
+    def test_a_fit(self):
+        scene = scene_of("two_balls")
+        noise = np.random.default_rng(1).normal(size=(2000, 2))  # no motion fits
+        recording = {"time": np.linspace(0.01, 0.99, 2000), "body": ["striker"] * 2000, "position": noise, "sigma": 1e-3}
+        fit = saltus.identify(scene.replace(steps=30_000), recording, "restitution", "ncp", starts=1000, seconds=0.5)
+        assert fit["verdict"] == "interrupted" and "the limit of 0.5 s was reached" in fit.reason
+
+    def test_an_audit_of_a_scheme_has_the_least_number_of_levels(self):
+        """Levels of refinement, by the number of steps that the scheme is asked for."""
+        line = saltus.HybridSystem(states={"m": ["x"]}, flow={"m": lambda x: [-x[0]]})
+        problem = saltus.HybridProblem(line, mode="m", initial=[1.0], duration=1.0, costs=[saltus.terminal([0])])
+        finest = []
+        for limit in (0, 1e-9):
+            lengths = []
+            saltus.audit(problem, step=lambda x, h: ("m", lengths.append(h) or x - h * x), steps=10, audit_seconds=limit)
+            finest.append(min(lengths))
+        assert finest[1] > finest[0] * 1.5
+        with pytest.raises(ValueError, match="audit_seconds: expected seconds, or 0 for no limit"):
+            saltus.audit(problem, step=lambda x, h: ("m", x), audit_seconds=-1)
+
+    @pytest.mark.parametrize("seconds", [-1, float("inf"), float("nan")])
+    def test_what_is_no_time_is_refused(self, two_balls, seconds):
+        with pytest.raises(ValueError, match="seconds: found .*, expected a finite number of at least 0; 0 is no limit"):
+            saltus.solve(two_balls, "ncp", "gd", seconds=seconds)
+        with pytest.raises(TypeError, match="seconds: found str, expected a number"):
+            saltus.solve(two_balls, seconds="1")
+
+
+class TestProgress:
+    def test_a_line_shows_iterations_and_goes(self):
+        out = io.StringIO()
+        with _progress.Progress("solve", True, 20, out, delay=0) as shown:
+            shown.callback(None)(5, 1.25)
+            shown.status(None)("start 2")
+            while "start 2" not in out.getvalue():
+                time.sleep(0.01)
+        assert "\rsolve: [=====               ] 5/20, 0 s, start 2" in out.getvalue()
+        assert out.getvalue().endswith("\r") and not out.getvalue().split("\r")[-2].strip()
+
+    def test_what_is_called_is_called_on(self, two_balls, capsys, monkeypatch):
+        seen, answers = [], iter([True, False])
+        run = saltus.solve(two_balls, "direct_toi", "gd", progress=True,
+                           callback=lambda k, loss: seen.append(k) or next(answers))
+        assert seen == [0, 1] and run["termination"] == "interrupted"
+        monkeypatch.setattr(_progress, "_DELAY", 0)
+        saltus.solve(two_balls, "ncp", "gd", iterations=LONG, seconds=0.5, progress=True)
+        assert "/10000000, " in capsys.readouterr().err
+
+    def test_calls_within_others_have_no_line(self):
+        out = io.StringIO()
+        with _progress.Progress("sweep", True, 2, out, delay=0) as shown, _progress.Progress("solve", True, 9, out, delay=0) as inner:
+            assert shown.shown and not inner.shown
+            while "sweep" not in out.getvalue():
+                time.sleep(0.01)
+        assert "solve" not in out.getvalue()
+        with _progress.Progress("solve", True, 9, out) as later:
+            assert later.shown
+
+    def test_files_have_no_line_unless_asked_for(self, two_balls):
+        assert not _progress.Progress("solve", None, out=io.StringIO()).shown
+        with pytest.raises(TypeError, match="progress: found str, expected True, False or None"):
+            saltus.solve(two_balls, progress="yes")
 
 
 def test_ctrl_c_ends_noisy_runs():

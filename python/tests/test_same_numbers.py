@@ -1,5 +1,8 @@
 """Every number that Python returns is that of the programs' JSON, to the last digit."""
 
+import json
+import pickle
+
 import numpy as np
 import pytest
 from conftest import TASKS, make_generated_scenes, run_program, scene_of, without
@@ -30,6 +33,39 @@ def test_runs_of_the_tasks(task):
             continue  # not applicable: the program ends with code 2
         printed = run_program("saltus_solve", *flags)["runs"][0]
         assert without(run.to_dict(), "seconds") == without(printed, "seconds")
+
+
+def document_of(folder):
+    """The document of a page, without what depends on the clock: tables of runs have their time in a column."""
+    text = (folder / "report.html").read_text(encoding="utf-8").partition('id="document">')[2].partition("</script>")[0]
+    document = without(json.loads(text), "seconds")
+    for table in (part["table"] for part in document["parts"] if "table" in part):
+        clock = [i for i, column in enumerate(table["columns"]) if column["header"] == "seconds"]
+        table["rows"] = [[cell for i, cell in enumerate(row) if i not in clock] for row in table["rows"]]
+    return document
+
+
+@pytest.mark.parametrize("contact", ["event", "toi_velocity"])
+def test_the_page_of_a_run_is_that_of_the_program(tmp_path, contact):
+    flags = [f"--scene={path_of('two_balls')}", f"--contact={contact}", "--solver=ceres_lbfgs", "--iterations=20"]
+    run_program("saltus_solve", *flags, f"--output_dir={tmp_path / 'program'}")
+    run = saltus.solve(scene_of("two_balls"), contact, "ceres_lbfgs", iterations=20)
+    run.save_page(tmp_path / "python" / "run")
+    document = document_of(tmp_path / "python" / "run")
+    assert document == document_of(tmp_path / "program") and len(document["parts"]) > 5
+    name = f"two_balls_{contact}_ceres_lbfgs.npz"
+    found, expected = (np.load(folder / name) for folder in (tmp_path / "python" / "run", tmp_path / "program"))
+    assert all(np.array_equal(found[key], expected[key]) for key in expected)
+    assert saltus.load_result(tmp_path / "python" / "run" / "result.json")["final_loss"] == run["final_loss"]
+
+
+def test_results_without_their_scene_have_no_page(tmp_path):
+    run = saltus.solve(scene_of("two_balls"), "direct_toi", "gd", iterations=2)
+    with pytest.raises(ValueError, match="save_page: found a run without its scene, from a file, a pickle or a contact model in Python"):
+        pickle.loads(pickle.dumps(run)).save_page(tmp_path)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(OSError):
+        run.save_page(tmp_path / "file")
 
 
 def test_generated_scenes(tmp_path):

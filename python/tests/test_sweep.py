@@ -5,6 +5,8 @@ import io
 import os
 import signal
 import subprocess
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib.pyplot as plt
@@ -148,9 +150,35 @@ def test_an_interrupt_of_a_point_ends_the_sweep(error):
         done.append(x)
         return {"y": x}
 
-    with pytest.raises(error):
+    with pytest.raises(error) as caught:
         saltus.sweep(interrupted, {"x": list(range(100))}, threads=1)
     assert 0 in done
+    table = caught.value.table
+    assert list(table) == ["x", "y", "reason", "status"] and table["x"].tolist() == table["y"].tolist() == [0]
+
+
+def test_points_behind_the_limit_of_time_are_failed():
+    begun, go_on = threading.Event(), threading.Event()
+
+    def waits(x):
+        if x == 1:
+            begun.set()
+            go_on.wait()
+        return {"y": x}
+
+    threading.Thread(target=lambda: (begun.wait(), time.sleep(0.2), go_on.set())).start()
+    table = saltus.sweep(waits, {"x": [0, 1, 2]}, threads=1, seconds=0.1)
+    assert table["status"].tolist() == ["done", "failed", "failed"]
+    assert "not computed within 0.1 s, the limit of the sweep; raise seconds" in table["reason"][2]
+    with pytest.raises(ValueError, match="seconds: found -1, expected a finite number of at least 0"):
+        saltus.sweep(area, {"width": [1], "height": [1]}, seconds=-1)
+
+
+def test_a_scene_ends_at_the_limit_of_time():
+    begin = time.monotonic()
+    table = saltus.sweep(TWO_BALLS, {"steps": [200_000, 200_001]}, contact="ncp", solver="gd", seconds=0.5, threads=1,
+                         iterations=1_000_000)
+    assert table["status"].tolist() == ["failed", "failed"] and time.monotonic() - begin < 60  # they would take days
 
 
 def test_a_grid_without_points_has_its_columns():

@@ -1,4 +1,4 @@
-// Norms and medians of numbers, and the exponent of a power law.
+// Norms and medians of numbers, whether they are finite, and the exponent of a power law.
 #pragma once
 
 #include <algorithm>
@@ -16,10 +16,14 @@ inline double Norm(const std::vector<double>& entries) {
 }
 
 // Returns the largest magnitude, 0 if there are no entries.
-inline double Largest(const std::vector<double>& entries) {
+inline double Largest(std::span<const double> entries) {
   double largest = 0;
   for (double entry : entries) largest = std::max(largest, std::abs(entry));
   return largest;
+}
+
+inline bool AllFinite(std::span<const double> entries) {
+  return std::ranges::all_of(entries, [](double entry) { return std::isfinite(entry); });
 }
 
 // Returns the median, the upper one of the two middle values if their number is even. Precondition: not empty.

@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "base/number_text.h"
+#include "base/statistics.h"
 
 namespace saltus {
 namespace {
@@ -19,10 +20,6 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 
 // A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
 constexpr int kColumnsOfRow = 4;
-
-bool AllFinite(std::span<const double> numbers) {
-  return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
-}
 
 }  // namespace
 
@@ -56,7 +53,7 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
     guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
   }
   for (const HybridTerm& term : problem_.terms) {
-    if (!term.IsCost() || term.at == HybridTerm::At::kEvent) continue;
+    if (!term.IsCost() || (term.at == HybridTerm::At::kEvent && term.occurrence < 0)) continue;
     const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
     const int times = repeats ? start_.num_intervals : 1;
     num_residuals_ += times * term.function->num_residuals();
@@ -87,9 +84,10 @@ bool HybridShooting::Rollout(std::span<const double> z) {
 
 bool HybridShooting::RolloutOf(HybridInput input) {
   input_ = std::move(input);
+  has_motion_ = false;
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
-  const bool ok = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
-  return ok ? FindPlaces() : Fail(simulator_.WhyFailed());
+  has_motion_ = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
+  return has_motion_ ? FindPlaces() : Fail(simulator_.WhyFailed());
 }
 
 bool HybridShooting::Fail(std::string why) {
@@ -110,16 +108,24 @@ bool HybridShooting::FindPlaces() {
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
     if (term.at == HybridTerm::At::kEvent) {
+      int found = 0;
       for (std::size_t i = 0; i < events.size(); ++i) {
-        if (functions.BaseMode(events[i].mode) != term.mode || events[i].guard != term.guard) continue;
+        if (!term.CountsAt(functions, events[i].mode, events[i].guard)) continue;
+        if (found++ != term.occurrence && term.occurrence >= 0) continue;
         const std::span<const double> state = term.before ? events[i].before : events[i].after;
         if (term.with_state && static_cast<int>(state.size()) != state_size) {
           return Fail(term.name + ": found a state of " + std::to_string(state.size()) +
                       " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
                       std::to_string(state_size));
         }
-        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, -1});
+        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, term.occurrence < 0 ? -1 : rows});
       }
+      if (term.occurrence >= found) {
+        return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
+                    "' in the motion, expected at least " + std::to_string(term.occurrence + 1) +
+                    "; start from a guess that has them, or solve along a sequence with them");
+      }
+      if (is_cost && term.occurrence >= 0) rows += count;
       continue;
     }
     const bool at_end = term.at == HybridTerm::At::kEnd;
@@ -239,84 +245,102 @@ bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) {
   return true;
 }
 
+HybridShooting::Derivative HybridShooting::NoDerivative() const {
+  Derivative none;
+  none.direct.initial.resize(input_.initial.size());
+  none.direct.control.resize(input_.control.size());
+  none.direct.parameters.resize(problem_.system.num_parameters());
+  return none;
+}
+
+void HybridShooting::PullBack(const Place& place, const Values& values, const Eigen::RowVectorXd& weights,
+                              Derivative* sum) const {
+  const HybridTerm& term = *place.term;
+  auto jacobian = values.jacobians.begin();
+  const auto next = [&] {
+    const Eigen::Map<const Matrix> J(jacobian->data(), weights.size(), jacobian->size() / weights.size());
+    ++jacobian;
+    return Eigen::RowVectorXd(weights * J);
+  };
+  const auto add = [](const Eigen::RowVectorXd& by, double* to) {
+    for (const double one : by) *to++ += one;
+  };
+  if (term.with_state) {
+    const Eigen::RowVectorXd by_state = next();
+    std::vector<double>* state = StateIn(&sum->cotangent, place);
+    state->resize(by_state.size());
+    add(by_state, state->data());
+    sum->reads_motion = true;
+  }
+  if (term.with_initial) add(next(), sum->direct.initial.data());
+  if (term.with_control) add(next(), sum->direct.control.data() + place.interval * problem_.system.num_controls());
+  if (term.with_parameters) add(next(), sum->direct.parameters.data());
+  if (term.with_time && place.event >= 0) {
+    sum->cotangent.event_times.resize(simulator_.events().size());
+    sum->cotangent.event_times[place.event] += next()[0];
+    sum->reads_motion = true;
+  } else if (term.with_time) {
+    sum->direct.duration += next()[0] * place.time / input_.duration;
+  }
+  if (term.with_length) sum->direct.duration += next()[0] * (place.length / input_.duration);
+}
+
+HybridGradient HybridShooting::TotalOf(Derivative of, const HybridSensitivity* motion) {
+  if (!of.reads_motion) return std::move(of.direct);
+  HybridGradient through;
+  if (motion == nullptr) {
+    through = simulator_.Adjoint(of.cotangent);
+  } else {
+    Eigen::RowVectorXd row = Eigen::RowVectorXd::Zero(motion->columns);
+    const auto add = [&](std::span<const double> by, const std::vector<double>& rows) {
+      const auto size = static_cast<Eigen::Index>(by.size());
+      if (size == 0) return;
+      row += Eigen::Map<const Eigen::RowVectorXd>(by.data(), size) *
+             Eigen::Map<const Matrix>(rows.data(), size, motion->columns);
+    };
+    add(of.cotangent.final_state, motion->final_state);
+    for (std::size_t k = 0; k < of.cotangent.nodes.size(); ++k) add(of.cotangent.nodes[k], motion->nodes[k]);
+    for (std::size_t i = 0; i < of.cotangent.after.size(); ++i) add(of.cotangent.after[i], motion->after[i]);
+    for (std::size_t i = 0; i < of.cotangent.event_times.size(); ++i) {
+      add({&of.cotangent.event_times[i], 1}, motion->times[i]);
+    }
+    const double* next = row.data();
+    for (auto [to, size] : {std::pair(&through.initial, of.direct.initial.size()),
+                            std::pair(&through.control, of.direct.control.size()),
+                            std::pair(&through.parameters, of.direct.parameters.size())}) {
+      to->assign(next, next + size);
+      next += size;
+    }
+    through.duration = *next;
+  }
+  const auto add = [](const std::vector<double>& from, std::vector<double>* to) {
+    for (std::size_t i = 0; i < to->size(); ++i) (*to)[i] += from[i];
+  };
+  add(through.control, &of.direct.control);
+  add(through.parameters, &of.direct.parameters);
+  add(through.initial, &of.direct.initial);
+  of.direct.duration += through.duration;
+  return std::move(of.direct);
+}
+
 bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
   if (!Rollout(z)) return false;
-  const HybridSystem& system = problem_.system;
-  const int num_controls = system.num_controls(), num_parameters = system.num_parameters();
   *loss = 0;
-  HybridCotangent cotangent;
-  // The derivatives through the parts of z that terms read directly.
-  HybridGradient by;
-  by.initial.resize(input_.initial.size());
-  by.control.resize(input_.control.size());
-  by.parameters.resize(num_parameters);
-  bool reads_motion = false;
-  const auto add_to = [&](std::vector<double>* sum, const double* addend, std::size_t size) {
-    reads_motion = true;
-    sum->resize(size);
-    for (std::size_t i = 0; i < size; ++i) (*sum)[i] += addend[i];
-  };
+  Derivative sum = NoDerivative();
   Values values;
   for (const Place& place : places_) {
     if (!ValuesAt(place, gradient != nullptr, &values)) return FailAt(place);
-    const HybridTerm& term = *place.term;
-    for (const double residual : values.residuals) *loss += term.LossOf(residual);
-    if (gradient == nullptr) continue;
-    auto jacobian = values.jacobians.begin();
-    const auto pull_back = [&] {
-      Eigen::RowVectorXd slopes(values.residuals.size());
-      for (Eigen::Index i = 0; i < slopes.size(); ++i) slopes[i] = term.SlopeOf(values.residuals[i]);
-      const Eigen::Map<const Matrix> J(jacobian->data(), slopes.size(), jacobian->size() / slopes.size());
-      ++jacobian;
-      return Eigen::RowVectorXd(slopes * J);
-    };
-    if (term.with_state) {
-      const Eigen::RowVectorXd by_state = pull_back();
-      std::vector<double>* sum = &cotangent.final_state;
-      if (place.interval >= 0) {
-        cotangent.nodes.resize(input_.num_intervals);
-        sum = &cotangent.nodes[place.interval];
-      } else if (place.event >= 0) {
-        std::vector<std::vector<double>>& of_events = term.before ? cotangent.before : cotangent.after;
-        of_events.resize(simulator_.events().size());
-        sum = &of_events[place.event];
-      }
-      add_to(sum, by_state.data(), by_state.size());
+    Eigen::RowVectorXd slopes(values.residuals.size());
+    for (std::size_t i = 0; i < values.residuals.size(); ++i) {
+      *loss += place.term->LossOf(values.residuals[i]);
+      slopes[static_cast<Eigen::Index>(i)] = place.term->SlopeOf(values.residuals[i]);
     }
-    if (term.with_initial) {
-      const Eigen::RowVectorXd by_start = pull_back();
-      for (Eigen::Index i = 0; i < by_start.size(); ++i) by.initial[i] += by_start[i];
-    }
-    if (term.with_control) {
-      const Eigen::RowVectorXd by_row = pull_back();
-      for (int i = 0; i < num_controls; ++i) by.control[place.interval * num_controls + i] += by_row[i];
-    }
-    if (term.with_parameters) {
-      const Eigen::RowVectorXd by_all = pull_back();
-      for (int i = 0; i < num_parameters; ++i) by.parameters[i] += by_all[i];
-    }
-    if (term.with_time) {
-      const double by_time = pull_back()[0];
-      if (place.event >= 0) {
-        reads_motion = true;
-        cotangent.event_times.resize(simulator_.events().size());
-        cotangent.event_times[place.event] += by_time;
-      } else {
-        by.duration += by_time * place.time / input_.duration;
-      }
-    }
-    if (term.with_length) by.duration += pull_back()[0] * (place.length / input_.duration);
+    if (gradient != nullptr) PullBack(place, values, slopes, &sum);
   }
   if (!std::isfinite(*loss)) return Fail("the loss is not finite");
   if (gradient == nullptr) return true;
-  if (reads_motion) {
-    ++num_adjoints_;
-    const HybridGradient of_motion = simulator_.Adjoint(cotangent);
-    for (std::size_t i = 0; i < by.control.size(); ++i) by.control[i] += of_motion.control[i];
-    for (int i = 0; i < num_parameters; ++i) by.parameters[i] += of_motion.parameters[i];
-    for (std::size_t i = 0; i < by.initial.size(); ++i) by.initial[i] += of_motion.initial[i];
-    by.duration += of_motion.duration;
-  }
+  if (sum.reads_motion) ++num_adjoints_;
+  const HybridGradient by = TotalOf(std::move(sum), nullptr);
   for (std::size_t i = 0; i < variables_.size(); ++i) gradient[i] = variables_[i].In(by);
   return AllFinite({gradient, variables_.size()}) || FailAtDerivatives();
 }
@@ -334,37 +358,29 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
   return why_.empty();
 }
 
-// Returns the derivative by all of the input of a row with this derivative by the state of a place.
-Eigen::RowVectorXd HybridShooting::RowByMotion(const Place& place, const Eigen::RowVectorXd& by_state) {
-  HybridCotangent cotangent;
-  cotangent.final_state.assign(simulator_.final_state().size(), 0.0);
-  if (place.interval >= 0) cotangent.nodes.resize(input_.num_intervals);
-  (place.interval >= 0 ? cotangent.nodes[place.interval] : cotangent.final_state)
-      .assign(by_state.begin(), by_state.end());
-  const HybridGradient by = simulator_.Adjoint(cotangent);
-  Eigen::RowVectorXd row(by.initial.size() + by.control.size() + by.parameters.size() + 1);
-  auto next = row.begin();
-  for (const std::vector<double>* part : {&by.initial, &by.control, &by.parameters}) {
-    next = std::copy(part->begin(), part->end(), next);
+// Returns the part of a cotangent that belongs to the state at a place.
+std::vector<double>* HybridShooting::StateIn(HybridCotangent* cotangent, const Place& place) const {
+  if (place.interval >= 0) {
+    cotangent->nodes.resize(input_.num_intervals);
+    return &cotangent->nodes[place.interval];
   }
-  *next = by.duration;
-  return row;
+  if (place.event < 0) return &cotangent->final_state;
+  std::vector<std::vector<double>>& of_events = place.term->before ? cotangent->before : cotangent->after;
+  of_events.resize(simulator_.events().size());
+  return &of_events[place.event];
 }
 
 void HybridShooting::ResidualJacobian(double* jacobian) {
-  const HybridSystem& system = problem_.system;
   ++num_adjoints_;
-  // The Jacobian by all of the input, of which the variables are some columns.
-  const int n0 = static_cast<int>(input_.initial.size()), controls = static_cast<int>(input_.control.size());
-  const int first_parameter = n0 + controls, duration = first_parameter + system.num_parameters();
-  const int columns = duration + 1;
-  int rows_of_motion = 0;
+  const std::size_t columns =
+      input_.initial.size() + input_.control.size() + problem_.system.num_parameters() + 1;  // of all of the input
+  std::size_t rows_of_motion = 0;
   for (const Place& place : places_) {
-    if (place.first_row >= 0 && place.term->with_state) rows_of_motion += place.term->function->num_residuals();
+    const bool of_motion = place.term->with_state || (place.event >= 0 && place.term->with_time);
+    if (place.first_row >= 0 && of_motion) rows_of_motion += place.term->function->num_residuals();
   }
   std::optional<HybridSensitivity> motion;
   if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity();
-  const int first_of_kind[] = {n0, 0, first_parameter, duration};
   Eigen::Map<Matrix> out(jacobian, num_residuals_, num_variables());
   out.setZero();
   Values values;
@@ -375,32 +391,13 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
       FailAt(place);
       return;
     }
-    const HybridTerm& term = *place.term;
-    const auto rows = static_cast<int>(values.residuals.size());
-    Matrix all = Matrix::Zero(rows, columns);
-    auto block = values.jacobians.begin();
-    const auto next = [&] {
-      const Eigen::Map<const Matrix> J(block->data(), rows, static_cast<int>(block->size()) / rows);
-      ++block;
-      return J;
-    };
-    if (term.with_state) {
-      const auto by_state = next();
-      if (motion) {
-        const std::vector<double>& by = place.interval >= 0 ? motion->nodes[place.interval] : motion->final_state;
-        all += by_state * Eigen::Map<const Matrix>(by.data(), by_state.cols(), columns);
-      }
-      for (int row = 0; !motion && row < rows; ++row) all.row(row) = RowByMotion(place, by_state.row(row));
-    }
-    const int m = system.num_controls();
-    if (term.with_initial) all.leftCols(n0) += next();
-    if (term.with_control) all.middleCols(n0 + place.interval * m, m) += next();
-    if (term.with_parameters) all.middleCols(first_parameter, system.num_parameters()) += next();
-    if (term.with_time) all.col(duration) += next() * (place.time / input_.duration);
-    if (term.with_length) all.col(duration) += next() * (place.length / input_.duration);
-    for (std::size_t j = 0; j < variables_.size(); ++j) {
-      const int column = first_of_kind[static_cast<int>(variables_[j].kind)] + variables_[j].index;
-      out.block(place.first_row, j, rows, 1) = all.col(column);
+    const bool forward = motion && !(place.event >= 0 && place.term->before);
+    const auto rows = static_cast<Eigen::Index>(values.residuals.size());
+    for (Eigen::Index row = 0; row < rows; ++row) {
+      Derivative of_row = NoDerivative();
+      PullBack(place, values, Eigen::RowVectorXd::Unit(rows, row), &of_row);
+      const HybridGradient by = TotalOf(std::move(of_row), forward ? &*motion : nullptr);
+      for (std::size_t j = 0; j < variables_.size(); ++j) out(place.first_row + row, j) = variables_[j].In(by);
     }
   }
   if (!out.allFinite()) FailAtDerivatives();

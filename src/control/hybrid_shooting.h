@@ -39,7 +39,7 @@ class HybridShooting final : public ShootingFunction {
   std::string WhyFailed() const override { return why_; }
   bool stopped() const override { return stopped_; }
 
-  // Costs at events have no residuals, because their number changes with the motion.
+  // Costs at each event have no residuals, because their number changes with the motion.
   int num_residuals() const override { return num_residuals_; }
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
   void ResidualJacobian(double* jacobian) override;
@@ -60,6 +60,8 @@ class HybridShooting final : public ShootingFunction {
     std::string worst;     // the name of that term
   };
   bool Simulate(const HybridInput& input, Outcome* outcome);
+  // Whether the last input has a motion, to which a term may not apply.
+  bool HasMotion() const { return has_motion_; }
 
   // A term of the problem at a place of the last motion, for conditions of optimality: its residuals and their
   // derivatives by the blocks that the term reads.
@@ -96,7 +98,18 @@ class HybridShooting final : public ShootingFunction {
   std::vector<const double*> BlocksOf(const Place& place) const;
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
-  Eigen::RowVectorXd RowByMotion(const Place& place, const Eigen::RowVectorXd& by_state);
+  std::vector<double>* StateIn(HybridCotangent* cotangent, const Place& place) const;
+  // The derivative of weighted residuals: through the motion, and by the parts of the input that terms read directly.
+  struct Derivative {
+    HybridCotangent cotangent;
+    bool reads_motion = false;
+    HybridGradient direct;
+  };
+  Derivative NoDerivative() const;
+  // Adds that of the residuals at a place, weighted.
+  void PullBack(const Place& place, const Values& values, const Eigen::RowVectorXd& weights, Derivative* sum) const;
+  // Returns the derivative by all of the input: by the sensitivities of the motion, or by an adjoint without these.
+  HybridGradient TotalOf(Derivative of, const HybridSensitivity* motion);
   std::string DescribePlace(const Place& place) const;
   // Keep the reason why there is no loss, or no derivative of it, and return false.
   bool Fail(std::string why);
@@ -106,7 +119,7 @@ class HybridShooting final : public ShootingFunction {
   const HybridProblem problem_;
   HybridSimulator simulator_;
   std::function<bool()> stop_;
-  bool stopped_ = false, accurate_ = false;
+  bool stopped_ = false, accurate_ = false, has_motion_ = false;
   HybridInput start_;  // the guess of the problem; without a control that of zeros
   std::vector<FreeVariable> variables_;
   std::vector<double> guess_;

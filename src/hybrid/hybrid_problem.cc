@@ -6,8 +6,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "base/number_text.h"
+#include "base/table.h"
 #include "hybrid/free_variables.h"
 
 namespace saltus {
@@ -69,12 +71,18 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
   const HybridSystem& system = problem.system;
   if (term.function == nullptr) return "found no function";
   const bool of_events = term.at == HybridTerm::At::kEvent;
-  if (term.mode < (of_events ? 0 : -1) || term.mode >= system.num_modes()) {
-    return "found mode " + Number(term.mode) + ", expected " + (of_events ? "0" : "-1") + " to " +
-           Number(system.num_modes() - 1);
+  if (term.mode < -1 || term.mode >= system.num_modes()) {
+    return "found mode " + Number(term.mode) + ", expected -1 to " + Number(system.num_modes() - 1);
   }
-  if (of_events && (term.guard < 0 || term.guard >= system.num_guards(term.mode))) {
-    return "found guard " + Number(term.guard) + ", expected 0 to " + Number(system.num_guards(term.mode) - 1);
+  if (of_events && !system.functions().CreatesModes()) {
+    std::set<std::string> names;
+    for (int mode = std::max(0, term.mode); mode < (term.mode < 0 ? system.num_modes() : term.mode + 1); ++mode) {
+      for (int guard = 0; guard < system.num_guards(mode); ++guard) names.insert(system.GuardName(mode, guard));
+    }
+    if (!names.contains(term.event)) {
+      return "found the event '" + term.event + "', expected " +
+             (names.empty() ? "none, as there are no guards" : "some of " + Joined({names.begin(), names.end()}));
+    }
   }
   if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
     return "only a term of each interval reads a control or a length";
@@ -146,6 +154,11 @@ std::string WhatIsWrongWithStates(const HybridProblem& problem) {
 }
 
 }  // namespace
+
+bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int guard) const {
+  return guard >= 0 && !functions.IsSwitch(of_mode, guard) && (mode < 0 || functions.BaseMode(of_mode) == mode) &&
+         functions.GuardName(of_mode, guard) == event;
+}
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
   auto function =

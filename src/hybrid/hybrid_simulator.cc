@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "base/number_text.h"
+#include "base/statistics.h"
 #include "hybrid/motion_derivatives.h"
 #include "hybrid/rollout.h"
 
@@ -99,8 +100,8 @@ class HybridSimulator::Impl {
   double RelativeChange(const MotionTape& tape, double rounding, const auto& change_of) const {
     const int mode = tape.final_mode, n = system.state_size(mode);
     const double* at = &tape.numbers[tape.final_state];
-    double relative = 0, largest = 0;
-    for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(at[i]));
+    double relative = 0;
+    const double largest = Largest(std::span(at, n));
     for (int i = 0; i < n; ++i) {
       const double change = change_of(i);
       if (change <= rounding * largest) continue;
@@ -119,7 +120,7 @@ class HybridSimulator::Impl {
     const MotionDerivatives::Change change = derivatives.ByHalvesOfCutSteps(input, of.tape(), of.events().size());
     double largest = RelativeChange(of.tape(), rounding, [&](int i) { return std::abs(change.final_state[i]); });
     for (const double time : change.times) largest = std::max(largest, std::abs(time) / input.duration);
-    const bool finite = change.final_state.allFinite() && IsFinite(change.times);
+    const bool finite = change.final_state.allFinite() && AllFinite(change.times);
     return finite ? largest : change.of_steps;
   }
 
@@ -419,8 +420,7 @@ class HybridSimulator::Impl {
       const double* x = &run->tape().numbers[entry.x];
       FlowStep step{{entry.mode, entry.t, x, u, input.parameters.data()}, entry.h / 64};
       const int n = system.state_size(entry.mode);
-      double largest = 0;
-      for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(x[i]));
+      const double largest = Largest(std::span(x, n));
       f.Flow(step, slope.data());
       for (int halvings = 0; f.Fly(step, after.data(), nullptr); ++halvings, step.h /= 2) {
         f.HybridFunctions::Step(step, slope.data(), scratch.data(), integrated.data(), end_slope.data());
@@ -481,14 +481,9 @@ class HybridSimulator::Impl {
     return ties;
   }
 
-  static bool IsFinite(const std::vector<double>& numbers) {
-    return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
-  }
-  static bool IsFinite(const std::vector<std::vector<double>>& rows) {
-    return std::ranges::all_of(rows, [](const auto& row) { return IsFinite(row); });
-  }
+  static bool IsFinite(const std::vector<std::vector<double>>& rows) { return std::ranges::all_of(rows, AllFinite); }
   static bool IsFinite(const HybridSensitivity& by) {
-    return IsFinite(by.final_state) && IsFinite(by.nodes) && IsFinite(by.after) && IsFinite(by.times);
+    return AllFinite(by.final_state) && IsFinite(by.nodes) && IsFinite(by.after) && IsFinite(by.times);
   }
   // Keeps why derivatives are not finite; returns them.
   template <typename Derivatives>
@@ -712,9 +707,6 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
     return std::string("found ") + std::to_string(count) + " numbers of the " + what + ", expected " +
            std::to_string(expected);
   };
-  const auto finite = [](const std::vector<double>& numbers) {
-    return std::all_of(numbers.begin(), numbers.end(), [](double number) { return std::isfinite(number); });
-  };
   if (input.mode < 0 || input.mode >= system.num_modes()) {
     return "found mode " + std::to_string(input.mode) + ", expected 0 to " + std::to_string(system.num_modes() - 1);
   }
@@ -735,9 +727,9 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
   }
   if (!(input.duration > 0) || !std::isfinite(input.duration)) return "expected a finite duration above zero";
   if (!std::isfinite(input.begin)) return "the time of the beginning is not finite";
-  if (!finite(input.initial)) return "the initial state is not finite";
-  if (!finite(input.parameters)) return "a parameter is not finite";
-  if (!finite(input.control)) return "the control is not finite";
+  if (!AllFinite(input.initial)) return "the initial state is not finite";
+  if (!AllFinite(input.parameters)) return "a parameter is not finite";
+  if (!AllFinite(input.control)) return "the control is not finite";
   return "";
 }
 

@@ -1057,43 +1057,40 @@ double RecordedSystem::Guard(const ModePoint& at, int guard) const {
   return value;
 }
 
-double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const {
-  const int n = size(at.mode);
+template <typename Visit>
+double RecordedSystem::LinearizeGuard(const ModePoint& at, int guard, const Visit& visit) const {
   const RecordedFunction& function = *this->at(at.mode).guards[guard];
   const Inputs inputs = InputsAt(at);
   RecordedFunction::Evaluation found(function, true, InputsOf(function, inputs));
   double value = 0;
   found.Run(&value);
-  *rate = 0;
-  for (const auto& entry : found.entries()) {
-    if (entry.column <= n) *rate += entry.column < n ? found[entry] * xdot[entry.column] : found[entry];
-  }
+  for (const auto& entry : found.entries()) visit(entry.column, found[entry]);
   return value;
 }
 
+double RecordedSystem::GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const {
+  const int n = size(at.mode);
+  *rate = 0;
+  return LinearizeGuard(at, guard, [&](int column, double by) {
+    if (column <= n) *rate += column < n ? by * xdot[column] : by;
+  });
+}
+
 double RecordedSystem::GuardGradient(const ModePoint& at, int guard, double* gradient) const {
-  double value = 0;
-  const RecordedFunction& function = *this->at(at.mode).guards[guard];
-  const int all = num_columns(at.mode), columns = std::min(function.num_inputs(), all);
-  function.Linearize(InputsOf(function, InputsAt(at)), columns, &value, gradient);
-  std::fill(gradient + columns, gradient + all, 0.0);
-  return value;
+  const int all = num_columns(at.mode);
+  std::fill_n(gradient, all, 0.0);
+  return LinearizeGuard(at, guard, [&](int column, double by) {
+    if (column < all) gradient[column] = by;
+  });
 }
 
 void RecordedSystem::AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const {
   const int n = size(at.mode), all = num_columns(at.mode);
-  const RecordedFunction& function = *this->at(at.mode).guards[guard];
-  const Inputs inputs = InputsAt(at);
-  RecordedFunction::Evaluation found(function, true, InputsOf(function, inputs));
-  double value = 0;
-  found.Run(&value);
-  for (const bool by_time : {true, false}) {
-    for (const auto& entry : found.entries()) {
-      const double derivative = found[entry];
-      if ((entry.column == n) == by_time && entry.column < all && derivative != 0)
-        terms->push_back({entry.column, derivative});
-    }
-  }
+  const auto first = static_cast<std::ptrdiff_t>(terms->size());
+  LinearizeGuard(at, guard, [&](int column, double by) {
+    if (column < all && by != 0) terms->push_back({column, by});
+  });
+  std::stable_partition(terms->begin() + first, terms->end(), [n](const GuardTerm& term) { return term.input == n; });
 }
 
 int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const {

@@ -266,6 +266,9 @@ class RecordedSystem final : public HybridFunctions {
   // The inputs of a guard or a reset: without control, unless it reads it or is one of a piece.
   std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 
+  // Returns the value of a guard, and calls visit(column, derivative) for each derivative that is not always zero.
+  template <typename Visit>
+  double LinearizeGuard(const ModePoint& at, int guard, const Visit& visit) const;
   std::optional<LinearFlow> LinearFlowOf(int base, const RecordedFunction& flow) const;
 
   const std::vector<Mode> modes_;

@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "base/statistics.h"
 #include "hybrid/runge_kutta.h"
 
 namespace saltus {
@@ -15,10 +16,6 @@ constexpr double kSameChange = 1e-9;  // of a guard, relative to its terms: zero
 constexpr std::size_t kMostTied = 4;  // guards of which all orders are tried
 constexpr int kMostOrders = 24;
 constexpr int kMostTransitions = 400;  // in the orders of more guards, on average one each
-
-bool AllFinite(const double* numbers, int size) {
-  return std::all_of(numbers, numbers + size, [](double number) { return std::isfinite(number); });
-}
 
 }  // namespace
 
@@ -44,7 +41,7 @@ bool TiedEvents::SlopeAt(const ModePoint& at, std::vector<double>* slope) const 
   const int n = system_.state_size(at.mode);
   slope->resize(n);
   functions_.Flow(at, slope->data());
-  return AllFinite(slope->data(), n);
+  return AllFinite(*slope);
 }
 
 bool TiedEvents::FindCandidates(const FlowStep& at, const double* slope, double elapsed) {
@@ -99,7 +96,8 @@ bool TiedEvents::Order(const Start& start, const std::function<int(int)>& choose
       happened_.push_back({at.mode, chosen.guard, *x});
       std::fill(next_.begin(), next_.end(), std::numeric_limits<double>::quiet_NaN());
       const int next = functions_.Reset(at, chosen.guard, next_.data());
-      if (next < 0 || next >= system_.num_modes() || !AllFinite(next_.data(), system_.state_size(next))) return false;
+      if (next < 0 || next >= system_.num_modes() || !AllFinite(std::span(next_.data(), system_.state_size(next))))
+        return false;
       x->assign(next_.begin(), next_.begin() + system_.state_size(next));
       at.mode = next;
       at.x = x->data();
@@ -265,7 +263,7 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
     if (next < 0 || next >= system_.num_modes()) return std::nullopt;
     const int rows = system_.state_size(next);
     const Eigen::Map<const RungeKutta::Matrix> reset(jacobian_.data(), rows, n + 1 + num_parameters);
-    if (!AllFinite(next_.data(), rows) || !reset.allFinite()) return std::nullopt;
+    if (!AllFinite(std::span(next_.data(), rows)) || !reset.allFinite()) return std::nullopt;
     change = Vector(reset.leftCols(n) * change + reset.col(n) * time + reset.rightCols(num_parameters) * direction.p);
     size = Vector(reset.leftCols(n).cwiseAbs() * size + reset.col(n).cwiseAbs() * time_size +
                   reset.rightCols(num_parameters).cwiseAbs() * direction.p.cwiseAbs());

@@ -5,6 +5,7 @@
 #include <memory>
 #include <utility>
 
+#include "base/statistics.h"
 #include "control/design_difference.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
@@ -13,12 +14,6 @@
 
 namespace saltus {
 namespace {
-
-double LargestOf(const std::vector<double>& numbers) {
-  double largest = 0;
-  for (const double number : numbers) largest = std::max(largest, std::abs(number));
-  return largest;
-}
 
 // Returns the initial state with the fixed discs at their positions in the scene.
 std::vector<double> InitialIn(const Scene& scene, std::vector<double> initial) {
@@ -146,7 +141,7 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
   std::vector<double> costate(end.size());
   TerminalGradient(scene.objective, end, simulator->body_size(), costate);
   // In natural units costates are about 1, but they vanish with a loss that reaches zero.
-  gradient.costate = std::max(1.0, LargestOf(costate));
+  gradient.costate = std::max(1.0, Largest(costate));
   for (const ConstraintCertificate& constraint : constraints) {
     gradient.costate = std::max(gradient.costate, constraint.multiplier.cwiseAbs().maxCoeff());
   }
@@ -157,7 +152,7 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
     simulator->Adjoint(costate, /*with_parameters=*/true, &all);
     gradient.by = std::move(all.parameters.design);
     gradient.initial = std::move(all.initial);
-    gradient.costate = std::max(gradient.costate, LargestOf(gradient.initial));
+    gradient.costate = std::max(gradient.costate, Largest(gradient.initial));
   } else {
     std::vector<double> lengths = durations;
     if (lengths.empty()) lengths.assign(rolled.steps, scene.duration / rolled.steps);

@@ -1,6 +1,5 @@
 #include "saltus/outer/problem.h"
 
-#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -156,6 +155,7 @@ void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& sh
   HybridTerm term{.name = shape.name,
                   .at = place.at,
                   .role = role,
+                  .event = place.guard,
                   .before = place.before,
                   .with_state = true,
                   .with_control = shape.controls > 0,
@@ -163,20 +163,7 @@ void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& sh
                   .with_time = true,
                   .with_length = place.at == HybridTerm::At::kEachInterval,
                   .function = std::move(function)};
-  if (place.at != HybridTerm::At::kEvent) return AddTerm(std::move(term));
-  std::vector<std::string> names;
-  const std::size_t before = parts_.terms.size();
-  for (term.mode = 0; term.mode < system.num_modes(); ++term.mode) {
-    for (term.guard = 0; term.guard < system.num_guards(term.mode); ++term.guard) {
-      const std::string name = system.GuardName(term.mode, term.guard);
-      if (name == place.guard) AddTerm(term);
-      if (std::ranges::find(names, name) == names.end()) names.push_back(name);
-    }
-  }
-  if (parts_.terms.size() == before) {
-    throw std::invalid_argument("OnEvent: found '" + place.guard + "', expected some of " +
-                                (names.empty() ? "none, as there are no guards" : Joined(names)));
-  }
+  AddTerm(std::move(term));
 }
 
 void Problem::AddTerm(HybridTerm term) {

@@ -614,4 +614,11 @@ std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path
   return RecordingFromArrays(*arrays, path, scene);
 }
 
+void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document) {
+  WriteReport(request, [&](Page* page) {
+    AddIdentifySections(request.scene, identified, document, page);
+    page->SetResults(document);
+  });
+}
+
 }  // namespace saltus

@@ -81,5 +81,7 @@ Table ResidualTable(const Scene& scene, const Identified& identified);
 
 // Adds fits, tables and figures.
 void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page);
+// Writes the report of fits into the output folder, if there is one. Throws OutputError.
+void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document);
 
 }  // namespace saltus

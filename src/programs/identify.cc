@@ -182,12 +182,7 @@ int IdentifyMain(int argc, char** argv) {
       PrintTables(request.scene, identified, document);
     };
     DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
-           [&] {
-             WriteReport(request, [&](Page* page) {
-               AddIdentifySections(request.scene, identified, document, page);
-               page->SetResults(document);
-             });
-           },
+           [&] { WriteIdentifyReport(request, identified, document); },
            print});
     PrintReportPath(request);
     return ExitCodeOf(identified);

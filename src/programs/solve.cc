@@ -244,14 +244,7 @@ int SolveMain(int argc, char** argv) {
         PrintSolveTable(request, solved);
       }
     };
-    DoAll({[&] { WriteSolutions(request, solved); },
-           [&] {
-             WriteReport(request, [&](Page* page) {
-               AddSolveSections(request, solved, page);
-               page->SetResults(SolveToJson(WithoutStates(request), solved));
-             });
-           },
-           print});
+    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
     PrintReportPath(request);
     return SolveExitCode(solved);
   });

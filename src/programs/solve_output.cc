@@ -808,4 +808,11 @@ SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
   return run;
 }
 
+void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
+  WriteReport(request, [&](Page* page) {
+    AddSolveSections(request, solved, page);
+    page->SetResults(SolveToJson(WithoutStates(request), solved));
+  });
+}
+
 }  // namespace saltus

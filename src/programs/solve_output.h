@@ -72,5 +72,7 @@ class Page;
 
 // Adds the table of runs, certificates, replay, trajectories, controls and learning curves.
 void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page);
+// Writes the report of runs into the output folder, if there is one. Throws OutputError.
+void WriteSolveReport(const Request& request, const SolvedRuns& solved);
 
 }  // namespace saltus

@@ -10,6 +10,7 @@
 #include <numeric>
 
 #include "base/linear_algebra.h"
+#include "base/statistics.h"
 #include "saltus/control/objective.h"
 #include "simulate/costate_sweep.h"
 #include "solve/phases/ceres_phases.h"
@@ -24,12 +25,6 @@ constexpr double kResidualTolerance = 1e-9;
 constexpr double kSameLoss = 1e-4;          // relative: Newton's method has stayed with the minimum it started from
 constexpr double kSameLossAsOnGrid = 1e-3;  // relative, between the grid and continuous time
 constexpr double kAtEnd = 1e-6;             // of the bounds of a free final time
-
-double LargestOf(const double* begin, int count) {
-  double largest = 0;
-  for (int i = 0; i < count; ++i) largest = std::max(largest, std::abs(begin[i]));
-  return largest;
-}
 
 struct PathConditions {
   HmpSystem system;
@@ -97,9 +92,9 @@ Certificate WithResiduals(const std::vector<double>& residuals, const ConditionS
   const double* hamiltonian = residuals.data() + sizes.jumps;
   const double* terminal = hamiltonian + sizes.hamiltonians + sizes.gaps;
   Certificate certificate;
-  certificate.costate_jump = LargestOf(residuals.data(), sizes.jumps) / scale;
-  certificate.hamiltonian = LargestOf(hamiltonian, sizes.hamiltonians) / scale;
-  certificate.transversality = LargestOf(terminal, sizes.terminal) / scale;
+  certificate.costate_jump = Largest(std::span(residuals.data(), sizes.jumps)) / scale;
+  certificate.hamiltonian = Largest(std::span(hamiltonian, sizes.hamiltonians)) / scale;
+  certificate.transversality = Largest(std::span(terminal, sizes.terminal)) / scale;
   return certificate;
 }
 
@@ -290,7 +285,7 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
   std::vector<double> r(n);
   if (!system.Evaluate(y.data(), &path, r.data())) return root;
   root.valid = true;
-  root.residual = LargestOf(r.data(), n);
+  root.residual = Largest(std::span(r.data(), n));
   for (int k = 0; k < system.num_impacts(); ++k) {
     root.scale = std::max(root.scale, std::abs(y[phases.num_variables() + k]));
   }
@@ -306,9 +301,7 @@ HmpRoot FindHmpRoot(const EventPhases& phases, std::vector<double> z, int most_i
   return root;
 }
 
-double ContinuousOptimum::Residual() const {
-  return LargestOf(residuals.data(), static_cast<int>(residuals.size())) / scale;
-}
+double ContinuousOptimum::Residual() const { return Largest(residuals) / scale; }
 
 std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const SolveReport& start,
                                                        int most_iterations) {

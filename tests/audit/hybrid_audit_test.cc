@@ -204,7 +204,7 @@ TEST(HybridAudit, WhatCannotBeAuditedHasAReason) {
   problem.terms.push_back({.name = "of events",
                            .at = HybridTerm::At::kEvent,
                            .mode = 0,
-                           .guard = 0,
+                           .event = "ground",
                            .with_state = true,
                            .function = problem.terms[0].function});
   EXPECT_THAT(reason_of(problem), HasSubstr("of events is a cost at events"));

@@ -61,7 +61,7 @@ HybridProblem BallWithAllKindsOfTerms() {
   HybridTerm events{.name = "events",
                     .at = HybridTerm::At::kEvent,
                     .mode = 0,
-                    .guard = 0,
+                    .event = "ground",
                     .with_state = true,
                     .with_parameters = true,
                     .with_time = true};
@@ -103,13 +103,15 @@ TEST(HybridShooting, GradientAgreesWithDifferences) {
   }
 }
 
-// 2 J' r is the gradient, of all that is no cost at events.
+// 2 J' r is the gradient, of all that is no cost at each event.
 TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
   HybridProblem problem = BallWithAllKindsOfTerms();
-  std::erase_if(problem.terms, [](const HybridTerm& term) { return term.at == HybridTerm::At::kEvent; });
+  for (HybridTerm& term : problem.terms) {
+    if (term.at == HybridTerm::At::kEvent) term.occurrence = term.before ? 0 : 1;
+  }
   HybridShooting shooting(problem);
   const int rows = shooting.num_residuals(), columns = shooting.num_variables();
-  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 7);
+  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 2 + 2 + 7);
   std::vector<double> residuals(rows), jacobian(rows * columns), gradient(columns);
   double loss = 0;
   ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
@@ -329,6 +331,15 @@ TEST(HybridSolvers, SayWhatTheyCannotTake) {
   EXPECT_EQ(Solve("gd", problem, {}).termination, Termination::kNotApplicable);
 }
 
+TEST(HybridShooting, AMotionWithoutTheEventOfATermHasNoLoss) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  problem.terms[4].occurrence = 2;  // of two
+  HybridShooting shooting(problem);
+  double loss = 0;
+  EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr));
+  EXPECT_THAT(shooting.WhyFailed(), HasSubstr("events: found 2 events 'ground' in the motion, expected at least 3"));
+}
+
 TEST(HybridProblem, SaysWhatIsWrong) {
   const HybridProblem right = BallWithAllKindsOfTerms();
   EXPECT_EQ(WhatIsWrongWith(right), "");
@@ -341,7 +352,8 @@ TEST(HybridProblem, SaysWhatIsWrong) {
             "terminal cost of component 0: found no function");
   EXPECT_EQ(with([](HybridProblem* p) { p->terms[1].with_time = true; }),
             "terminal cost of component 1: found a function of blocks of sizes 2, expected 2 1");
-  EXPECT_EQ(with([](HybridProblem* p) { p->terms[4].guard = 1; }), "events: found guard 1, expected 0 to 0");
+  EXPECT_EQ(with([](HybridProblem* p) { p->terms[4].event = "wall"; }),
+            "events: found the event 'wall', expected some of ground");
   EXPECT_EQ(with([](HybridProblem* p) { p->free.initial = {2}; }),
             "found number 2 of the initial state, expected 0 to 1");
   EXPECT_EQ(with([](HybridProblem* p) { p->free.control_min = {1, 2}; }), "found 2 bounds of the control, expected 1");

@@ -191,7 +191,7 @@ TEST(OuterTest, TermsAtEventsCountEachEvent) {
   problem.Free({.initial = {{"x[0]"}}});
   EXPECT_NEAR(Solve("gd", problem.parts(), {.iterations = 0}).initial_loss, -5 + 25, 1e-12);
   EXPECT_THAT([&] { problem.AddValue(OnEvent("wall"), [](const auto& a) { return a.x[1]; }); },
-              ThrowsMessage<std::invalid_argument>("OnEvent: found 'wall', expected some of ground"));
+              ThrowsMessage<std::invalid_argument>("Problem: term 2: found the event 'wall', expected some of ground"));
 }
 
 TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {

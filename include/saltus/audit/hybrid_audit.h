@@ -87,6 +87,7 @@ class HybridSchemeOf final : public HybridScheme {
 struct HybridAuditOptions {
   int steps = 100;  // least number of steps; rounded up to a multiple of the control intervals
   RefinementOptions refinement = {};
+  double seconds = 0;        // limit of time for the refinement beyond its first four levels; 0: none
   bool width_sweep = false;  // whether widths are swept even if the exact gradient exists
   // The loss jumps where an event moves to another step: differences over a few steps scatter more than those of discs.
   WidthSweepOptions widths = {.per_decade = 4, .largest = 400, .wide_from = 20, .wide_to = 200};

@@ -34,10 +34,14 @@ struct HybridTerm {
   std::string name = "term";  // for messages
   At at = At::kEnd;
   Role role = Role::kCost;
-  // kEvent: the mode and the guard of the events, both given. Otherwise the mode in which the term counts; -1: any
-  // mode. A motion that ends in another mode than that of a term at the end has no loss.
+  // The mode in which the term counts; -1: any. A motion that ends in another mode than that of a term at the end has
+  // no loss.
   int mode = -1;
-  int guard = -1;
+  std::string event = "";  // kEvent: the name of the guard
+  // kEvent: the only one of these events at which the term counts, from 0; -1: all. A motion without it has no loss.
+  int occurrence = -1;
+  // Returns whether the term counts at events of a guard in a mode. Precondition: kEvent.
+  bool CountsAt(const HybridFunctions& functions, int of_mode, int guard) const;
   bool before = false;  // kEvent: the function gets the state before the reset instead of that after it
   // kEachInterval: the only interval at whose beginning the term counts; -1: all.
   int interval = -1;

@@ -4,6 +4,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 
@@ -559,9 +560,14 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const auto undecided = [&] {
     return std::ranges::any_of(audit.parts, [](const auto& part) { return MayHaveAFloor(part.study); });
   };
+  const auto begin = std::chrono::steady_clock::now();
   for (int level = 0; level < refinement.levels || (level < refinement.most_levels && undecided()); ++level) {
     const int coarse = base << level;
-    if (level >= kFewest && static_cast<double>(coarse) * K * refinement.samples > refinement.budget) break;
+    // A level takes about as long as all before it.
+    const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin;
+    const bool too_long = options.seconds > 0 && 2 * passed.count() > options.seconds;
+    const bool too_many = static_cast<double>(coarse) * K * refinement.samples > refinement.budget;
+    if (level >= kFewest && (too_long || too_many)) break;
     std::vector<HybridGradient> gradients(refinement.samples);
     double log_steps = 0;
     for (int sample = 0; sample < refinement.samples; ++sample) {

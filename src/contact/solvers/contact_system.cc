@@ -5,6 +5,7 @@
 
 #include "base/linear_algebra.h"
 #include "base/sparse_factors.h"
+#include "base/statistics.h"
 #include "contact/thresholds.h"
 
 namespace saltus {
@@ -12,12 +13,6 @@ namespace {
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
-
-double Largest(std::span<const double> x) {
-  double largest = 0;
-  for (double entry : x) largest = std::max(largest, std::abs(entry));
-  return largest;
-}
 
 }  // namespace
 

@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "base/statistics.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/least_multipliers.h"
 #include "solve/solve_run.h"
@@ -122,11 +123,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     multipliers_[row] = row < roles_.equalities ? multiplier : std::max(0.0, multiplier);
   }
 
-  double LargestMultiplier() const {
-    double largest = 0;
-    for (const double multiplier : multipliers_) largest = std::max(largest, std::abs(multiplier));
-    return largest;
-  }
+  double LargestMultiplier() const { return Largest(multipliers_); }
 
   // Moves the multipliers on, adds the cost rows' squares to *cost, and raises *change to the largest change of a
   // multiplier. Returns the largest violation.
@@ -153,12 +150,10 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
 
   // Ceres would write all numbers of a function to standard error.
   bool IsFinite(const double* residuals, double** jacobians) const {
-    const auto finite = [](const double* numbers, int count) {
-      return std::all_of(numbers, numbers + count, [](double number) { return std::isfinite(number); });
-    };
-    bool all = finite(residuals, num_residuals());
+    bool all = AllFinite(std::span(residuals, num_residuals()));
     for (size_t block = 0; all && jacobians != nullptr && block < parameter_block_sizes().size(); ++block) {
-      all = jacobians[block] == nullptr || finite(jacobians[block], num_residuals() * parameter_block_sizes()[block]);
+      const int size = num_residuals() * parameter_block_sizes()[block];
+      all = jacobians[block] == nullptr || AllFinite(std::span(jacobians[block], size));
     }
     return all;
   }

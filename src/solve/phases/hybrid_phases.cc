@@ -220,18 +220,18 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
     guess_ = std::move(*start);
     Simulate(&guess_);
   }
-  if (guess_.exact.ok || !guess_.guess_states.empty()) Record(guess_.exact.loss);  // infinite without a motion
+  if (Starts()) Record(guess_.exact.loss);  // infinite without a motion
 }
 
 std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
   if (sequence_ && !IsPossible(*sequence_)) {
     return Refuse(Termination::kNotApplicable,
                   "the sequence " + NameOf(*sequence_) +
-                      " does not lead from the mode at the start to one in which the terms at the end apply");
+                      " does not lead from the mode at the start to one in which the terms at the end apply, or lacks "
+                      "an event of a term");
   }
-  if (!guess_.exact.ok && !guess_.guess_states.empty()) return std::nullopt;
-  if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
-  if (guess_.exact.only_impacts) return std::nullopt;
+  if (!Starts()) return Refuse(Termination::kFailed, guess_.exact.reason);
+  if (!guess_.exact.ok || guess_.exact.only_impacts) return std::nullopt;
   return Refuse(Termination::kNotApplicable,
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
                 "distinct times only");
@@ -256,7 +256,7 @@ void HybridPhaseRun::FindScales() {
     for (size_t i = 0; i < u.size(); ++i) u[i] = control(static_cast<int>(i), t);
     scales_.Add(system.functions(), {mode, t, x.data(), u.data(), p}, slope.data(), problem_.guess.duration);
   };
-  for (int step = 0; guess_.exact.ok && step < simulator.num_steps(); ++step) {
+  for (int step = 0; guess_.exact.moves && step < simulator.num_steps(); ++step) {
     add(simulator.StepMode(step), simulator.StepTime(step), simulator.StepState(step));
   }
   const size_t n = problem_.guess.initial.size(), rows = guess_.guess_states.size() / n;
@@ -284,6 +284,7 @@ void HybridPhaseRun::Simulate(HybridMotion* motion) const {
   HybridShooting::Outcome outcome;
   exact.ok = shooting_->Simulate(InputOf(*motion), &outcome);
   const HybridSimulator& simulator = shooting_->simulator();
+  exact.moves = exact.ok || shooting_->HasMotion();
   // Where the control jumps just behind an event, its mode is that under the new control.
   std::vector<HybridEvent> events = simulator.events();
   events.insert(events.end(), simulator.switches().begin(), simulator.switches().end());
@@ -366,6 +367,10 @@ bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
     mode = event.next_mode;
   }
   return std::all_of(problem_.terms.begin(), problem_.terms.end(), [&](const HybridTerm& term) {
+    const auto counts = [&](const ModeEvent& event) {
+      return term.CountsAt(problem_.system.functions(), event.mode, event.guard);
+    };
+    if (term.at == HybridTerm::At::kEvent) return std::ranges::count_if(sequence, counts) > term.occurrence;
     if (term.at != HybridTerm::At::kEnd) return true;
     const bool fits = !term.with_state || term.function->parameter_block_sizes()[0] == problem_.system.state_size(mode);
     return fits && (term.mode < 0 || term.mode == problem_.system.functions().BaseMode(mode));

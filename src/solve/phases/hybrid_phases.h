@@ -22,6 +22,7 @@ struct HybridMotion {
   std::vector<double> control, durations, initial, parameters;
   struct Exact {
     bool ok = false;
+    bool moves = false;  // there is a motion, to which a term may not apply
     std::string reason;  // if not ok
     double loss = INFINITY;
     double violation = 0;      // of constraints and bounds: the largest
@@ -73,7 +74,13 @@ class HybridPhaseRun final : public SequenceRun {
   // or if it has no events and the lengths of the intervals are given.
   void PlanAlong(const std::vector<ModeEvent>& sequence, const HybridMotion& motion, PlanOf<ModeEvent>* plan,
                  std::vector<double>* times) const;
-  // Whether each event is one of the mode that the event before it leads to, and the terms at the end apply there.
+  // Whether there is something to start from: a motion, to which the terms need not apply if a sequence is given, or
+  // states.
+  bool Starts() const {
+    const auto& exact = guess_.exact;
+    return exact.ok || (sequence_ && exact.moves && exact.only_impacts) || !guess_.guess_states.empty();
+  }
+  // Whether each event is one of the mode that the event before it leads to, and the terms apply to such a motion.
   bool IsPossible(const PlanOf<ModeEvent>& plan) const { return IsPossible(plan.Sequence()); }
   bool IsPossible(const std::vector<ModeEvent>& sequence) const;
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {

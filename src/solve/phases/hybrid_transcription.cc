@@ -8,6 +8,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "base/statistics.h"
+
 namespace saltus {
 namespace {
 
@@ -45,9 +47,7 @@ class Rows : public ceres::CostFunction {
     if (jacobians[block] == nullptr) return;
     Eigen::Map<Matrix>(jacobians[block], derivative.rows(), derivative.cols()) = derivative;
   }
-  bool AreFinite(const double* rows) const {
-    return std::all_of(rows, rows + num_residuals(), [](double row) { return std::isfinite(row); });
-  }
+  bool AreFinite(const double* rows) const { return AllFinite(std::span(rows, num_residuals())); }
 };
 
 // The sizes that are not 0.
@@ -477,9 +477,7 @@ bool HybridTranscription::Lay(const Start& start) {
     after.resize(functions_.state_size(event.next_mode));
     nodes_.push_back(std::move(after));
   }
-  return std::all_of(nodes_.begin(), nodes_.end(), [](const std::vector<double>& x) {
-    return std::all_of(x.begin(), x.end(), [](double number) { return std::isfinite(number); });
-  });
+  return std::ranges::all_of(nodes_, AllFinite);
 }
 
 void HybridTranscription::AddSteps() {
@@ -680,12 +678,11 @@ void HybridTranscription::AddTerms() {
       add(term, phases_.back().last_node, -1, {}, 1, {End(num_phases() - 1)});
       continue;
     }
-    for (int j = 0; j < num_phases(); ++j) {
+    for (int j = 0, found = 0; j < num_phases(); ++j) {
       const Phase& phase = phases_[j];
       if (term.at == HybridTerm::At::kEvent) {
-        const bool is_its = EndsWithEvent(j) && functions_.BaseMode(plan_.cuts[j]->mode) == term.mode &&
-                            plan_.cuts[j]->guard == term.guard;
-        if (!is_its) continue;
+        const bool counts = EndsWithEvent(j) && term.CountsAt(functions_, plan_.cuts[j]->mode, plan_.cuts[j]->guard);
+        if (!counts || (found++ != term.occurrence && term.occurrence >= 0)) continue;
         add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
         continue;
       }

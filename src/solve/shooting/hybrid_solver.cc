@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "base/table.h"
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
 #include "saltus/optimality/hybrid_certificate.h"
@@ -123,7 +124,7 @@ std::string WhyNotLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue)
       return term.name + " is a cost that is no square: least squares needs squares";
-    if (term.at == HybridTerm::At::kEvent) {
+    if (term.at == HybridTerm::At::kEvent && term.occurrence < 0) {
       return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
     }
   }
@@ -273,15 +274,13 @@ bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
   if (out.states.empty() && !out.motion) return false;
   const std::string larger = std::string(": start from a control that does") +
                              (report->solver == "mode_search" ? "" : ", or use mode_search, which tries larger ones");
-  std::string names;
-  for (const std::string& name : out.states) names += (names.empty() ? "" : ", ") + name;
   if (out.motion) report->termination = Termination::kNoProgress;
   report->reason +=
       (report->reason.empty() ? "" : "; ") +
       (!problem.free.control ? "no small change of what is optimized changes the motion: start from values "
                                "that do, or bound them there"
        : out.motion          ? "no small change of the control changes the motion, as where all contacts stick" + larger
-                             : "no small change of the control changes " + names + " at the end" + larger);
+                             : "no small change of the control changes " + Joined(out.states) + " at the end" + larger);
   return true;
 }
 

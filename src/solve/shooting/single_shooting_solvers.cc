@@ -13,6 +13,7 @@
 #include <optional>
 #include <span>
 
+#include "base/statistics.h"
 #include "control/control_bounds.h"
 #include "control/phase_costs.h"
 #include "control/smoothed_gradient.h"
@@ -23,10 +24,6 @@
 
 namespace saltus {
 namespace {
-
-bool AllFinite(std::span<const double> values) {
-  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
-}
 
 // Updates `count` variables from number `first` on.
 template <typename S>
@@ -132,22 +129,16 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
 // At rest the gradient has fallen to this part of the largest one met; less in single precision would be rounding.
 constexpr double kRestReduction = 1e-3;
 
-double MaxNorm(std::span<const double> values) {
-  double norm = 0;
-  for (const double value : values) norm = std::max(norm, std::abs(value));
-  return norm;
-}
-
 // Whether every component of the gradient above `most` points out of the bounds.
 bool IsBlocked(const DescentRule& rule, const std::vector<double>& z, const std::vector<double>& gradient,
                double most) {
   constexpr double kStep = 1e-6;  // of the largest variable, or of 1
-  const double step = kStep * std::max(1.0, MaxNorm(z)), rate = step / MaxNorm(gradient);
+  const double step = kStep * std::max(1.0, Largest(z)), rate = step / Largest(gradient);
   std::vector<double> moved = z;
   for (size_t i = 0; i < z.size(); ++i) moved[i] -= std::abs(gradient[i]) > most ? rate * gradient[i] : 0;
   rule.move_within(&moved);
   for (size_t i = 0; i < z.size(); ++i) moved[i] -= z[i];
-  return MaxNorm(moved) <= 1e-3 * step;
+  return Largest(moved) <= 1e-3 * step;
 }
 
 SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
@@ -171,7 +162,7 @@ SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
       run->RecordEstimate(standard_error);
     }
     if (!AllFinite(gradient)) return Fail(run, "gradient", k, z);
-    largest = std::max(largest, MaxNorm(gradient));
+    largest = std::max(largest, Largest(gradient));
     last = z;
     rule.step(gradient, &z);
   }
