@@ -685,16 +685,20 @@ class TestAlways:
             costs=[saltus.effort(), saltus.terminal([1.0, None], hard=True, mode="right"),
                    saltus.residuals(limits, at="always", role="inequality")])
         run = saltus.solve(problem, solver=solver)
-        assert run.termination == "converged" and run.certificate["verdict"] == "stationary", run.reason
+        assert run.termination == "converged" and run.certificate["verdict"].startswith("stationary"), run.reason
         (hit, *_), = run.events
         state, begin, greatest = [0.0, 0.0], 0.0, -np.inf
         for (u,), h in zip(np.asarray(run.control), run.durations):
-            if abs(begin - hit) < 1e-9:
-                state[1] *= 0.9
-            arc = integrate.solve_ivp(lambda t, x: flow(x, [u], [2.0]), (begin, begin + h), state, rtol=1e-12, atol=1e-13,
-                                      t_eval=np.linspace(begin, begin + h, 2001))
-            greatest = max(greatest, np.max(arc.y[1] * np.cos(arc.t) + 0.1 * u - 0.6))
-            state, begin = list(arc.y[:, -1]), begin + h
+            end = begin + h
+            for part in ((begin, hit), (hit, end)) if begin - 1e-9 <= hit < end - 1e-9 else ((begin, end),):
+                if part[0] == hit:
+                    state[1] *= 0.9
+                if part[1] - part[0] > 1e-9:
+                    arc = integrate.solve_ivp(lambda t, x: flow(x, [u], [2.0]), part, state, rtol=1e-12, atol=1e-13,
+                                              t_eval=np.linspace(*part, 2001))
+                    greatest = max(greatest, np.max(arc.y[1] * np.cos(arc.t) + 0.1 * u - 0.6))
+                    state = list(arc.y[:, -1])
+            begin = end
         assert abs(greatest) < 1e-6 and abs(state[0] - 1) < 1e-6
 
     @pytest.mark.parametrize("arguments, words", [

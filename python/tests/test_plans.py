@@ -290,3 +290,18 @@ def test_solvers_keep_durations_without_events(solver):
     assert_allclose(run.durations, lengths, rtol=1e-12)
     assert_allclose(np.ravel(run.control), best, rtol=1e-6)
     assert_allclose(run.loss, np.sum((rows @ best - right) ** 2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs"])
+def test_a_start_at_an_optimum_is_recognised(solver):
+    """From an optimum steps are below the rounding of the loss; the certificate tells that it is one."""
+    ball = saltus.HybridSystem(
+        states={"f": ["y", "v"]}, controls=["f"], parameters=["e"], flow={"f": lambda x, u: [x[1], -9.81 + u[0]]},
+        guards={"f": {"g": lambda x: x[0]}}, resets={"f": {"g": lambda x, p: ("f", [0, -p[0] * x[1]])}})
+    problem = saltus.HybridProblem(ball, mode="f", initial=[1, 0], parameters=[0.7], duration=1.6, control=np.zeros((1, 1)),
+                                   costs=[saltus.terminal([0.3, 0.0], weight=10), saltus.effort(0.1)])
+    run = saltus.solve(problem, solver="ceres_phases")
+    problem.start_from(run)
+    again = saltus.solve(problem, solver=solver)
+    assert again.termination == "converged" and again.certificate.curvature["kind"] == "minimum"
+    assert_allclose(again.loss, run.loss, rtol=1e-12)

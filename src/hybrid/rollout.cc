@@ -475,10 +475,14 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
 }
 
 // A reset onto a guard of the mode behind it, which rises from zero there, leads motions nearby below it, where they
-// have its event at once; unless all of them land on it, as those that bounce do.
+// have its event at once; unless all of them land on it, as those that bounce do, or it is one of guards that reach
+// zero together.
 void RolloutRun::RemarkOnRisingGuard(int guard) {
   const HybridEvent& event = events_.back();
   if (functions_.CreatesModes() || event.is_switch || (event.mode == at_.mode && event.guard == guard)) return;
+  const bool tied =
+      !tape_.coincidences.empty() && tape_.coincidences.back().end == 0 && tape_.coincidences.back().guards.size() > 1;
+  if (tied) return;
   if (!AllLandOn(guard)) Remark("the reset", " leads onto guard '" + system_.GuardName(at_.mode, guard) + "'");
 }
 
@@ -552,7 +556,8 @@ bool RolloutRun::Enter(Entry entry) {
         at_.at_zero[guard] = 0;
         continue;
       }
-      if (standing == Standing::kRising && entry == Entry::kAfterReset && is_reset) RemarkOnRisingGuard(guard);
+      if (standing == Standing::kRising && entry == Entry::kAfterReset && is_reset && !starts)
+        RemarkOnRisingGuard(guard);
       if (standing == Standing::kArmed || standing == Standing::kRising) continue;
       if (standing == Standing::kBehind) {
         if (entry == Entry::kStart) {

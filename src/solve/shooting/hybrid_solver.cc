@@ -131,6 +131,19 @@ std::string WhyNotLm(const HybridProblem& problem) {
   return WhyNotShot(problem);
 }
 
+// Returns a report whose solver can lower the loss no more, as converged if the certificate proves an optimum: steps
+// near one, such as those of a warm start, are below the rounding of the loss.
+SolveReport AcceptOptimum(const HybridProblem& problem, SolveReport report) {
+  if (report.termination != Termination::kNoProgress) return report;
+  Certificate certificate = Certify(problem, SolutionOf(problem, report));
+  const bool minimum = certificate.curvature && certificate.curvature->kind == Curvature::Kind::kMinimum;
+  if (!certificate.IsStationary() || !minimum) return report;
+  report.termination = Termination::kConverged;
+  report.certificate = std::move(certificate);
+  report.reason = "steps no longer lower the loss, and the certificate proves an optimum";
+  return report;
+}
+
 SolveReport SolveByGradientDescent(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("gd", problem, options);
   const HybridShooting& shooting = run.shooting();
@@ -153,7 +166,7 @@ SolveReport SolveByGradientDescent(const HybridProblem& problem, const SolverOpt
 
 SolveReport SolveByLbfgs(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("ceres_lbfgs", problem, options);
-  return MinimizeByLbfgs(&run);
+  return AcceptOptimum(problem, MinimizeByLbfgs(&run));
 }
 
 SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options) {
@@ -169,7 +182,8 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
       }
     }
   };
-  return MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds);
+  return AcceptOptimum(
+      problem, MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds));
 }
 
 // Whether no motion of the system has events.
