@@ -471,7 +471,12 @@ class Problem {
       gradient.resize(z.size());
       if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->WhyFailed());
       remark = shooting_->simulator().WhyNotDifferentiable();
-      remarks = RemarksToJson(RemarksOn(shooting_->simulator()));
+      Remarks found = RemarksOn(shooting_->simulator());
+      if (const std::string jumps = shooting_->WhereLossJumps(loss); !jumps.empty()) {
+        remark += (remark.empty() ? "" : "; ") + jumps;
+        found.push_back({"derivative", jumps});
+      }
+      remarks = RemarksToJson(found);
     });
     return py::make_tuple(
         loss, ToArray(gradient, {static_cast<py::ssize_t>(gradient.size())}), remark, ToPython(remarks));

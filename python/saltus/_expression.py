@@ -410,6 +410,11 @@ def _table(name: str, x: Any, xs: Any, ys: Any, piece: Callable[[Any, Any], Call
     for i in np.ndindex(symbols.shape):
         v = symbols[i]
         known = not isinstance(v, Expression)
+        if known and not isinstance(v, (int, float, np.integer, np.floating)):
+            raise TypeError(f"{name}: found {type(v).__name__}, expected a number or a symbol of a function that is recorded")
+        if known and math.isnan(v):
+            result[i] = v
+            continue
         result[i] = of_piece(int(np.searchsorted(points, v, "right")) - 1, v) if known else between(v, -1, len(points) - 1)
     if not any(isinstance(entry, Expression) for entry in result.flat):
         result = result.astype(float)

@@ -13,7 +13,7 @@ from ._own import as_contact
 from ._progress import Progress
 from ._results import Result, Run
 from ._scene import SceneLike, as_scene, of_run
-from ._types import Floats, Remade, expect, expect_int
+from ._types import expect, expect_int, expect_none_of, Floats, Remade
 
 
 class Regulator(Result):
@@ -68,6 +68,7 @@ def _planned(
     problem: HybridProblem | SceneLike, plan: Any, durations: ArrayLike | None, contact: Any = "event"
 ) -> Any:
     if isinstance(problem, HybridProblem):
+        expect_none_of(_planned, contact=contact)
         return _along(problem, plan, durations)._call("planned")
     scene: Any = as_scene(problem)
     if isinstance(plan, Mapping):
@@ -81,6 +82,8 @@ def _planned(
 
 
 def _gains(regulator: Regulator | None) -> Any:
+    if regulator is not None and not isinstance(regulator, Regulator):
+        raise TypeError(f"regulator: found {type(regulator).__name__}, expected a Regulator, as track returns it, or None")
     if regulator is not None and regulator.events:
         raise ValueError("regulator: found one in continuous time, expected one with du constant in each interval")
     return [] if regulator is None else regulator.gains

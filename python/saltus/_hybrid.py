@@ -463,7 +463,10 @@ def _at_node(recorded: Any, node: int, intervals: int) -> Any:
 
 
 def _read_times(name: str, times: Any) -> tuple[float, ...]:
-    found = np.asarray(times, dtype=float)
+    try:
+        found = np.asarray(times, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name}: found {times!r}, expected a list of times") from None
     if found.ndim != 1 or found.size == 0 or not np.all(np.isfinite(found)) or np.any(found < 0):
         raise ValueError(f"{name}: found {times!r}, expected a list of finite times of at least 0")
     return tuple(found.tolist())
@@ -757,7 +760,10 @@ def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: s
     sigma: the standard deviation of a time: one number, or one for each time. mode: counts events from this mode only.
     """
     expect("text", guard=guard)
-    values = np.array(times, dtype=float)
+    try:
+        values = np.array(times, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"times: found {times!r}, expected a list of numbers") from None
     if values.ndim != 1 or np.any(np.isinf(values)) or np.all(np.isnan(values)):
         raise ValueError(f"times: found {times!r}, expected a list of finite numbers, and NaN where one is missing")
     seen = values[~np.isnan(values)]
@@ -920,7 +926,10 @@ class HybridProblem(Closed):
         durations = getattr(self.control, "durations", None) if self.durations is None else self.durations
         if durations is None:
             return self.control, None
-        lengths = np.asarray(durations, dtype=float)
+        try:
+            lengths = np.asarray(durations, dtype=float)
+        except (TypeError, ValueError):
+            raise TypeError(f"durations: found {durations!r}, expected a list of numbers") from None
         intervals = self.intervals
         if self.control is None or lengths.shape != (intervals,):
             raise ValueError(f"durations: found shape {lengths.shape}, expected ({intervals},), one for each row of the control")
@@ -959,6 +968,27 @@ class HybridProblem(Closed):
         self.control, self.durations = np.asarray(run.control), run.durations
         self.initial, self.parameters, self.duration = run.initial, run.parameters, run.duration
         self._call("check")
+
+    def _begun_by(self, run: HybridRun, optimize: Sequence[str]) -> HybridProblem:
+        """The problem with what is free of its control, initial state, parameters and duration from a run."""
+        if not isinstance(run, HybridRun):
+            raise TypeError(f"start: found {type(run).__name__}, expected a HybridRun")
+        of_run = self._from(run)
+        control, initial, parameters, duration = self._free(optimize)
+        problem = copy.copy(self)
+        if duration:
+            problem.duration = of_run.duration
+        if control:
+            problem.control = of_run.control
+        stretched = control or (duration and self.durations is not None)
+        if stretched:
+            lengths = np.asarray(of_run.durations if control else self.durations, dtype=float)
+            problem.durations = lengths * (problem.duration / np.sum(lengths))
+        for name, free in (("initial", initial), ("parameters", parameters)):
+            values = np.array(getattr(self, name), dtype=float)
+            values[free] = np.asarray(getattr(of_run, name), dtype=float)[free]
+            setattr(problem, name, values)
+        return problem
 
     def _from(self, run: HybridRun) -> HybridProblem:
         """The same problem from the solution of a run."""
@@ -1239,6 +1269,8 @@ class HybridBatch(Closed):
         if not isinstance(problem, HybridProblem):
             raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
         expect_int(threads=threads)
+        if threads < 0:
+            raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
         self.problem, self.threads = copy.copy(problem), threads
         self.optimize = problem.optimize if optimize is None else optimize
         control, initial, parameters, duration = problem._free(self.optimize)

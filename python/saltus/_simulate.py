@@ -13,7 +13,7 @@ from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
-from ._types import Closed, Floats, Remade, expect, expect_int
+from ._types import Closed, expect, expect_int, expect_none_of, Floats, Remade
 
 
 class Simulation(Closed, Remade, _saltus.Simulation):
@@ -172,6 +172,10 @@ def rollout(
         RuntimeError: the rollout fails; that of a HybridProblem whose events accumulate has the time as ``accumulation``.
     """
     if isinstance(scene, HybridProblem):
+        expect_none_of(
+            rollout, contact=contact, control=control, position=position, velocity=velocity, angle=angle,
+            angular_velocity=angular_velocity, precision=precision, memory_limit=memory_limit,
+        )
         return _hybrid.rollout(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)
@@ -206,6 +210,10 @@ def loss_and_gradient(
         A Gradient, or a HybridGradient.
     """
     if isinstance(scene, HybridProblem):
+        expect_none_of(
+            loss_and_gradient, contact=contact, control=control, position=position, velocity=velocity, angle=angle,
+            angular_velocity=angular_velocity, precision=precision,
+        )
         return _hybrid.loss_and_gradient(scene)
     expect("text", precision=precision)
     given = _start(scene, (position, velocity, angle, angular_velocity), control is not None)

@@ -10,7 +10,7 @@ from ._own import Simulator, Stepper, as_contact, has_jacobian, is_own
 from ._progress import Progress
 from ._results import Audit, Run
 from ._scene import SceneLike, as_scene, of_run
-from ._types import expect, expect_int, expect_names
+from ._types import expect, expect_int, expect_names, expect_none_of
 
 
 def contact_models() -> dict[str, str]:
@@ -69,8 +69,9 @@ def solve(
             with the mode that it leads to: ceres_phases (the default then) and ipopt solve along it, whatever the events of
             the guess are.
         start: a run from which to start: its control on its own intervals, its duration, and the initial velocities or
-            positions that are free; of a HybridProblem also the parameters. Solvers on equal steps take the mean of the
-            control over each of them.
+            positions that are free. Solvers on equal steps take the mean of the control over each of them. Of a
+            HybridProblem what is free of its control, initial state, parameters and duration; the intervals of the control
+            are stretched to a duration that is not free.
         guess_states: of a HybridProblem, states (R, n) at equal times from 0 to its duration, R >= 2. Solvers in phases
             begin from them, with the events of the motion under the control, if it has any.
         surrogate: "smoothed_zeroth" or another surrogate gradient, or a dict of kind, sigma, samples, seed, segments.
@@ -105,8 +106,12 @@ def solve(
     expect("a callable", callback=callback, status=status)
     if isinstance(scene, HybridProblem):
         rate = 0.01 if learning_rate is None else float(learning_rate)
-        problem = scene if start is None else scene._from(start)
-        free = problem.optimize if optimize is None else optimize
+        expect_none_of(
+            solve, contact=contact, precision=precision, rate_per_time=rate_per_time, surrogate=surrogate, threads=threads,
+            memory_limit=memory_limit, keep_iterates=keep_iterates, status=status,
+        )
+        free = scene.optimize if optimize is None else optimize
+        problem = scene if start is None else scene._begun_by(start, free)
         with Progress("solve", progress, iterations) as shown:
             return _hybrid.solve(
                 problem, solver, free, bounds, iterations, rate, guess_states, shown.callback(callback), along, seconds
@@ -256,6 +261,9 @@ def audit(
     if isinstance(scene, HybridProblem):
         expect("text", name=name)
         expect("a number", audit_seconds=audit_seconds)
+        expect_none_of(
+            audit, contact=contact, gradient=gradient, vjp=vjp, precision=precision, surrogate=surrogate, threads=threads
+        )
         with Progress("audit", progress):
             return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name, audit_seconds)
     if isinstance(simulate, str):

@@ -44,6 +44,18 @@ def expect(kind: str, **options: Any) -> None:
             raise TypeError(f"{name}: found {type(value).__name__}, expected {kind}")
 
 
+def expect_none_of(function: Callable[..., Any], **options: Any) -> None:
+    """Raises ValueError, with its name, for an option of a function that a HybridProblem does not take, unless it has its
+    default."""
+    for name, value in options.items():
+        default, plain = inspect.signature(function).parameters[name].default, isinstance(value, (bool, int, float, str))
+        if value is default or (plain and value == default):
+            continue
+        remedy = "; solver= names a solver" if name == "contact" else ""
+        found = repr(value) if plain else type(value).__name__
+        raise ValueError(f"{name}: found {found}, expected none, as a HybridProblem does not take it{remedy}")
+
+
 def expect_names(**options: Any) -> list[str]:
     """Returns the names that an option has, one as text or several; raises TypeError for anything that is no text."""
     names = []

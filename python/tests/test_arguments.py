@@ -111,3 +111,39 @@ def test_costs_that_are_none(make):
 def test_options_of_solvers_that_are_none(options):
     with pytest.raises(ValueError):
         saltus.solve(problem_of(), **{"solver": "ceres_phases", **options})
+
+
+def _line(**changes):
+    system = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], parameters=["c"],
+                                 flow={"m": lambda x, u, p: [x[1], u[0] - p[0] * x[1]]})
+    given = {"initial": [0, 0], "parameters": [0.5], "duration": 1.0, "control": np.zeros((4, 1)), **changes}
+    return saltus.HybridProblem(system, mode="m", costs=[saltus.terminal([1, 0], weight=10), saltus.effort(0.1)], **given)
+
+
+@pytest.mark.parametrize("call, name", [
+    (lambda p: saltus.rollout(p, control=np.ones((4, 1))), "control"),
+    (lambda p: saltus.rollout(p, "lcp"), "contact"),
+    (lambda p: saltus.rollout(p, velocity=[1]), "velocity"),
+    (lambda p: saltus.loss_and_gradient(p, control=np.ones((4, 1))), "control"),
+    (lambda p: saltus.solve(p, "gd"), "contact"),
+    (lambda p: saltus.solve(p, surrogate="smoothed_zeroth"), "surrogate"),
+    (lambda p: saltus.solve(p, memory_limit=-1), "memory_limit"),
+    (lambda p: saltus.solve(p, keep_iterates=True), "keep_iterates"),
+    (lambda p: saltus.noisy_runs(p, np.eye(2), contact="lcp"), "contact"),
+    (lambda p: saltus.audit(p, "lcp", step=lambda x, u, p, h: x), "contact"),
+])
+def test_what_a_hybrid_problem_does_not_take_is_refused(call, name):
+    with pytest.raises(ValueError, match=f"^{name}: found .*, expected none, as a HybridProblem does not take it"):
+        call(_line())
+
+
+@pytest.mark.parametrize("changes", [{"initial": [0.5, 0]}, {"duration": 2.0}, {"parameters": [2.0]}])
+@pytest.mark.parametrize("solver", ["auto", "ceres_lm"])
+def test_a_run_to_start_from_changes_nothing_that_is_fixed(changes, solver):
+    run = saltus.solve(_line())
+    cold, warm = saltus.solve(_line(**changes), solver=solver), saltus.solve(_line(**changes), solver=solver, start=run)
+    np.testing.assert_allclose(warm.loss, cold.loss, rtol=1e-8)
+    assert np.array_equal(warm.initial, cold.initial) and np.array_equal(warm.parameters, cold.parameters)
+    assert abs(np.sum(warm.durations) - np.sum(cold.durations)) < 1e-12
+    free = saltus.solve(_line(**changes), solver="ceres_lm", optimize=["control", "x", "c"], start=run, iterations=0)
+    assert free.initial[0] == run.initial[0] and free.parameters[0] == run.parameters[0]

@@ -701,6 +701,28 @@ class TestAlways:
             begin = end
         assert abs(greatest) < 1e-6 and abs(state[0] - 1) < 1e-6
 
+    @pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
+    @pytest.mark.parametrize("intervals", [2, 3, 8])
+    def test_behind_an_event_too(self, intervals, solver):
+        """Intervals end at the event, so that the part behind it is not left out: the speed is greatest after the bounce."""
+        ball = saltus.HybridSystem(
+            states={"f": ["y", "v"]}, controls=["u"], flow={"f": lambda x, u: [x[1], u[0] - 10]},
+            guards={"f": {"ground": lambda x: x[0]}}, resets={"f": {"ground": lambda x: ("f", [0, -0.8 * x[1]])}})
+        limit = saltus.residuals(lambda x: x[1] - 3.2, at="always", role="inequality")
+        problem = saltus.HybridProblem(ball, mode="f", initial=[1.25, 0], duration=1.0, control=np.zeros((intervals, 1)),
+                                       costs=[saltus.terminal([1, 0], weight=10), saltus.effort(0.05), limit])
+        run = saltus.solve(problem, solver=solver)
+        assert (run.termination, run.certificate.verdict) == ("converged", "stationary")
+        assert "of controls whose intervals end at the events, as" in run.certificate.reason
+        state, begin, (hit, *_) = [1.25, 0.0], 0.0, run.events[0]
+        assert min(abs(np.cumsum(run.durations) - hit)) < 1e-9
+        for (u,), h in zip(np.asarray(run.control), run.durations):
+            if abs(begin - hit) < 1e-9:
+                state = [0.0, -0.8 * state[1]]
+            assert state[1] < 3.2 + 1e-8 and state[1] + (u - 10) * h < 3.2 + 1e-8
+            state = [state[0] + h * state[1] + (u - 10) * h**2 / 2, state[1] + (u - 10) * h]
+            begin += h
+
     @pytest.mark.parametrize("arguments, words", [
         ({"function": lambda x: x[0]}, "at: found 'always' with the role 'cost', expected 'inequality'; a cost over time is one at steps"),
         ({"function": lambda x, h: x[0], "role": "inequality"}, "only a cost at steps reads a control u or the length h"),
@@ -718,3 +740,18 @@ class TestAlways:
         with pytest.raises(ValueError, match="found at='always' with a MechanicalSystem, expected a HybridSystem; at='steps' holds at"):
             saltus.HybridProblem(disc, initial=[1, 0], duration=1.0,
                                  costs=[saltus.residuals(lambda x: x[0], at="always", role="inequality")])
+
+
+@pytest.mark.parametrize("at", ["steps", [0.5]])
+def test_a_term_at_the_time_of_an_event_is_remarked(at):
+    """A ball that bounces at 0.5, where the speed that the term reads jumps from -5 to 2.5."""
+    falls = saltus.HybridSystem(
+        states={"f": ["y", "v"]}, flow={"f": lambda x: [x[1], -10]}, guards={"f": {"ground": lambda x: x[0]}},
+        resets={"f": {"ground": lambda x: ("f", [0, -0.5 * x[1]])}})
+    for height in (1.25, 1.25 + 1e-6, 1.25 - 1e-6):
+        problem = saltus.HybridProblem(falls, mode="f", initial=[height, 0], duration=1.2, control=np.zeros((2, 0)),
+                                       durations=[0.5, 0.7], costs=[saltus.residuals(lambda x: x[1], at=at)])
+        found = saltus.loss_and_gradient(problem)
+        jumps = "guard 'ground' has an event at t = 0.5, where cost at" in found.remark
+        assert jumps == (height == 1.25), found.remark
+        assert jumps == any("the loss jumps as the event crosses this time" in remark["text"] for remark in found.remarks)

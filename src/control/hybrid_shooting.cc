@@ -162,6 +162,59 @@ std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
   return blocks;
 }
 
+const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double loss) const {
+  constexpr double kRounding = 1e-9, kViolated = 1e-8;
+  const HybridFunctions& functions = problem_.system.functions();
+  const HybridEvent& at = simulator_.events()[event];
+  const std::vector<double> times = input_.Times();
+  double change = 0, size = std::abs(loss);
+  const HybridTerm* last = nullptr;
+  for (const HybridTerm& term : problem_.terms) {
+    if (term.at != HybridTerm::At::kEachInterval || !term.with_state) continue;
+    if (term.interval >= 0 && term.interval != interval) continue;
+    const double change_before = change;
+    bool violated = false;
+    const auto add = [&](int mode, std::span<const double> state, double sign) {
+      const bool counts = (term.mode < 0 || term.mode == functions.BaseMode(mode)) &&
+                          term.function->parameter_block_sizes()[0] == static_cast<int>(state.size());
+      Values values;
+      const Place place{&term, interval, -1, state, times[interval], times[interval + 1] - times[interval]};
+      if (!counts || !ValuesAt(place, false, &values)) return;
+      for (const double row : values.residuals) {
+        if (term.IsCost()) {
+          change += sign * term.LossOf(row);
+          size += std::abs(term.LossOf(row));
+        } else {
+          violated = violated || row > kViolated || (term.role == HybridTerm::Role::kEquality && row < -kViolated);
+        }
+      }
+    };
+    add(at.mode, at.before, -1);
+    add(at.next_mode, at.after, 1);
+    if (violated) return &term;
+    if (change != change_before) last = &term;
+  }
+  return std::abs(change) <= kRounding * size ? nullptr : last;
+}
+
+std::string HybridShooting::WhereLossJumps(double loss) const {
+  constexpr double kSameTime = 1e-12;  // of the duration
+  const std::vector<double> times = input_.Times();
+  std::string remark;
+  for (int event = 0; event < std::ssize(simulator_.events()); ++event) {
+    const HybridEvent& at = simulator_.events()[event];
+    const auto near = [&](double time) { return std::abs(time - at.time) <= kSameTime * input_.duration; };
+    const auto node = std::ranges::find_if(times, near);
+    if (node == times.end() || node + 1 == times.end()) continue;
+    const HybridTerm* term = TermThatJumps(event, static_cast<int>(node - times.begin()), loss);
+    if (term == nullptr) continue;
+    remark += (remark.empty() ? "" : "; ") + ("guard '" + problem_.system.GuardName(at.mode, at.guard)) +
+              "' has an event at t = " + ToText(at.time, 6) + ", where " + term->name +
+              " reads the state: the loss jumps as the event crosses this time";
+  }
+  return remark;
+}
+
 bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* values) const {
   const HybridTerm& term = *place.term;
   const std::vector<const double*> blocks = BlocksOf(place);

@@ -76,6 +76,13 @@ class HybridShooting final : public ShootingFunction {
   bool EvaluateTerms(std::vector<TermAt>* terms);
   const std::vector<FreeVariable>& variables() const { return variables_; }
 
+  // Returns the term by which the loss, of about this size, or a constraint jumps as an event of the last motion
+  // crosses the beginning of an interval, where the term reads the state before the event or behind it; nullptr if none
+  // does.
+  const HybridTerm* TermThatJumps(int event, int interval, double loss) const;
+  // Returns a remark on the events of the last motion at which the loss jumps so; empty if there are none.
+  std::string WhereLossJumps(double loss) const;
+
  private:
   // A place in the motion where a term is evaluated, with the data that its function reads.
   struct Place {

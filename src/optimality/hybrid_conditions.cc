@@ -36,11 +36,11 @@ using Eigen::VectorXd;
 constexpr double kAtBound = 1e-6;       // of a bound's range, or an inequality's violation that counts as active
 constexpr double kAtNode = 1e-6;        // of an interval: an event so near to its end is at it
 constexpr double kSameTime = 1e-14;     // of the duration
+constexpr double kSameNode = 1e-9;      // of the duration
 constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
 constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
 constexpr double kOfGuard = 1e-9;       // of the size of a guard: a value that is not zero
-constexpr double kSameRows = 1e-9;      // of the loss: a change that is rounding
 
 // A step of the motion, from `begin` to `end`, with its derivatives by [x t p u h].
 struct Step {
@@ -147,6 +147,9 @@ class HybridConditions {
       result.curvature = FindCurvature(moving);
       JudgeControl(&result);
     }
+    if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
+      result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
+    }
     return result;
   }
 
@@ -174,12 +177,27 @@ class HybridConditions {
     for (const HybridEvent& event : events()) {
       if (event.at_once) return "guards have transitions at once; the conditions are those of events that take time";
     }
+    const bool within = std::ranges::any_of(events(), [&](const HybridEvent& event) { return !IsAtNode(event.time); });
+    if (HoldsAlways() != nullptr && within) {
+      return HoldsAlways()->name + " holds always, and is evaluated up to the event within a control interval alone";
+    }
     for (const HybridGrazing& grazing : simulator().grazings()) {
       return "guard '" + system_.GuardName(grazing.mode, grazing.guard) +
              "' grazes zero at t = " + std::to_string(grazing.time) +
              "; the conditions are those of events that cross it";
     }
     return "";
+  }
+
+  // Returns a constraint for which control intervals have to end at events, and move with them; nullptr if there is
+  // none.
+  const HybridTerm* HoldsAlways() const {
+    const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::HoldsAlways);
+    return term != problem_.terms.end() ? &*term : nullptr;
+  }
+  bool IsAtNode(double time) const {
+    const std::vector<double> ends = input_.Times();
+    return std::ranges::any_of(ends, [&](double end) { return std::abs(end - time) <= kSameNode * input_.duration; });
   }
 
   // Says which derivative along the motion is not finite.
@@ -1102,46 +1120,12 @@ class HybridConditions {
   // guard is above zero under the control that begins there, and has no event then.
   bool JumpsAtNode(int k) const {
     const HybridEvent& event = events()[k];
-    if (node_[k] < 0 || node_[k] >= input_.num_intervals) return false;
+    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr) return false;
     if (on_node_[k] && functions_.ReadsControl(event.mode, event.guard) &&
         GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
       return true;
     }
-    double change = 0, size = std::abs(loss_);  // of the loss
-    for (const HybridTerm& term : problem_.terms) {
-      if (term.at != HybridTerm::At::kEachInterval || !term.with_state) continue;
-      if (term.interval >= 0 && term.interval != node_[k]) continue;
-      const VectorXd before = RowsAtNode(term, node_[k], event.mode, event.before),
-                     after = RowsAtNode(term, node_[k], event.next_mode, event.after);
-      if (term.IsCost()) {
-        const auto loss = [&](double row) { return term.LossOf(row); };
-        change += after.unaryExpr(loss).sum() - before.unaryExpr(loss).sum();
-        size += after.unaryExpr(loss).cwiseAbs().sum() + before.unaryExpr(loss).cwiseAbs().sum();
-      } else if (!(ViolationOf(term, before) <= kAtBound && ViolationOf(term, after) <= kAtBound)) {
-        return true;
-      }
-    }
-    return !(std::abs(change) <= kSameRows * size);
-  }
-  static double ViolationOf(const HybridTerm& term, const VectorXd& rows) {
-    if (rows.size() == 0) return 0;
-    return term.role == HybridTerm::Role::kInequality ? rows.maxCoeff() : rows.cwiseAbs().maxCoeff();
-  }
-  // Returns the rows of a term at the beginning of an interval in a state of a mode; none if it does not count there.
-  VectorXd RowsAtNode(const HybridTerm& term, int interval, int mode, std::span<const double> state) const {
-    const std::vector<int32_t>& sizes = term.function->parameter_block_sizes();
-    if (term.mode >= 0 && term.mode != functions_.BaseMode(mode)) return {};
-    if (sizes[0] != static_cast<int>(state.size())) return {};
-    const double time = times_[interval], length = LengthOf(interval);
-    std::vector<const double*> blocks = {state.data()};
-    if (term.with_control) blocks.push_back(ControlOf(interval));
-    if (term.with_parameters) blocks.push_back(input_.parameters.data());
-    if (term.with_time) blocks.push_back(&time);
-    if (term.with_length) blocks.push_back(&length);
-    VectorXd rows(term.function->num_residuals());
-    if (!term.function->Evaluate(blocks.data(), rows.data(), nullptr))
-      rows.setConstant(std::numeric_limits<double>::infinity());
-    return rows;
+    return shooting_.TermThatJumps(k, node_[k], std::abs(loss_)) != nullptr;
   }
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
@@ -1156,7 +1140,7 @@ class HybridConditions {
       ImpactCertificate& impact = result->impacts[k];
       impact.theta.reset();
       impact.concave = false;
-      if (!on_node_[k] || !FallsOnBothSides(k)) continue;
+      if (!on_node_[k] || !FallsOnBothSides(k) || HoldsAlways() != nullptr) continue;
       // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
       const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });

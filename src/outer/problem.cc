@@ -151,7 +151,6 @@ void Problem::TryOut(const Shape& shape, const std::function<void(const double* 
 
 void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& shape,
                       std::shared_ptr<const ceres::CostFunction> function) {
-  const HybridSystem& system = parts_.system;
   HybridTerm term{.name = shape.name,
                   .at = place.at,
                   .role = role,

@@ -143,7 +143,10 @@ class SpecParser {
   template <typename OnError>
   void CheckName(const std::string& name, const OnError& fail) {
     if (!FindSweepOption(name, scene_)) {
-      fail("an option: one of " + Joined(SweepOptionNames()) + ", or <body>.<field> of the scene, such as " +
+      std::vector<std::string> names = SweepOptionNames();
+      if (!scene_.materials.empty())
+        std::erase_if(names, [](const auto& n) { return n == "restitution" || n == "friction"; });
+      fail("an option: one of " + Joined(names) + ", or <body>.<field> of the scene, such as " +
            (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass" +
            (scene_.materials.empty() ? "" : ", or of its materials: " + ContactParametersOf(scene_)));
     }

@@ -60,6 +60,9 @@ struct HybridTerm {
   //   the length of the interval (1 number); kEachInterval only
   bool with_length = false;
 
+  // Whether the term is a constraint on whole intervals. Solvers in phases end these at events.
+  bool HoldsAlways() const { return at == At::kEachInterval && !IsCost() && with_length; }
+
   // The function, which must not keep state.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
 };

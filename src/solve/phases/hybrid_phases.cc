@@ -397,7 +397,8 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
     k = end;
   }
-  const bool too_few_intervals = static_cast<int>(count) >= num_steps();
+  const bool always = std::ranges::any_of(problem_.terms, &HybridTerm::HoldsAlways);
+  const bool too_few_intervals = static_cast<int>(count) >= num_steps() && !always;
   const bool is_given = IsOnGrid(problem_) || (count == 0 && !problem_.guess.lengths.empty());
   if (is_given || too_few_intervals) AddGrid(motion.durations, plan, times);
 }
@@ -406,7 +407,8 @@ std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::P
   constexpr double kPart = 1e-3;  // of an interval, by which an event begins beside its end
   const std::vector<ImpactCertificate>& impacts = Certify(motion).impacts;
   std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
-  if (std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
+  const bool always = std::ranges::any_of(problem_.terms, &HybridTerm::HoldsAlways);
+  if (always || std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
   for (const double part : {kPart, -kPart}) {
     HybridMotion moved = motion;  // whose events are those beside the ends of intervals
     for (const ImpactCertificate& impact : impacts) {
@@ -546,7 +548,12 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 }
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
-  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
+  if (problem.free.IsEmpty()) return "the problem leaves nothing to optimize: name what is free";
+  const auto always = std::ranges::find_if(problem.terms, &HybridTerm::HoldsAlways);
+  if (always == problem.terms.end() || !IsOnGrid(problem)) return "";
+  return always->name +
+         " holds always, for which intervals end at events, and the control or a term is given on intervals "
+         "that do not: make its time an event, by a guard t1 - t";
 }
 
 SolveReport MendHybrid(HybridPhaseRun* run) {

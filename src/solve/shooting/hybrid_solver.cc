@@ -89,7 +89,9 @@ class HybridRun final : public ShootingRun {
     double loss = 0;
     if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
     report_.integration_error = shooting_.simulator().IntegrationError();
-    const std::string why = shooting_.simulator().WhyNotDifferentiable();
+    std::string why = shooting_.simulator().WhyNotDifferentiable();
+    const std::string jumps = shooting_.WhereLossJumps(loss);
+    if (!jumps.empty()) why += (why.empty() ? "" : "; ") + jumps;
     const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
     if (near.empty() || why.find("control jumps") != std::string::npos) return why;
     return why.empty() ? near : why + "; " + near;
