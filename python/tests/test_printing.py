@@ -41,7 +41,7 @@ def test_hybrid_results(bounce):
                    saltus.noisy_runs(bounce, 1e-4 * np.eye(2), samples=10)):
         shown(result)
     bounce.duration = 1.0
-    assert shown(saltus.solve(bounce, "ceres_phases"))["certificate"] == "stationary"
+    assert shown(saltus.solve(bounce, solver="ceres_phases"))["certificate"] == "stationary"
 
 
 def test_results_of_scenes(two_balls):
