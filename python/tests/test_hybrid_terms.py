@@ -702,7 +702,7 @@ class TestAlways:
         assert abs(greatest) < 1e-6 and abs(state[0] - 1) < 1e-6
 
     @pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
-    @pytest.mark.parametrize("intervals", [2, 3, 8])
+    @pytest.mark.parametrize("intervals", [1, 2, 3, 8])
     def test_behind_an_event_too(self, intervals, solver):
         """Intervals end at the event, so that the part behind it is not left out: the speed is greatest after the bounce."""
         ball = saltus.HybridSystem(
@@ -712,6 +712,9 @@ class TestAlways:
         problem = saltus.HybridProblem(ball, mode="f", initial=[1.25, 0], duration=1.0, control=np.zeros((intervals, 1)),
                                        costs=[saltus.terminal([1, 0], weight=10), saltus.effort(0.05), limit])
         run = saltus.solve(problem, solver=solver)
+        if intervals == 1:  # the interval cannot end at the event
+            assert run.termination == "failed" and "expected an interval for each phase" in run.reason
+            return
         assert (run.termination, run.certificate.verdict) == ("converged", "stationary")
         assert "of controls whose intervals end at the events, as" in run.certificate.reason
         state, begin, (hit, *_) = [1.25, 0.0], 0.0, run.events[0]

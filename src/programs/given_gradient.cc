@@ -20,7 +20,8 @@ class GradientReader : public InputReader {
  public:
   using InputReader::InputReader;
 
-  // Returns rows of `columns` numbers, of which unknown ones are NaN. Rows of which `thirds` says so may be [x, y, z].
+  // Returns rows of `columns` numbers, of which unknown ones are NaN. Rows with a nonzero entry in `thirds` may be [x,
+  // y, z].
   std::vector<double> Vectors(const Json& list, const std::string& key, size_t most, size_t columns = 2,
                               const std::vector<char>& thirds = {}) const {
     if (!list.is_array() || list.size() > most)

@@ -59,7 +59,7 @@ struct ParameterGradient {
   double stiffness = 0;
   double damping = 0;
   // Restitution and friction of each pair of materials by MaterialPairIndex() (materials.h), in a scene with materials.
-  // Those above are then those of pairs without a material, which has the index 0 here.
+  // `restitution` and `friction` above are then those of pairs without a material, which have the index 0 here.
   std::vector<PairConstants<double>> pairs;
   Vec2d gravity = Vec2d::Zero();
   std::vector<double> mass;     // B; 0 for fixed discs; the moment of inertia is constant

@@ -407,8 +407,7 @@ std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::P
   constexpr double kPart = 1e-3;  // of an interval, by which an event begins beside its end
   const std::vector<ImpactCertificate>& impacts = Certify(motion).impacts;
   std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
-  const bool always = std::ranges::any_of(problem_.terms, &HybridTerm::HoldsAlways);
-  if (always || std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
+  if (std::ranges::none_of(impacts, &ImpactCertificate::LeavesNode)) return plans;
   for (const double part : {kPart, -kPart}) {
     HybridMotion moved = motion;  // whose events are those beside the ends of intervals
     for (const ImpactCertificate& impact : impacts) {
