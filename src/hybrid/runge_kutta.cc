@@ -18,7 +18,7 @@ void HybridFunctions::LinearizeStep(const FlowStep& step, double* scratch, doubl
   const int n = state_size(step.mode);
   const std::size_t stride = static_cast<std::size_t>(n) * (n + 1 + layout().num_parameters + layout().num_controls);
   const auto flow = [&](double t, const double* x, double* xdot, double* jacobian) {
-    FlowJacobian({step.mode, t, x, step.u, step.p}, xdot, jacobian);
+    FlowJacobian({step.mode, t, x, step.u, step.p, step.by_parameters}, xdot, jacobian);
   };
   saltus::LinearizeStep(n, step, stride, flow, scratch, slopes, jacobians);
 }
@@ -64,7 +64,8 @@ void RungeKutta::Linearize(const FlowStep& step) {
   if (!projects_) return;
   if (!flies_) CombineSlopes(kStages, size_, length_, step.x, slopes_.data(), after);
   projection_.resize(size_ * (size_ + 1 + num_parameters_));
-  functions_.ProjectJacobian(step.mode, after, step.p, on, projection_.data());
+  const ModePoint at{step.mode, step.t + step.h, after, step.u, step.p, step.by_parameters};
+  functions_.ProjectJacobian(at, on, projection_.data());
 }
 
 void RungeKutta::ByLength(double* derivative) const {
@@ -184,8 +185,13 @@ RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
   return projection.leftCols(n) * after + projection.rightCols(num_parameters_) * in.p;
 }
 
-RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step) {
+RungeKutta::Matrix RungeKutta::Jacobian(const FlowStep& step, double* after) {
   Linearize(step);
+  if (after != nullptr && (flies_ || projects_)) {
+    std::copy_n(&scratch_[projects_ ? size_ : 0], size_, after);
+  } else if (after != nullptr) {
+    CombineSlopes(kStages, size_, length_, step.x, slopes_.data(), after);
+  }
   const Eigen::Index columns = size_ + 1 + num_parameters_ + num_controls_ + 1;
   if (flies_ && !projects_) {
     Matrix jacobian(size_, columns);

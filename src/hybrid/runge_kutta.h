@@ -143,8 +143,8 @@ class RungeKutta {
     Matrix p, u;              // P x D, m x D
   };
   Matrix PushForward(const Tangent& in) const;
-  // The derivative of x' by [x t p u h]; linearizes the step.
-  Matrix Jacobian(const FlowStep& step);
+  // The derivative of x', projected, by [x t p u h]; linearizes the step. Unless `after` is null, it is set to x'.
+  Matrix Jacobian(const FlowStep& step, double* after = nullptr);
 
  private:
   using ConstMatrixMap = Eigen::Map<const Matrix>;

@@ -404,7 +404,8 @@ TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContact
     SCOPED_TRACE(status);
     const int mode = system.Mode(status);
     std::vector<double> after(kStates), jacobian(kStates * kColumns);
-    f.ProjectJacobian(mode, at.data(), &at[kStates], after.data(), jacobian.data());
+    const ModePoint point{mode, 0, at.data(), u.data(), &at[kStates]};
+    f.ProjectJacobian(point, after.data(), jacobian.data());
     const auto project = [&](const std::vector<double>& y) {
       std::vector<double> out(kStates);
       f.Project(mode, y.data(), &y[kStates], out.data());
@@ -421,6 +422,12 @@ TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContact
       };
       EXPECT_NEAR(evaluate(at)[0], value, 1e-12 * std::abs(value));
       expect(evaluate, gradient, static_cast<int>(gradient.size()));
+      // Without the columns of the parameters the others stay the same.
+      std::vector<double> others(gradient.size());
+      f.GuardGradient({mode, 0, at.data(), u.data(), &at[kStates], /*by_parameters=*/false}, guard, others.data());
+      for (std::size_t i = 0; i < gradient.size(); ++i) {
+        if (i <= kStates || i >= kColumns) EXPECT_NEAR(others[i], gradient[i], 1e-12 * std::abs(value)) << i;
+      }
       const auto reset = [&](const std::vector<double>& y) {
         std::vector<double> out(kStates);
         f.Reset({mode, 0, y.data(), u.data(), &y[kStates]}, guard, out.data());

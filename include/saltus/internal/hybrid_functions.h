@@ -127,8 +127,7 @@ class HybridFunctions {
   virtual bool Projects(int /*mode*/) const { return false; }
   virtual void Project(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/) const {}
   // Projects, and sets the derivative by [x t p]: n x (n + 1 + P).
-  virtual void ProjectJacobian(int /*mode*/, const double* /*x*/, const double* /*p*/, double* /*x_plus*/,
-                               double* /*jacobian*/) const {}
+  virtual void ProjectJacobian(const ModePoint& /*at*/, double* /*x_plus*/, double* /*jacobian*/) const {}
 
   // Whether a guard that a reset leaves below zero, and that rises, waits until it is above zero in the place of an
   // event.

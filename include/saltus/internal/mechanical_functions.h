@@ -158,7 +158,7 @@ struct MechanicalLayout {
 
 class MechanicalFunctions {
  public:
-  static constexpr int kWidth = 8;  // of a pass
+  static constexpr int kWidth = 12;  // of a pass
   using Jet = ceres::Jet<double, kWidth>;
 
   virtual ~MechanicalFunctions() = default;

@@ -140,6 +140,8 @@ struct ModePoint {
   const double* x = nullptr;  // state of the mode
   const double* u = nullptr;  // control
   const double* p = nullptr;  // parameters
+  // Whether derivatives by the parameters are asked for. Otherwise the columns of these are not to be read.
+  bool by_parameters = true;
 };
 
 // The beginning of a step and its length, s.

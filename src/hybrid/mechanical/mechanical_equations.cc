@@ -207,7 +207,7 @@ double MechanicalEquations::GapGradient(int contact, const Point& at, double* by
     const Jet value = f_.Gap(contact, q.data(), known.data());
     for (std::size_t j = 0; j < seeded.size(); ++j) by_q[seeded[j]] = value.v[static_cast<int>(j)];
   });
-  for (int first = 0; first < num_p_; first += kWidth) {
+  for (int first = 0; by_p != nullptr && first < num_p_; first += kWidth) {
     Jets p = known;
     const int width = std::min(kWidth, num_p_ - first);
     for (int j = 0; j < width; ++j) p[first + j].v[j] = 1;
@@ -320,22 +320,34 @@ void MechanicalEquations::Accelerate(const System& system, const Point& at, Eige
   AddChange(system.mobile_F * *force, system.mobile_F.cwiseAbs() * force->cwiseAbs(), *a);
 }
 
-std::vector<MechanicalEquations::Seeds> MechanicalEquations::SeedColumns(const Point& at, int columns) const {
+std::vector<int> MechanicalEquations::Columns(bool by_parameters, bool with_control) const {
+  std::vector<int> columns;
+  for (int i = 0; i < num_columns(with_control); ++i) {
+    const bool of_parameter = i > 2 * n_ && i <= 2 * n_ + num_p_;
+    if (by_parameters || !of_parameter) columns.push_back(i);
+  }
+  return columns;
+}
+
+MechanicalEquations::Seeds MechanicalEquations::WithoutSeeds(const Point& at) const {
+  return {
+      Jets(at.q, at.q + n_), Jets(at.v, at.v + n_), Jets(at.p, at.p + num_p_), Jets(at.u, at.u + num_u_), Jet(at.t)};
+}
+
+std::vector<MechanicalEquations::Seeds> MechanicalEquations::SeedColumns(const Point& at,
+                                                                         std::span<const int> columns) const {
   std::vector<Seeds> passes;
-  for (int first = 0; first < columns; first += kWidth) {
-    Seeds& seeds = passes.emplace_back();
-    int column = -first;
-    const auto seed = [&](double value) {
-      Jet jet(value);
-      if (column >= 0 && column < kWidth) jet.v[column] = 1;
-      ++column;
-      return jet;
+  for (std::size_t first = 0; first < columns.size(); first += kWidth) {
+    Seeds& seeds = passes.emplace_back(WithoutSeeds(at));
+    const auto jet = [&](int column) -> Jet& {
+      if (column < n_) return seeds.q[column];
+      if (column < 2 * n_) return seeds.v[column - n_];
+      if (column == 2 * n_) return seeds.t;
+      column -= 2 * n_ + 1;
+      return column < num_p_ ? seeds.p[column] : seeds.u[column - num_p_];
     };
-    for (int i = 0; i < n_; ++i) seeds.q.push_back(seed(at.q[i]));
-    for (int i = 0; i < n_; ++i) seeds.v.push_back(seed(at.v[i]));
-    seeds.t = seed(at.t);
-    for (int i = 0; i < num_p_; ++i) seeds.p.push_back(seed(at.p[i]));
-    for (int i = 0; i < num_u_; ++i) seeds.u.push_back(seed(at.u[i]));
+    const auto width = static_cast<int>(std::min<std::size_t>(kWidth, columns.size() - first));
+    for (int j = 0; j < width; ++j) jet(columns[first + j]).v[j] = 1;
   }
   return passes;
 }

@@ -115,8 +115,8 @@ class MechanicalEquations {
   double RateAlong(const Row& row, const double* q, const double* v, const double* p) const;
   double SecondAlong(const Row& row, const double* q, const double* v, const double* a, const double* p) const;
   double Gap(int contact, const Point& at) const { return f_.Gap(contact, at.q, at.p); }
-  // Returns a gap, and sets its derivatives by p and by the coordinates of the contact, which are all that are not
-  // zero.
+  // Returns a gap, and sets its derivatives by p, unless `by_p` is null, and by the coordinates of the contact, which
+  // are all that are not zero.
   double GapGradient(int contact, const Point& at, double* by_q, double* by_p) const;
   // The coordinates that the functions of a contact read.
   std::span<const int> CoordinatesOf(int contact) const;
@@ -144,11 +144,14 @@ class MechanicalEquations {
     Jet t;
     MechanicalPoint<Jet> point() const { return {t, q.data(), v.data(), u.data(), p.data()}; }
   };
-  // In passes of kWidth columns.
-  std::vector<Seeds> SeedColumns(const Point& at, int columns) const;
+  Seeds WithoutSeeds(const Point& at) const;
+  // Seeds these columns, kWidth of them in each pass.
+  std::vector<Seeds> SeedColumns(const Point& at, std::span<const int> columns) const;
   Seeds SeedDirection(const Point& at, const double* xdot) const;
   static Eigen::Matrix<double, Eigen::Dynamic, kWidth> Directions(const Jets& jets);
   int num_columns(bool with_control) const { return 2 * n_ + 1 + num_p_ + (with_control ? num_u_ : 0); }
+  // Returns the columns of [q v t p] or [q v t p u], without those of p unless `by_parameters`.
+  std::vector<int> Columns(bool by_parameters, bool with_control) const;
 
   // The derivatives of accelerations and forces by the seeds.
   struct Derivative {

@@ -23,6 +23,8 @@ constexpr double kMostHeld = 10;      // speeds of contacts that close together,
 constexpr double kNearly = 1e-9;      // distance to another branch of an impact that is none, relative
 constexpr double kPast = 1e6;         // of the tolerance of a force: where it is looked at past its limit
 
+constexpr std::size_t kWidth = MechanicalEquations::kWidth;
+
 using What = MechanicalHybrid::Guarded::What;
 
 HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
@@ -499,19 +501,16 @@ void MechanicalHybrid::Flow(const ModePoint& from, double* xdot) const {
 void MechanicalHybrid::FlowJacobian(const ModePoint& from, double* xdot, double* jacobian) const {
   const Point at = PointAt(from);
   const Mode& of = ModeAt(from.mode);
-  const int n = equations_.n(), columns = equations_.num_columns(true);
+  const int n = equations_.n(), all = equations_.num_columns(true);
+  const std::vector<int> columns = equations_.Columns(from.by_parameters, true);
   const ClosedMotion motion = MotionOf(of, at, equations_.SeedColumns(at, columns));
   std::copy_n(at.v, n, xdot);
   std::copy_n(motion.a.data(), n, xdot + n);
-  std::fill_n(jacobian, n * columns, 0.0);
-  for (int i = 0; i < n; ++i) jacobian[i * columns + n + i] = 1;
-  int first = 0;
-  for (const MechanicalEquations::Derivative& derivative : motion.derivatives) {
-    const int width = std::min(MechanicalEquations::kWidth, columns - first);
-    for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < width; ++j) jacobian[(n + i) * columns + first + j] = derivative.motion(i, j);
-    }
-    first += width;
+  std::fill_n(jacobian, 2 * n * all, 0.0);
+  for (int i = 0; i < n; ++i) jacobian[i * all + n + i] = 1;
+  for (std::size_t k = 0; k < columns.size(); ++k) {
+    const auto by = motion.derivatives[k / kWidth].motion.col(static_cast<Eigen::Index>(k % kWidth));
+    for (int i = 0; i < n; ++i) jacobian[(n + i) * all + columns[k]] = by[i];
   }
 }
 
@@ -656,7 +655,8 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
 
 // Guards are evaluated, and resets begin, at the state that is on the equations of the mode: errors of the integration
 // lead away from these within a step.
-MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at, int columns) const {
+MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at,
+                                                     std::span<const int> columns) const {
   OnMode on{.at = at, .x = {}, .passes = equations_.SeedColumns(at, columns)};
   if (mode.closed.empty()) return on;
   const int n = equations_.n();
@@ -674,7 +674,7 @@ double MechanicalHybrid::Guard(const ModePoint& from, int guard) const {
   if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
   ClosedMotion motion;
   if (NeedsForces(guarded)) motion = ForcedMotion(of, on.at);
-  return GuardJet(of, guarded, on.at, equations_.SeedColumns(on.at, 1)[0], motion, 0).a;
+  return GuardJet(of, guarded, on.at, equations_.WithoutSeeds(on.at), motion, 0).a;
 }
 
 GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
@@ -716,42 +716,46 @@ void MechanicalHybrid::GuardRates(const ModePoint& from, const double* xdot, Gua
 double MechanicalHybrid::GuardGradient(const ModePoint& from, int guard, double* gradient) const {
   const Mode& of = ModeAt(from.mode);
   double value = 0;
-  GuardGradients(of, {&of.guards[guard], 1}, PointAt(from), &value, gradient);
+  GuardGradients(of, {&of.guards[guard], 1}, from, &value, gradient);
   return value;
 }
 
 void MechanicalHybrid::GuardGradients(const ModePoint& from, double* values, double* gradients) const {
   const Mode& of = ModeAt(from.mode);
-  GuardGradients(of, of.guards, PointAt(from), values, gradients);
+  GuardGradients(of, of.guards, from, values, gradients);
 }
 
-void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
                                       double* values, double* gradients) const {
-  const int columns = equations_.num_columns(true);
+  const int all = equations_.num_columns(true);
+  std::fill_n(gradients, guards.size() * all, 0.0);
+  const Point at = PointAt(from);
   if (mode.closed.empty()) {
     // All guards are gaps, which depend on q and p only.
-    std::fill_n(gradients, guards.size() * columns, 0.0);
     for (const Guarded& guarded : guards) {
-      *values++ = equations_.GapGradient(guarded.contact, from, gradients, gradients + 2 * equations_.n() + 1);
-      gradients += columns;
+      double* by_p = from.by_parameters ? gradients + 2 * equations_.n() + 1 : nullptr;
+      *values++ = equations_.GapGradient(guarded.contact, at, gradients, by_p);
+      gradients += all;
     }
     return;
   }
-  const OnMode on = Projected(mode, from, columns);
+  const std::vector<int> columns = equations_.Columns(from.by_parameters, true);
+  const OnMode on = Projected(mode, at, columns);
   ClosedMotion motion;
   if (std::any_of(guards.begin(), guards.end(), NeedsForces)) motion = ForcedMotion(mode, on.at, on.passes);
   for (std::size_t pass = 0; pass < on.passes.size(); ++pass) {
-    const int first = static_cast<int>(pass) * MechanicalEquations::kWidth;
+    const auto of_pass = std::span(columns).subspan(pass * kWidth);
     for (std::size_t guard = 0; guard < guards.size(); ++guard) {
       const Jet jet = GuardJet(mode, guards[guard], on.at, on.passes[pass], motion, pass);
       values[guard] = jet.a;
-      double* gradient = gradients + guard * columns + first;
-      std::copy_n(jet.v.data(), std::min(MechanicalEquations::kWidth, columns - first), gradient);
+      for (std::size_t j = 0; j < std::min(kWidth, of_pass.size()); ++j) {
+        gradients[guard * all + of_pass[j]] = jet.v[static_cast<Eigen::Index>(j)];
+      }
     }
   }
 }
 
-void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
                                      std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const {
   const int n = equations_.n(), columns = equations_.num_columns(true),
             parameters = functions_->layout().num_parameters;
@@ -761,7 +765,7 @@ void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> 
   std::vector<double> values(others.size()), gradients(others.size() * columns), by_q(n), by_p(parameters);
   if (!others.empty()) GuardGradients(mode, others, from, values.data(), gradients.data());
   const double* row = gradients.data();
-  const OnMode on = Projected(mode, from);
+  const OnMode on = Projected(mode, PointAt(from));
   for (const Guarded& guarded : guards) {
     if (is_gap(guarded)) {
       equations_.GapGradient(guarded.contact, on.at, by_q.data(), by_p.data());
@@ -878,7 +882,7 @@ int MechanicalHybrid::CauseOf(const ModePoint& from, int guard) const {
   if (next.empty() || next[guarded.contact] != of.status[guarded.contact]) return guard;
   const ClosedMotion motion = ForcedMotion(of, on.at);
   const double zero = kNearly * motion.force.cwiseAbs().maxCoeff();
-  const MechanicalEquations::Seeds seeds = equations_.SeedColumns(on.at, 1)[0];
+  const MechanicalEquations::Seeds seeds = equations_.WithoutSeeds(on.at);
   for (std::size_t i = 0; i < of.guards.size(); ++i) {
     const Guarded& other = of.guards[i];
     const char after = next[other.contact];
@@ -916,7 +920,7 @@ int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Po
 
 int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const {
   const Mode& of = ModeAt(from.mode);
-  const int columns = equations_.num_columns(false);
+  const std::vector<int> columns = equations_.Columns(from.by_parameters, false);
   OnMode on = Projected(of, PointAt(from), columns);
   Impact impact;
   const int next = ResetOn(of, of.guards[guard], on.at, &impact, x_plus);
@@ -927,24 +931,26 @@ int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_
     std::copy_n(on.at.v, n, x_plus + n);
     equations_.Project(Stopped(of, of.guards[guard], on.at), x_plus, x_plus + n, on.at.p, on.passes);
   }
-  int first = 0;
-  for (const MechanicalEquations::Seeds& seeds : on.passes) {
-    const Block q = equations_.Directions(seeds.q);
-    Block v = equations_.Directions(seeds.v);
-    if (impact.v_plus.size() > 0) v = ImpactDerivative(impact, seeds, on.at);
-    CopyColumns(q, v, first, columns, jacobian);
-    first += MechanicalEquations::kWidth;
+  if (impact.v_plus.size() > 0) {
+    for (MechanicalEquations::Seeds& seeds : on.passes) {
+      const Block by = ImpactDerivative(impact, seeds, on.at);
+      for (int i = 0; i < equations_.n(); ++i) seeds.v[i].v = by.row(i).transpose();
+    }
   }
+  CopyColumns(on, columns, jacobian);
   return next;
 }
 
-// Copies columns of the Jacobian of a state, of which `first` is the first.
-void MechanicalHybrid::CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const {
-  const int n = equations_.n();
-  for (int i = 0; i < n; ++i) {
-    for (int j = 0; j < std::min(MechanicalEquations::kWidth, columns - first); ++j) {
-      jacobian[i * columns + first + j] = q(i, j);
-      jacobian[(n + i) * columns + first + j] = v(i, j);
+// Copies the derivatives of a state, which are those of its seeds, to columns of a Jacobian by [x t p].
+void MechanicalHybrid::CopyColumns(const OnMode& on, std::span<const int> columns, double* jacobian) const {
+  const int n = equations_.n(), all = equations_.num_columns(false);
+  std::fill_n(jacobian, 2 * n * all, 0.0);
+  for (std::size_t k = 0; k < columns.size(); ++k) {
+    const MechanicalEquations::Seeds& seeds = on.passes[k / kWidth];
+    const auto j = static_cast<Eigen::Index>(k % kWidth);
+    for (int i = 0; i < n; ++i) {
+      jacobian[i * all + columns[k]] = seeds.q[i].v[j];
+      jacobian[(n + i) * all + columns[k]] = seeds.v[i].v[j];
     }
   }
 }
@@ -1035,7 +1041,7 @@ std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const 
 std::string MechanicalHybrid::ForcesAtLimits(const Mode& mode, const Point& at) const {
   if (std::ranges::none_of(mode.guards, NeedsForces)) return "";
   const ClosedMotion motion = ForcedMotion(mode, at);
-  const MechanicalEquations::Seeds seeds = equations_.SeedColumns(at, 1)[0];
+  const MechanicalEquations::Seeds seeds = equations_.WithoutSeeds(at);
   std::string why;
   for (const Guarded& guarded : mode.guards) {
     if (!NeedsForces(guarded) || GuardJet(mode, guarded, at, seeds, motion, 0).a != 0) continue;
@@ -1150,17 +1156,12 @@ void MechanicalHybrid::Project(int mode, const double* x, const double* p, doubl
   equations_.Project(ModeAt(mode).closed, x_plus, x_plus + n, p);
 }
 
-void MechanicalHybrid::ProjectJacobian(int mode, const double* x, const double* p, double* x_plus,
-                                       double* jacobian) const {
-  const int columns = equations_.num_columns(false);
-  const OnMode on = Projected(ModeAt(mode), PointAt(0, x, nullptr, p), columns);
+void MechanicalHybrid::ProjectJacobian(const ModePoint& from, double* x_plus, double* jacobian) const {
+  const std::vector<int> columns = equations_.Columns(from.by_parameters, false);
+  const OnMode on = Projected(ModeAt(from.mode), PointAt(from), columns);
   std::copy_n(on.at.q, equations_.n(), x_plus);
   std::copy_n(on.at.v, equations_.n(), x_plus + equations_.n());
-  int first = 0;
-  for (const MechanicalEquations::Seeds& seeds : on.passes) {
-    CopyColumns(equations_.Directions(seeds.q), equations_.Directions(seeds.v), first, columns, jacobian);
-    first += MechanicalEquations::kWidth;
-  }
+  CopyColumns(on, columns, jacobian);
 }
 
 }  // namespace saltus

@@ -102,7 +102,7 @@ class MechanicalHybrid final : public HybridFunctions {
     std::vector<MechanicalEquations::Seeds> passes;
   };
   // `columns`: of [x t p u] at the point that are seeded; the seeds are moved as the point is.
-  OnMode Projected(const Mode& mode, const Point& at, int columns = 0) const;
+  OnMode Projected(const Mode& mode, const Point& at, std::span<const int> columns = {}) const;
 
   // The velocities after impulses of contacts, normal and tangential in turn.
   Eigen::VectorXd Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse, const Point& at) const;
@@ -143,12 +143,12 @@ class MechanicalHybrid final : public HybridFunctions {
   void AppendGuardTerms(const ModePoint& from, int guard, std::vector<GuardTerm>* terms) const override {
     const Mode& of = ModeAt(from.mode);
     std::vector<std::size_t> ends;
-    AppendTermsOf(of, {&of.guards[guard], 1}, PointAt(from), terms, &ends);
+    AppendTermsOf(of, {&of.guards[guard], 1}, from, terms, &ends);
   }
   void AppendAllGuardTerms(const ModePoint& from, std::vector<GuardTerm>* terms,
                            std::vector<std::size_t>* ends) const override {
     const Mode& of = ModeAt(from.mode);
-    AppendTermsOf(of, of.guards, PointAt(from), terms, ends);
+    AppendTermsOf(of, of.guards, from, terms, ends);
   }
   int CauseOf(const ModePoint& from, int guard) const override;
   int Reset(const ModePoint& from, int guard, double* x_plus) const override;
@@ -158,7 +158,7 @@ class MechanicalHybrid final : public HybridFunctions {
   int ModeUnder(const ModePoint& from) const override;
   bool Projects(int mode) const override { return !ModeAt(mode).closed.empty(); }
   void Project(int mode, const double* x, const double* p, double* x_plus) const override;
-  void ProjectJacobian(int mode, const double* x, const double* p, double* x_plus, double* jacobian) const override;
+  void ProjectJacobian(const ModePoint& from, double* x_plus, double* jacobian) const override;
   bool WaitsBehind(int mode, int guard) const override {
     return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
   }
@@ -184,17 +184,17 @@ class MechanicalHybrid final : public HybridFunctions {
   enum class Restitution { kOwn, kNone, kNoneAndHeld };
   Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
-  void CopyColumns(const Block& q, const Block& v, int first, int columns, double* jacobian) const;
+  void CopyColumns(const OnMode& on, std::span<const int> columns, double* jacobian) const;
   static bool NeedsForces(const Guarded& guarded);
   ClosedMotion MotionOf(const Mode& mode, const Point& at,
                         std::span<const MechanicalEquations::Seeds> passes = {}) const;
   // The guard and its derivatives by the seeds of a pass. `motion` is that of ForcedMotion, and read where NeedsForces.
   Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion& motion, std::size_t pass) const;
-  void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const Point& from, double* values,
+  void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from, double* values,
                       double* gradients) const;
   // Derivatives of gaps are those at the point on the equations of the mode, of which each has few.
-  void AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const Point& from,
+  void AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
                      std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const;
   // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,
   // the path where none is.

@@ -83,17 +83,24 @@ class StepRows final : public Rows {
     const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
     const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
     const double *u = m > 0 ? blocks[of_control] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
-    const FlowStep step{{mode_, begin + part * (end - begin), blocks[0], u, p}, (end - begin) / count_, projects_};
+    const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
+    const FlowStep step{
+        {mode_, begin + part * (end - begin), blocks[0], u, p, by_parameters}, (end - begin) / count_, projects_};
     Eigen::VectorXd after(n);
-    integrator_.Step(step, after.data());
+    Matrix by;
+    if (jacobians != nullptr) {
+      by = integrator_.Jacobian(step, after.data());
+    } else {
+      integrator_.Step(step, after.data());
+    }
     Eigen::Map<Eigen::VectorXd>(rows, n) =
         scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    const Matrix by = -(scale_.asDiagonal() * integrator_.Jacobian(step));
+    by = -(scale_.asDiagonal() * by);
     Put(jacobians, 0, by.leftCols(n));
     if (m > 0) Put(jacobians, of_control, by.middleCols(n + 1 + P, m));
-    if (P > 0) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
+    if (by_parameters) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
     Put(jacobians, times, (1 - part) * by.col(n) - by.rightCols(1) / count_);
     Put(jacobians, times + 1, part * by.col(n) + by.rightCols(1) / count_);
     Put(jacobians, times + 2, Matrix(scale_.asDiagonal()));
@@ -134,7 +141,8 @@ class GuardRows final : public Rows {
               m = functions_.layout().num_controls;
     const int of_parameters = 1 + reads_control_, times = of_parameters + (P > 0);
     const double *u = reads_control_ ? blocks[1] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
-    const ModePoint at{mode_, time_.At(blocks + times), blocks[0], u, p};
+    const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
+    const ModePoint at{mode_, time_.At(blocks + times), blocks[0], u, p, by_parameters};
     const bool one = guards_.size() == 1;
     const int all = one ? 1 : functions_.num_guards(mode_);
     Eigen::VectorXd values(all);
@@ -166,7 +174,7 @@ class GuardRows final : public Rows {
       };
       put(0, factor * gradient.head(n));
       if (reads_control_) put(1, factor * gradient.tail(m));
-      if (P > 0) put(of_parameters, factor * gradient.segment(n + 1, P));
+      if (by_parameters) put(of_parameters, factor * gradient.segment(n + 1, P));
       for (int k = 0; k < time_.num_blocks(); ++k) put(times + k, factor * time_.By(k) * gradient.segment(n, 1));
     }
     return true;
@@ -201,7 +209,8 @@ class ResetRows final : public Rows {
     const int time = 1 + (P > 0);
     Eigen::VectorXd x_plus = Eigen::VectorXd::Constant(most, NAN);
     Matrix jacobian(most, n + 1 + P);
-    const ModePoint at{event_.mode, blocks[time][0], blocks[0], control_, P > 0 ? blocks[1] : nullptr};
+    const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[1] != nullptr;
+    const ModePoint at{event_.mode, blocks[time][0], blocks[0], control_, P > 0 ? blocks[1] : nullptr, by_parameters};
     const int next = functions_.ResetJacobian(at, event_.guard, x_plus.data(), jacobian.data());
     if (next != event_.next_mode && !functions_.CreatesModes()) return false;
     Eigen::Map<Eigen::VectorXd>(rows, after) =
@@ -210,7 +219,7 @@ class ResetRows final : public Rows {
     if (jacobians == nullptr) return true;
     const Matrix by = -(scale_.asDiagonal() * jacobian.topRows(after));
     Put(jacobians, 0, by.leftCols(n));
-    if (P > 0) Put(jacobians, 1, by.rightCols(P));
+    if (by_parameters) Put(jacobians, 1, by.rightCols(P));
     Put(jacobians, time, by.col(n));
     Put(jacobians, time + 1, Matrix(scale_.asDiagonal()));
     return true;
