@@ -386,7 +386,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
     const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;
     const double change = std::abs(result.cost - before);
-    nearly_settled = options.weight_of_costs > 0 && change <= kNearlySameCost * std::abs(result.cost);
+    nearly_settled = result.violation <= options.tolerance && change <= kNearlySameCost * std::abs(result.cost);
     result.converged = result.violation <= options.tolerance && round >= earliest && change <= same;
     if (first_optimum) {  // the solve with multipliers from the conditions of first order
       if (result.converged && change_of_multipliers < first_optimum->change) break;

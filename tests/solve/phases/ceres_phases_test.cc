@@ -304,6 +304,34 @@ TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
   EXPECT_THAT(refusing(scene, "a free duration"), and_never({}));
 }
 
+// A shot by way of a cushion in the least time, with the norm of the force at its bound nearly everywhere. Damped steps
+// leave the conditions of first order open by more than the certificate takes.
+TEST(CeresPhases, MeetsTheConditionsWhereBoundsOnNormsHold) {
+  Scene scene;
+  scene.name = "air_hockey";
+  scene.duration = 1.5;
+  scene.steps = 150;
+  scene.bodies = {{.name = "striker", .radius = 0.08, .mass = 0.3, .position = {0.3, -0.2}},
+                  {.name = "puck", .radius = 0.05, .mass = 0.1, .position = {0.9, 0.1}, .velocity = {-0.3, -0.1}},
+                  {.name = "post", .radius = 0.12, .fixed = true, .position = {1.4, 0}}};
+  scene.planes = {{"top", {0, 0.5}, {0, -1}}, {"bottom", {0, -0.5}, {0, 1}}, {"back", {0, 0}, {1, 0}}};
+  scene.contact.restitution = 0.9;
+  scene.control = {.bodies = {0}, .initial = {{1, 0.5}}, .max_norm = {4}};
+  scene.objective.terminal = {
+      {.body = 1, .target = {2, 0}, .hard = true},
+      {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .weight = 0.01}};
+  scene.objective.effort = 0.01;
+  scene.objective.duration = FreeDuration{0.3, 3, 1};
+  scene.no_contact = {{1, 2}, {0, 2}};
+  scene.optimize = Optimize::kControl;
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.final_loss, 0.60203);
+  EXPECT_LT(report.final_violation, 1e-8);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+}
+
 // The only final time that its bounds allow, of which nothing is asked; its price is a constant of the loss.
 TEST(FreeDuration, BetweenEqualBoundsIsAFixedOne) {
   Scene fixed = ProblemScene("two_balls");
