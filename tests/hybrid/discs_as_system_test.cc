@@ -1,14 +1,17 @@
-// Two discs, written as a user's hybrid system, against the contact model `event`.
+// Scenes as problems of hybrid systems, against the contact model `event` and solvers of discs.
 #include <ceres/jet.h>
 #include <gtest/gtest.h>
 
-#include <array>
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "saltus/hybrid/hybrid_problem.h"
-#include "saltus/hybrid/hybrid_simulator.h"
+#include "control/hybrid_shooting.h"
+#include "control/pushed_scenes.h"
+#include "saltus/control/scene_problem.h"
+#include "saltus/control/single_shooting.h"
 #include "saltus/optimality/hybrid_certificate.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/hybrid_solver.h"
@@ -17,106 +20,117 @@
 namespace saltus {
 namespace {
 
-// [p_1 v_1 p_2 v_2] of two discs of which the first is pushed, by u; p = [restitution].
-struct TwoDiscs {
-  std::array<double, 2> mass, gravity;
-  double reach;  // sum of the radii, m
-
-  static constexpr int kNumControls = 2;
-  static constexpr int kNumParameters = 1;
-  static constexpr std::array kStateSizes = {8};
-  static constexpr std::array kNumGuards = {1};
-
-  template <typename T>
-  void Flow(int, const T&, const T* x, const T* u, const T*, T* xdot) const {
-    for (int i = 0; i < 2; ++i) {
-      for (int j = 0; j < 2; ++j) {
-        xdot[4 * i + j] = x[4 * i + 2 + j];
-        xdot[4 * i + 2 + j] = i == 0 ? T(gravity[j] + u[j] / mass[0]) : T(gravity[j]);
-      }
-    }
-  }
-  template <typename T>
-  T Guard(int, int, const T&, const T* x, const T*) const {
-    using std::sqrt;
-    const T dx = x[4] - x[0], dy = x[5] - x[1];
-    return sqrt(dx * dx + dy * dy) - reach;
-  }
-  template <typename T>
-  int Reset(int, int, const T&, const T* x, const T* p, T* x_plus) const {
-    using std::sqrt;
-    const T dx = x[4] - x[0], dy = x[5] - x[1], distance = sqrt(dx * dx + dy * dy);
-    const T n[2] = {dx / distance, dy / distance};
-    const T speed = n[0] * (x[6] - x[2]) + n[1] * (x[7] - x[3]);
-    const T impulse = -(1.0 + p[0]) * speed / (1.0 / mass[0] + 1.0 / mass[1]);
-    for (int j = 0; j < 2; ++j) {
-      x_plus[j] = x[j];
-      x_plus[2 + j] = x[2 + j] - impulse / mass[0] * n[j];
-      x_plus[4 + j] = x[4 + j];
-      x_plus[6 + j] = x[6 + j] + impulse / mass[1] * n[j];
-    }
-    return 0;
-  }
-};
-
-void ExpectSameMotion(const Scene& scene, int impacts) {
-  const auto exact = MakeSimulator({"event"}, scene, Precision::kDouble);
-  const std::vector<double> x0 = InitialState(scene), control = InitialControl(scene, exact->num_steps());
-  ASSERT_TRUE(exact->Rollout(x0, control));
-  std::vector<double> final_state(8), cotangent(8);
-  exact->GetState(exact->num_steps(), final_state);
-
-  HybridSimulator simulator(HybridSystem(TwoDiscs{.mass = {scene.bodies[0].mass, scene.bodies[1].mass},
-                                                  .gravity = {scene.gravity[0], scene.gravity[1]},
-                                                  .reach = scene.bodies[0].radius + scene.bodies[1].radius}));
-  ASSERT_TRUE(simulator.Rollout({.initial = x0,
-                                 .parameters = {scene.contact.restitution},
-                                 .duration = scene.duration,
-                                 .num_intervals = scene.steps,
-                                 .control = control}));
-  EXPECT_EQ(simulator.events().size(), static_cast<size_t>(impacts));
-  for (int i = 0; i < 8; ++i) EXPECT_NEAR(simulator.final_state()[i], final_state[i], 1e-12);
-  for (int i = 0; i < 8; ++i) {
-    std::fill(cotangent.begin(), cotangent.end(), 0.0);
-    cotangent[i] = 1;
-    Sensitivity expected;
-    exact->Adjoint(cotangent, /*with_parameters=*/false, &expected);
-    const HybridGradient gradient = simulator.Adjoint(cotangent);
-    for (int j = 0; j < 8; ++j) EXPECT_NEAR(gradient.initial[j], expected.initial[j], 1e-12) << i << " by " << j;
-    for (size_t j = 0; j < control.size(); ++j) EXPECT_NEAR(gradient.control[j], expected.control[j], 1e-12) << i;
-  }
+Scene With(Scene scene, int steps) {
+  scene.steps = steps;
+  return scene;
 }
 
-TEST(DiscsAsHybridSystem, EqualTheModelEvent) {
-  Scene scene = ProblemScene("two_balls");
-  ExpectSameMotion(scene, 1);
+Scene TwoBallsThatLoseEnergy() {
+  Scene scene = With(ProblemScene("two_balls"), 40);
   scene.contact.restitution = 0.7;
   scene.gravity = {0.3, -1};
   scene.bodies[0].mass = 1.3;
   scene.bodies[1].velocity = {0.1, 0.2};
-  scene.steps = 40;
-  ExpectSameMotion(scene, 1);
+  return scene;
 }
 
-HybridProblem ProblemOf(const Scene& scene) {
-  HybridProblem problem{.system = HybridSystem(TwoDiscs{.mass = {scene.bodies[0].mass, scene.bodies[1].mass},
-                                                        .gravity = {scene.gravity[0], scene.gravity[1]},
-                                                        .reach = scene.bodies[0].radius + scene.bodies[1].radius}),
-                        .guess = {.initial = InitialState(scene),
-                                  .parameters = {scene.contact.restitution},
-                                  .duration = scene.duration,
-                                  .num_intervals = scene.steps,
-                                  .control = InitialControl(scene, scene.steps)},
-                        .terms = {MakeEffortCost(scene.objective.effort, 2)}};
-  for (const TerminalTerm& term : scene.objective.terminal) {
-    const int first = 4 * term.body + (term.quantity == TerminalTerm::Quantity::kPosition ? 0 : 2);
-    for (int j = 0; j < 2; ++j) {
-      problem.terms.push_back(MakeTerminalCost(first + j, term.target[j], term.weight, 8));
-    }
-  }
-  problem.free.control = true;
-  return problem;
+// With a price of the final time, waypoints of both discs, of which two are at one time, and running terms whose
+// targets turn.
+Scene WithPathCosts(Scene scene) {
+  scene.objective.duration = FreeDuration{.min = 0.5, .max = 2, .weight = 0.7};
+  scene.objective.via = {
+      {.body = 0, .time = 0.33, .target = {0.5, 0.2}, .weight = 2},
+      {.body = 1, .time = 0.33, .target = {0.4, 0.1}, .weight = 0.5},
+      {.body = 1, .time = 0.62, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0.1, -1}, .weight = 0.4}};
+  scene.objective.running = {
+      {.body = 0, .times = {0, 0.37, 1.3}, .targets = {{0, 0.7}, {0.6, 0.2}, {1, 0.5}}, .weight = 1.5},
+      {.body = 1, .times = {0.2}, .targets = {{0.7, 0.6}}, .weight = 0.5},
+      {.body = 0,
+       .quantity = TerminalTerm::Quantity::kVelocity,
+       .times = {0, 1.4},
+       .targets = {{1, 0}, {0.5, 0.3}},
+       .weight = 0.3}};
+  return scene;
 }
+
+Scene WithTorques(Scene scene) {
+  scene.control.turned = scene.control.bodies;
+  scene.control.initial_torque = {0.03, -0.05};
+  return scene;
+}
+
+struct Case {
+  const char* name;
+  Scene scene;
+  size_t impacts;
+};
+void PrintTo(const Case& item, std::ostream* out) { *out << item.name; }
+
+class SceneAsHybridProblem : public testing::TestWithParam<Case> {};
+
+// The exact run of the model `event` is another simulation, from event to event of each pair, with losses in closed
+// form.
+TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
+  const Scene& scene = GetParam().scene;
+  ASSERT_EQ(WhyNoHybridProblem(scene), "");
+  const HybridProblem problem = HybridProblemOf(scene);
+  ASSERT_EQ(WhatIsWrongWith(problem), "");
+  HybridShooting hybrid(problem);
+  std::vector<double> z = hybrid.initial_guess();
+  const size_t steered = z.size() - problem.free.duration;
+  for (size_t i = 0; i < steered; ++i) z[i] += 0.02 * std::sin(1.7 * static_cast<double>(i) + 0.3);
+  const auto exact_loss = [&](const std::vector<double>& at) {
+    Scene moved = scene;
+    if (problem.free.duration) moved.duration = at.back();
+    std::vector<double> initial = hybrid.InitialStateAt(at);
+    initial.resize(InitialState(scene).size());
+    const ExactRun run = SimulateExactly(moved, initial, hybrid.ControlAt(at));
+    EXPECT_EQ(run.contacts.size(), GetParam().impacts);
+    return run.loss;
+  };
+  double loss = 0;
+  std::vector<double> gradient(z.size());
+  ASSERT_TRUE(hybrid.Evaluate(z, &loss, gradient.data())) << hybrid.WhyFailed();
+  EXPECT_NEAR(loss, exact_loss(z), 1e-11 * std::max(1.0, std::abs(loss)));
+  double largest = 0;
+  for (const double by : gradient) largest = std::max(largest, std::abs(by));
+  for (size_t i = 0; i < z.size(); i += 1 + z.size() / 12) {
+    const auto slope = [&](double width) {
+      std::vector<double> above = z, below = z;
+      above[i] += width;
+      below[i] -= width;
+      return (exact_loss(above) - exact_loss(below)) / (2 * width);
+    };
+    EXPECT_NEAR(gradient[i], (4 * slope(1e-3) - slope(2e-3)) / 3, 1e-7 * largest) << i;
+  }
+  if (problem.free.duration) {
+    std::vector<double> above = z, below = z;
+    above.back() += 1e-4;
+    below.back() -= 1e-4;
+    EXPECT_NEAR(gradient.back(), (exact_loss(above) - exact_loss(below)) / 2e-4, 1e-6 * largest);
+  }
+  // The adjoint of the model, where it has one: not for waypoints of discs that spin.
+  SingleShooting discs(MakeSimulator("event", scene, Precision::kDouble));
+  std::vector<double> by(steered);
+  if (!discs.Evaluate(std::span(z).first(steered), &loss, by.data())) return;
+  for (size_t i = 0; i < steered; ++i) EXPECT_NEAR(gradient[i], by[i], 1e-10 * largest) << i;
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, SceneAsHybridProblem,
+                         testing::Values(Case{"two_balls", With(ProblemScene("two_balls"), 40), 1},
+                                         Case{"two_balls_480", ProblemScene("two_balls"), 1},
+                                         Case{"two_balls_lose_energy", TwoBallsThatLoseEnergy(), 1},
+                                         Case{"single_collision", With(ProblemScene("single_collision"), 25), 1},
+                                         Case{"multiple_collisions", With(ProblemScene("multiple_collisions"), 25), 3},
+                                         Case{"ground_wall", ProblemScene("ground_wall"), 2},
+                                         Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2},
+                                         Case{"spin_slips", TwoSpin(0.05), 2}, Case{"spin_sticks", TwoSpin(2), 2},
+                                         Case{"strike_sticks", SpinStrike(2), 1},
+                                         Case{"torques_slip", WithTorques(TwoSpin(0.05)), 2},
+                                         Case{"torques_stick", WithTorques(TwoSpin(2)), 2},
+                                         Case{"path_costs", WithPathCosts(TwoPushed()), 2},
+                                         Case{"torques_path_costs", WithTorques(WithPathCosts(TwoSpin(2))), 2}),
+                         [](const auto& at) { return at.param.name; });
 
 // The optimum of task 3 (Zhong, Han, Brikis 2022) by another method, with `before` equal intervals of the control up to
 // the impact at s and `after` ones from there on. All motion is along the diagonal. The least effort that brings the
@@ -162,7 +176,7 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 40;
   const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
-  const SolveReport user = Solve("ceres_phases", ProblemOf(scene), {});
+  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
   ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
   EXPECT_NEAR(user.initial_loss, discs.initial_loss, 1e-12);
@@ -182,7 +196,7 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
 TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 40;
-  const HybridProblem problem = ProblemOf(scene);
+  const HybridProblem problem = HybridProblemOf(scene);
   const DiagonalOptimum optimum = OptimumOnTheDiagonal(27, 13);
   const Certificate expected = Certify(scene, InitialState(scene), optimum.control, optimum.lengths);
   HybridInput input = problem.guess;

@@ -1,0 +1,31 @@
+// A scene of discs as a problem of a hybrid system: what solvers of users' systems take, such as costs at events, costs
+// and constraints of a user's own and any number of terms, then works for scenes too.
+//
+// The system has the bodies of the scene in its units. Its state is
+//
+//   [x y v_x v_y] of each body, then [angle, angular velocity] of each body if one spins, then the integral of the
+//   running terms if there are any
+//
+// with names as "puck.x", "puck.vx", "puck.angle", "puck.spin", "running"; its control is that of the scene
+// (Scene::control_width), with names as "striker.fx", "striker.fy", "striker.turn". Events have the names of pairs, as
+// "striker-puck". Between events the motion has a closed form, so that a step of the integration has any length and no
+// error. A waypoint is an event whose time is given, "waypoint 1", behind which the motion goes on in another mode.
+#pragma once
+
+#include <string>
+
+#include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/scene/scene.h"
+
+namespace saltus {
+
+// Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
+// that slows discs, and design parameters.
+std::string WhyNoHybridProblem(const Scene& scene);
+
+// Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and
+// its unknowns. Pairs that must not touch have no motion behind a touch. Precondition: WhyNoHybridProblem is empty, and
+// ValidateStructure finds nothing.
+HybridProblem HybridProblemOf(const Scene& scene);
+
+}  // namespace saltus
