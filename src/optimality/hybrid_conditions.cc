@@ -39,6 +39,7 @@ constexpr double kSameTime = 1e-14;     // of the duration
 constexpr double kSameNode = 1e-9;      // of the duration
 constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
+constexpr double kNoControl = 1e-6;     // of the size that a component has if it is zero: smaller ones are zero
 constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
 constexpr double kOfGuard = 1e-9;       // of the size of a guard: a value that is not zero
 
@@ -634,6 +635,11 @@ class HybridConditions {
         variable.kind == Kind::kInitial ? state_sizes_[input_.mode][variable.index] : parameter_sizes_[variable.index];
     return size > 0 ? size : 1.0;
   }
+  // Returns the least size of the terms of a component of the control. If the component is zero but for errors of the
+  // solution, so are its terms: it is the part of the loss that its change by its unit would have to change.
+  double LeastSizeOfControl(int component) const {
+    return is_zero_[component] ? kSmallTerms * std::abs(loss_) / (input_.duration * control_sizes_[component]) : 0;
+  }
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return control_sizes_[variable.index % width()];
     return std::abs(variable.In(input_));
@@ -734,7 +740,8 @@ class HybridConditions {
     }
   }
 
-  // Finds the sizes of states by mode, of controls and of parameters over the motion.
+  // Finds the sizes of states by mode, of controls and of parameters over the motion. A component of the control that
+  // is zero has the size that, held for the whole motion, changes every state by its size at least.
   void FindSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
       state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
@@ -746,6 +753,29 @@ class HybridConditions {
       size = std::max(size, std::abs(input_.control[i]));
     }
     parameter_sizes_ = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
+    // The changes of a motion without its events, and their largest sizes by mode.
+    std::vector<Eigen::MatrixXd> largest;
+    for (const VectorXd& sizes : state_sizes_) largest.push_back(Eigen::MatrixXd::Zero(sizes.size(), width()));
+    Eigen::MatrixXd change = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(input_.initial.size()), width());
+    for (const Step& step : steps_) {
+      const Eigen::Index n = step.by.rows();
+      if (change.rows() != n) change.setZero(n, width());
+      change = (step.by.leftCols(n) * change + step.by.middleCols(step.by.cols() - 1 - width(), width())).eval();
+      largest[step.mode] = largest[step.mode].cwiseMax(change.cwiseAbs());
+    }
+    double of_states = 0;
+    for (const VectorXd& sizes : state_sizes_) of_states = std::max(of_states, sizes.maxCoeff());
+    for (int c = 0; c < width(); ++c) {
+      double moved = 0;
+      for (const Eigen::MatrixXd& of_mode : largest) moved = std::max(moved, of_mode.col(c).maxCoeff());
+      const double unit = of_states / moved;
+      is_zero_.push_back(unit > 0 && std::isfinite(unit) && control_sizes_[c] <= kNoControl * unit);
+      if (!is_zero_.back()) continue;
+      control_sizes_[c] = unit;
+      for (size_t mode = 0; mode < largest.size(); ++mode) {
+        state_sizes_[mode] = state_sizes_[mode].cwiseMax(unit * largest[mode].col(c));
+      }
+    }
   }
 
   // Adds a state as unknowns that equal `image`, the result of a step or a reset.
@@ -994,6 +1024,7 @@ class HybridConditions {
                : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
                                                    : s.hamiltonian_size;
       });
+      if (of_control) size = std::max(size, LeastSizeOfControl(variable.index % width()));
       if (!of_control && !of_duration) size = std::max(size, std::abs(loss_) / UnitOf(variable));
       Add([&, &variable = variable](const Sweep& s) { return DerivativeByVariable(s, variable, moving) / length; },
           size,
@@ -1171,6 +1202,7 @@ class HybridConditions {
   VectorXd theta_;                            // the multipliers
   std::vector<VectorXd> state_sizes_;         // by mode
   VectorXd control_sizes_, parameter_sizes_;  // largest values
+  std::vector<bool> is_zero_;                 // of each component of the control: all the time
   size_t num_conditions_ = 0;
   double loss_ = 0;
 };

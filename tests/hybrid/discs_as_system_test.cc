@@ -228,5 +228,37 @@ TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
             Certificate::Verdict::kNotStationary);
 }
 
+// The pushed disc cannot reach the other, which misses its target: no force is the optimum, and what a solver leaves of
+// it has terms that do not cancel.
+TEST(DiscsAsHybridSystem, HaveAnOptimumWithoutForces) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 20;
+  scene.bodies[1].position = {50, 50};
+  scene.objective.terminal[0].target = {50, 51};
+  const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
+  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
+  EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
+  EXPECT_NEAR(user.final_loss, discs.final_loss, 1e-12);
+  HybridInput input = HybridProblemOf(scene).guess;
+  for (const double size : {0.0, 1e-12, 1e-9}) {
+    for (size_t i = 0; i < input.control.size(); ++i) {
+      input.control[i] = size * std::sin(1.7 * static_cast<double>(i));
+    }
+    const Certificate found = Certify(HybridProblemOf(scene), input);
+    EXPECT_EQ(found.verdict, Certificate::Verdict::kStationary) << size << " " << found.reason;
+    ASSERT_TRUE(found.curvature) << size;
+    EXPECT_EQ(found.curvature->kind, Curvature::Kind::kMinimum) << size;
+  }
+  // A force that matters is none, however small it is beside the loss.
+  std::ranges::fill(input.control, 1e-3);
+  EXPECT_EQ(Certify(HybridProblemOf(scene), input).verdict, Certificate::Verdict::kNotStationary);
+  // Nor is no force where it would change the loss.
+  scene.bodies[1].position = {-1, -1};
+  scene.objective.terminal[0].body = 0;
+  std::ranges::fill(input.control, 0);
+  input.initial = InitialState(scene);
+  EXPECT_EQ(Certify(HybridProblemOf(scene), input).verdict, Certificate::Verdict::kNotStationary);
+}
+
 }  // namespace
 }  // namespace saltus

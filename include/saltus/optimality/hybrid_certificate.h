@@ -19,7 +19,9 @@
 // Multipliers of events, of equalities and of active inequalities are those of the smallest residual. On a fixed grid,
 // events at the ends of intervals where the control jumps are kinks, as in certificate.h. Residuals are relative to the
 // size of the terms that cancel, and those of a component of the control to at least a hundredth of the largest such
-// size, because the terms of a component that is zero do not cancel.
+// size, because the terms of a component that is zero do not cancel. A component that is zero all the time, but for
+// errors of the solution, has no effect if a control that, held for the whole motion, changes a state by as much as the
+// largest state is changes the loss by less than 1e-8 of it.
 //
 // The curvature is the second derivative of the Lagrangian along directions that satisfy active constraints and bounds,
 // with the times of events as functions of the variables. Intervals move with the events; on a fixed grid, events at
