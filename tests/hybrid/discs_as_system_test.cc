@@ -15,6 +15,7 @@
 #include "saltus/simulate/registry.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/hybrid_solver.h"
+#include "scene/control_problems.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -226,6 +227,21 @@ TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
   EXPECT_EQ(Certify(problem, input).verdict, Certificate::Verdict::kNotStationary);
   EXPECT_EQ(Certify(scene, InitialState(scene), input.control, optimum.lengths).verdict,
             Certificate::Verdict::kNotStationary);
+}
+
+// The guess has no impact, and the best motion without one just touches the ground: the solve goes on with an impact.
+// The reference is the solver of closed arcs along that impact.
+TEST(DiscsAsHybridSystem, GoOnThroughATouch) {
+  Scene scene = ControlProblem(97);
+  scene.steps = 60;
+  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.sequence = ContactSequence{{0, 0, true}}});
+  ASSERT_EQ(arcs.termination, Termination::kConverged) << arcs.reason;
+  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
+  EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
+  EXPECT_NEAR(user.final_loss, arcs.final_loss, 1e-4 * arcs.final_loss);  // with other shares of the intervals
+  ASSERT_TRUE(user.certificate);
+  EXPECT_EQ(user.certificate->verdict, Certificate::Verdict::kStationary) << user.certificate->reason;
+  EXPECT_EQ(user.certificate->impacts.size(), 1u);
 }
 
 // The pushed disc cannot reach the other, which misses its target: no force is the optimum, and what a solver leaves of

@@ -403,6 +403,51 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
   if (is_given || too_few_intervals) AddGrid(motion.durations, plan, times);
 }
 
+std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansThroughTouches(
+    const HybridMotion& motion) const {
+  constexpr double kTouch = 1e-6;      // of the size of a guard
+  constexpr double kBeforeEnd = 0.01;  // of the duration: the last phase begins with this length
+  std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
+  HybridShooting::Outcome outcome;
+  if (!motion.exact.only_impacts || !shooting_->Simulate(InputOf(motion), &outcome)) return plans;
+  HybridSimulator& simulator = shooting_->simulator();
+  const HybridFunctions& functions = problem_.system.functions();
+  const auto control = ControlOf(motion, control_width());
+  std::vector<double> u(control_width()), slope(functions.most_states()), after(slope.size());
+  std::vector<std::pair<int, int>> known;
+  const double duration = DurationOf(motion);
+  for (int i = 1; i <= simulator.num_steps() && !functions.CreatesModes(); ++i) {
+    const bool ends = i == simulator.num_steps();
+    if (simulator.IsReset(i - 1) || (!ends && simulator.IsReset(i))) continue;
+    const int mode = ends ? simulator.final_mode() : simulator.StepMode(i);
+    const double t = ends ? duration : simulator.StepTime(i);
+    for (int c = 0; c < control_width(); ++c) u[c] = control(c, t);
+    const double* x = ends ? simulator.final_state().data() : simulator.StepState(i).data();
+    const ModePoint at{mode, t, x, u.data(), motion.parameters.data()};
+    functions.Flow(at, slope.data());
+    for (int guard = 0; guard < functions.num_guards(mode); ++guard) {
+      double rate = 0;
+      const double zero = kTouch * scales_.guard[mode][guard];
+      const double value = functions.GuardRate(at, guard, slope.data(), &rate);
+      if (std::abs(value) > zero || functions.IsSwitch(mode, guard)) continue;
+      if (std::ranges::count(known, std::pair(mode, guard)) > 0) continue;
+      const int next = functions.Reset(at, guard, after.data());
+      if (next < 0) continue;
+      known.emplace_back(mode, guard);
+      std::vector<ModeEvent> sequence = motion.exact.contacts;
+      const auto place = std::ranges::upper_bound(motion.exact.events, t, {}, &HybridEvent::time);
+      const auto k = place - motion.exact.events.begin();
+      sequence.insert(sequence.begin() + k, {mode, guard, next});
+      auto& [plan, times] = plans.emplace_back();
+      PlanAlong(sequence, motion, &plan, &times);
+      if (!plan.on_grid) times[k] = std::min(t, (1 - kBeforeEnd) * duration);
+      plan.tied.assign(plan.cuts.size(), false);
+      plan.regimes.resize(plan.cuts.size());
+    }
+  }
+  return plans;
+}
+
 std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansOnGrid(const HybridMotion& motion) {
   constexpr double kPart = 1e-3;  // of an interval, by which an event begins beside its end
   const std::vector<ImpactCertificate>& impacts = Certify(motion).impacts;

@@ -86,6 +86,9 @@ class HybridPhaseRun final : public SequenceRun {
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {
     return {};
   }
+  // Returns plans with one event more, each with the times of its cuts, for every guard that the motion meets at zero
+  // without an event: guards are held above zero at the ends of steps.
+  std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> PlansThroughTouches(const HybridMotion& motion) const;
   // Returns the plans on the grid of a motion, each with the times of its cuts, in which the events that leave the ends
   // of their intervals for a lower loss, by the certificate, are before them, and behind; none if no event does. Their
   // sequences are those of the exact motions with these ends moved a little.

@@ -82,6 +82,8 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   bool IsPossible(const PhasePlan&) const { return true; }
   // The impacts that are nearly between slip and stick, with each of the two.
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PhasePlan& plan, const Trial& trial) const;
+  // Nothing but the exact roll-out holds gaps of discs open, so that they do not just close at an optimum.
+  std::vector<std::pair<PhasePlan, std::vector<double>>> PlansThroughTouches(const Trial&) const { return {}; }
   // The transcription of discs has no plans on a grid.
   std::vector<std::pair<PhasePlan, std::vector<double>>> PlansOnGrid(const Trial&) const { return {}; }
 

@@ -9,6 +9,7 @@
 //                                               the same time
 //   an event after the final time, or at it     hold it there; or leave it out
 //   a graze                                     leave it out, and keep its gap open by an inequality
+//   a gap that just closes at an optimum        the event that would be there
 //   an event at the border of two regimes       hold it in either, by an inequality; of discs slip and stick
 //   the roll-out has another event              the sequence that it has; or keep that gap open
 //
@@ -237,6 +238,11 @@ class SequenceUpdate {
     DropGrazes(task.plan, attempt, start, &moves);
     Reorder(task.plan, attempt, start, &moves);
     SplitRegimes(task.plan, attempt, start, &moves);
+    if (attempt.converged && attempt.feasible()) {
+      for (auto& [plan, times] : run_.PlansThroughTouches(trial)) {
+        moves.push_back(WithApart({std::move(plan), {std::move(times), trial}}, task.plan.apart));
+      }
+    }
     if (!attempt.realized && std::isfinite(Merit(trial))) {
       moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
       for (const Event& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
