@@ -27,6 +27,7 @@
 #include "programs/bodies_file.h"
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
+#include "saltus/control/scene_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "scene/yaml_value.h"
 
@@ -200,32 +201,64 @@ HybridTerm ReadTerm(const GivenTerm& given, const HybridSystem& system) {
   return term;
 }
 
+// Returns what Python makes a problem of: the motion, the terms and what is optimized.
+py::dict PartsOf(const HybridProblem& problem) {
+  const auto& [system, guess, terms, free, integration, states] = problem;
+  using py::literals::operator""_a;
+  return py::dict("controls"_a = system.layout().control_names,
+                  "parameters"_a = system.layout().parameter_names,
+                  "initial"_a = guess.initial,
+                  "values"_a = guess.parameters,
+                  "duration"_a = guess.duration,
+                  "control"_a = ToArray(guess.control, {guess.num_intervals, system.num_controls()}),
+                  "terms"_a = terms,
+                  "free"_a = py::make_tuple(free.control, free.initial, free.parameters, free.duration),
+                  "control_bounds"_a = py::make_tuple(free.control_min, free.control_max),
+                  "duration_bounds"_a = py::make_tuple(free.duration_min, free.duration_max));
+}
+
+// Reads a scene of discs as a problem of a hybrid system.
+py::dict SceneAsHybrid(const Scene& scene) {
+  if (const std::string why = WhyNoHybridProblem(scene); !why.empty()) {
+    throw py::value_error("scene: found " + why + ", which a problem of a hybrid system does not have");
+  }
+  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridSystem& system = problem.system;
+  py::dict parts = PartsOf(problem), states, guards, next_modes;
+  for (int mode = 0; mode < system.num_modes(); ++mode) {
+    std::vector<std::string> of_states, of_guards;
+    for (int i = 0; i < system.state_size(mode); ++i) of_states.push_back(system.StateName(mode, i));
+    for (int i = 0; i < system.num_guards(mode); ++i) {
+      of_guards.push_back(system.GuardName(mode, i));
+      const int next = mode + of_guards.back().starts_with("waypoint ");
+      next_modes[py::make_tuple(system.ModeName(mode), of_guards.back())] = system.ModeName(next);
+    }
+    states[py::str(system.ModeName(mode))] = of_states;
+    guards[py::str(system.ModeName(mode))] = of_guards;
+  }
+  parts["system"] = system;
+  parts["states"] = states;
+  parts["guards"] = guards;
+  parts["next_modes"] = next_modes;
+  return parts;
+}
+
 // Reads the problem of a file of bodies, by its text and its name in errors.
 py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
   std::optional<BodiesTask> task;
   const auto error = internal::ReadYaml(text, name, [&](const YAML::Node& root) { task.emplace(ReadBodies(root)); });
   if (error) Raise(*error);
-  const auto& [system, guess, terms, free, integration, states] = task->problem;
   const MechanicalLayout& layout = task->system.functions().layout();
-  using py::literals::operator""_a;
-  return py::dict("system"_a = task->system,
-                  "coordinates"_a = layout.coordinate_names,
-                  "controls"_a = layout.control_names,
-                  "parameters"_a = layout.parameter_names,
-                  "contacts"_a = layout.contact_names,
-                  "initial"_a = guess.initial,
-                  "values"_a = guess.parameters,
-                  "duration"_a = guess.duration,
-                  "control"_a = ToArray(guess.control, {guess.num_intervals, layout.num_controls}),
-                  "draw"_a = py::cpp_function([draw = task->extras.draw](double t, const std::vector<double>& x) {
-                    HybridDrawing drawing;
-                    draw(0, t, x.data(), nullptr, &drawing);
-                    return py::make_tuple(drawing.lines(), drawing.circles());
-                  }),
-                  "terms"_a = terms,
-                  "free"_a = py::make_tuple(free.control, free.initial, free.parameters, free.duration),
-                  "control_bounds"_a = py::make_tuple(free.control_min, free.control_max),
-                  "duration_bounds"_a = py::make_tuple(free.duration_min, free.duration_max));
+  py::dict parts = PartsOf(task->problem);
+  parts["system"] = task->system;
+  parts["coordinates"] = layout.coordinate_names;
+  parts["contacts"] = layout.contact_names;
+  parts["draw"] = py::cpp_function([draw = task->extras.draw](double t, const std::vector<double>& x) {
+    HybridDrawing drawing;
+    draw(0, t, x.data(), nullptr, &drawing);
+    return py::make_tuple(drawing.lines(), drawing.circles());
+  });
+  return parts;
 }
 
 HybridOptions ReadIntegration(double tolerance, int steps, bool wait, int most_events, int most_repeats) {
@@ -719,6 +752,7 @@ void BindHybrid(py::module_* module) {
         return term.role == HybridTerm::Role::kEquality ? "equality" : "cost";
       });
   module->def("read_bodies", &ReadBodiesFile, py::arg("text"), py::arg("name"));
+  module->def("scene_as_hybrid", &SceneAsHybrid, py::arg("scene"));
   py::class_<MechanicalSystem>(*module, "MechanicalSystem")
       .def(py::init(&MakeMechanicalSystem),
            py::arg("mass"),

@@ -19,9 +19,9 @@ Optimisation    solve, solvers, bound_globally
 Sweeps          sweep: many points of some options, on all cores or with a distributed.Client of Dask
 Identification  identify: parameters from recordings of a motion
 Audits          audit, contact_models, WrongGradient
-Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, where, interp, spline; terminal, effort,
-                final_time, residuals, cost, maximise, measurements, event_times; rollout, final_derivatives, loss_and_gradient, solve,
-                hybrid_solvers, audit
+Hybrid systems  HybridSystem, MechanicalSystem with Contact, load_bodies, HybridProblem, hybrid_problem (of a scene); where,
+                interp, spline; terminal, effort, final_time, residuals, cost, maximise, measurements, event_times; rollout,
+                final_derivatives, loss_and_gradient, solve, hybrid_solvers, audit
 Feedback        track (gives a Regulator), propagate (a Covariance) and noisy_runs (NoisyRuns), of a HybridProblem or
                 a scene; SaltedKalmanFilter
 Your own models audit(scene, simulate=...), and ContactModel for a contact model in Python
@@ -57,6 +57,7 @@ from ._hybrid import (
     event_times,
     final_derivatives,
     final_time,
+    hybrid_problem,
     hybrid_solvers,
     maximise,
     measurements,
@@ -110,6 +111,7 @@ __all__ = [
     "event_times",
     "final_derivatives",
     "final_time",
+    "hybrid_problem",
     "hybrid_solvers",
     "identify",
     "interp",

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from . import _saltus
 from ._expression import Condition, Tape, _as_array, call, outputs
 from ._results import KINDS, Result, WrongGradient, on_intervals
+from ._scene import Scene, SceneLike, as_scene
 from ._types import Closed, _is_number, asked_for, expect, expect_int, parameters_of
 
 # The arguments of terms, in the order of the blocks of C++; there x0 is "i", and xT is "x".
@@ -1486,3 +1487,77 @@ def audit(
         float(seconds)
     )
     return HybridAudit(found)
+
+
+class _GivenTerm(Cost):
+    """A term of a system that has its functions in C++, by its number."""
+
+    def __init__(self, system: Any, number: int):
+        self._given_by, self._number = system, number
+        term = self._recorded(None)
+        super().__init__(term.name, lambda: None, term.at, term.role, None, None, False, None)
+
+    def __reduce__(self) -> Any:
+        return (_GivenTerm, (self._given_by, self._number))
+
+    def _as_recorded(self, problem: Any) -> Cost:
+        return self
+
+    def _recorded(self, problem: Any) -> Any:
+        return self._given_by._read["terms"][self._number]
+
+
+def problem_of(system: Any) -> HybridProblem:
+    """Returns the problem that was read with a system: its motion, terms, unknowns and bounds are in ``system._read``."""
+    read = system._read
+    mode = system.modes[0] if isinstance(system, HybridSystem) else None
+    states = system._states_of(mode)
+    control, initial, parameters, duration = read["free"]
+    optimize = [*(["control"] if control else []), *(states[i] for i in initial),
+                *(system.parameters[i] for i in parameters), *(["duration"] if duration else [])]
+    bounds = {name: pair for name, *pair in zip(system.controls, *read["control_bounds"])} if control else {}
+    if duration:
+        bounds["duration"] = list(read["duration_bounds"])
+    return HybridProblem(
+        system, mode=mode, initial=read["initial"], parameters=read["values"], duration=read["duration"],
+        control=read["control"], costs=[_GivenTerm(system, number) for number in range(len(read["terms"]))],
+        optimize=optimize, bounds=bounds)
+
+
+class _SceneSystem(HybridSystem):
+    """The system of a scene of discs, which has its functions in C++. It is pickled by the scene."""
+
+    def __init__(self, scene: Scene):
+        self._scene, self.sliding = scene, None
+        self._system = self._make()
+        self.states, self.guards = self._read["states"], self._read["guards"]
+        self.modes, self.controls, self.parameters = list(self.states), self._read["controls"], []
+        self._next_modes = self._read["next_modes"]
+
+    def _make(self) -> Any:
+        self._read = _saltus.scene_as_hybrid(self._scene)
+        return self._read["system"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in super().__getstate__().items() if name != "_read"}
+
+
+def hybrid_problem(scene: SceneLike) -> HybridProblem:
+    """Returns a scene of discs as a HybridProblem, whose ``costs`` may grow by any that hybrid problems have.
+
+    The motion is that of the contact model "event", in the units of the scene, with its objective, bounds, constraints and
+    unknowns. States are named as "puck.x", "puck.vx", controls as "striker.fx", events as "striker-puck"; a waypoint is an
+    event "waypoint 1". Terms at events, constraints that hold always, costs of one's own, fits and regulators of hybrid
+    problems work for the scene then.
+
+        >>> problem = saltus.hybrid_problem(scene)
+        >>> problem.costs += [saltus.cost(lambda x: 0.1 * x[2] ** 2, at="event", guard="striker-puck")]
+
+    Args:
+        scene: a Scene, the path of its file, or a dict with its keys.
+
+    Raises:
+        SceneError: the scene is wrong.
+        ValueError: the scene has walls that end, pockets, a table that slows discs, or design parameters.
+    """
+    return problem_of(_SceneSystem(as_scene(scene)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import _saltus
 from ._expression import Tape, _as_array
-from ._hybrid import Cost, HybridProblem, System, _call, _named, _names, _outputs
+from ._hybrid import HybridProblem, System, _call, _named, _names, _outputs, problem_of
 from ._scene import _plain
 from ._types import Closed, expect
 
@@ -250,24 +250,6 @@ class _Bodies(MechanicalSystem):
         return {name: value for name, value in super().__getstate__().items() if name != "_read"}
 
 
-class _TermOfFile(Cost):
-    """A term of a file of bodies, by its number."""
-
-    def __init__(self, bodies: _Bodies, number: int):
-        self._bodies, self._number = bodies, number
-        term = self._recorded(None)
-        super().__init__(term.name, lambda: None, term.at, term.role, None, None, False, None)
-
-    def __reduce__(self) -> Any:
-        return (_TermOfFile, (self._bodies, self._number))
-
-    def _as_recorded(self, problem: Any) -> Cost:
-        return self
-
-    def _recorded(self, problem: Any) -> Any:
-        return self._bodies._read["terms"][self._number]
-
-
 def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridProblem:
     """Reads the problem of a file of planar bodies (polygons, boxes, discs, joints), as the program saltus_bodies does.
 
@@ -286,13 +268,4 @@ def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridPro
     else:
         with open(os.fspath(source), "rb") as file:
             bodies = _Bodies(file.read(), os.fspath(source))
-    read = bodies._read
-    control, initial, parameters, duration = read["free"]
-    optimize = [*(["control"] if control else []), *(bodies.states[i] for i in initial),
-                *(bodies.parameters[i] for i in parameters), *(["duration"] if duration else [])]
-    bounds = {name: pair for name, *pair in zip(bodies.controls, *read["control_bounds"])} if control else {}
-    if duration:
-        bounds["duration"] = list(read["duration_bounds"])
-    return HybridProblem(
-        bodies, initial=read["initial"], parameters=read["values"], duration=read["duration"], control=read["control"],
-        costs=[_TermOfFile(bodies, number) for number in range(len(read["terms"]))], optimize=optimize, bounds=bounds)
+    return problem_of(bodies)

@@ -1,0 +1,76 @@
+"""Scenes of discs as hybrid problems, beside the functions of scenes."""
+
+import os
+import pathlib
+import pickle
+
+import numpy as np
+import pytest
+
+import saltus
+
+PROBLEMS = pathlib.Path(os.environ["SALTUS_SOURCE"]) / "problems"
+SCENES = ["two_balls", "single_collision", "multiple_collisions", "ground_wall"]
+
+
+def scene_of(name):
+    return saltus.load_scene(PROBLEMS / f"{name}.yaml")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_loss_and_gradient_are_those_of_the_scene(name):
+    scene = scene_of(name)
+    problem = saltus.hybrid_problem(scene)
+    found, expected = saltus.loss_and_gradient(problem), saltus.loss_and_gradient(scene, contact="event")
+    assert found.loss == pytest.approx(expected.loss, rel=1e-11)
+    if scene.optimize == "control":
+        by = np.ravel(expected.gradient["control"])
+        assert np.allclose(np.ravel(found.gradient["control"]), by, rtol=0, atol=1e-10 * np.abs(by).max())
+
+
+def test_optimum_and_certificate_are_those_of_the_scene():
+    scene = scene_of("two_balls")
+    found, expected = saltus.solve(saltus.hybrid_problem(scene)), saltus.solve(scene)
+    assert found.termination == "converged"
+    assert found.certificate.verdict in ("stationary", "global")
+    assert found.loss == pytest.approx(expected.final_loss, rel=1e-6)
+    assert [event[2] for event in found.events] == ["striker-target"]
+
+
+def test_costs_at_events_are_new():
+    problem = saltus.hybrid_problem(scene_of("two_balls"))
+    plain = saltus.solve(problem)
+    names = problem.system.states["flight"]
+    vx = names.index("striker.vx")
+    problem.costs = [*problem.costs, saltus.residuals(
+        lambda x: [0.1 * x[vx], 0.1 * x[vx + 1]], at="event", guard="striker-target", before=True)]
+    slow = saltus.solve(problem)
+    assert slow.termination == "converged" and slow.certificate.verdict == "stationary"
+
+    assert slow.loss > plain.loss
+    assert slow.events[0][0] > plain.events[0][0]  # a slower striker strikes later
+
+
+def test_waypoints_are_events_of_another_mode():
+    scene = scene_of("two_balls").to_dict()
+    scene["objective"]["via"] = [{"body": "striker", "quantity": "position", "time": 0.31, "target": [-1.8, -1.8], "weight": 2.0}]
+    problem = saltus.hybrid_problem(scene)
+    assert problem.system.modes == ["flight", "after waypoint 1"]
+    motion = saltus.rollout(problem)
+    assert [event[2] for event in motion.events][0] == "waypoint 1"
+    known = saltus.solve(scene, solver="ceres_phases", iterations=1).initial_loss
+    assert saltus.loss_and_gradient(problem).loss == pytest.approx(known, rel=1e-11)
+
+
+def test_problems_are_pickled():
+    problem = saltus.hybrid_problem(scene_of("two_balls"))
+    assert saltus.rollout(pickle.loads(pickle.dumps(problem))).events == saltus.rollout(problem).events
+
+
+def test_what_such_problems_do_not_have_is_refused():
+    scene = scene_of("two_balls").to_dict()
+    scene["table"] = {"friction": 0.1}
+    with pytest.raises(ValueError, match="scene: found a table that discs slide on"):
+        saltus.hybrid_problem(scene)
+    with pytest.raises(TypeError):
+        saltus.hybrid_problem(3)
