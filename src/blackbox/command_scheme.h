@@ -36,6 +36,7 @@ class CommandScheme final : public HybridScheme {
 
   std::string name() const override { return options_.name; }
   int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) override;
+  bool HasJacobian() const override { return has_jacobian_; }
 
  private:
   int Ask(const SchemeStep& step, double* next, double* jacobian, std::string* error);

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "audit/gradient/step_study.h"
 #include "saltus/audit/audit.h"
 
 namespace saltus {
@@ -26,6 +27,11 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
                                               const std::vector<std::string>& names, const StopRequest& stop = nullptr);
 // Returns the names of the contact parameters, gravity, masses, and optimized ones; none in scenes with many discs.
 std::vector<std::string> ParametersToCompare(const Scene& scene);
+
+// Returns the variables of a scene, without derivatives: the initial state of every disc that moves, as
+// SingleShooting::Variables::kInitialState has it, and forces that are constant over `steps` rows of the control.
+// `length`: the distance that discs move in a step, m.
+std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int steps);
 
 // Returns the largest speed of a disc in the simulator's last rollout, m/s: over all states, or if `most_states` is
 // positive and there are more, over about as many at even distances.

@@ -1,4 +1,6 @@
 // The quantities by which gradients are compared: their names, units and entries (refinement.h).
+#include <glog/logging.h>
+
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/scene/materials.h"
@@ -33,8 +35,18 @@ std::vector<SceneParameter> OfPairs(Quantity quantity, const Scene& scene) {
 }  // namespace
 
 const char* QuantityToString(Quantity quantity) {
-  constexpr const char* kNames[] = {
-      "position", "velocity", "control", "restitution", "friction", "mass", "gravity", "geometry", "wall_angle"};
+  constexpr const char* kNames[] = {"position",
+                                    "velocity",
+                                    "control",
+                                    "restitution",
+                                    "friction",
+                                    "mass",
+                                    "gravity",
+                                    "geometry",
+                                    "wall_angle",
+                                    "initial",
+                                    "control",
+                                    "parameters"};
   return kNames[static_cast<int>(quantity)];
 }
 
@@ -93,6 +105,8 @@ std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int i
         if (IsOf(quantity, design.parameter)) names.push_back(NameOf(design.parameter, scene));
       }
       break;
+    default:
+      LOG(FATAL) << "a scene has no " << QuantityToString(quantity);
   }
   return names;
 }
@@ -132,6 +146,8 @@ std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient,
         entries.push_back(i < g.parameters.design.size() ? g.parameters.design[i] : 0.0);
       }
       break;
+    default:
+      LOG(FATAL) << "a scene has no " << QuantityToString(quantity);
   }
   return entries;
 }
