@@ -44,9 +44,11 @@ Json RefinementToJson(const RefinementStudy& study) {
   Json quantities = Json::array();
   for (const QuantityStudy& quantity : study.quantities) {
     Json& item = quantities.emplace_back(Json{{"quantity", QuantityToString(quantity.quantity)}});
-    item.update(ErrorsToJson(quantity));
+    item.update(JudgementToJson(quantity));
     item["steps"] = OfLevels(quantity.levels, &RefinementLevel::steps);
     item["error"] = OfLevels(quantity.levels, &RefinementLevel::error);
+    item["smallest"] = OfLevels(quantity.levels, &RefinementLevel::smallest);
+    item["largest"] = OfLevels(quantity.levels, &RefinementLevel::largest);
   }
   return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
 }
@@ -273,27 +275,6 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
   return table;
 }
 
-// Returns the errors by level of refinement.
-Table RefinementTable(const AuditReport& report) {
-  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
-  for (const ModelAudit& audit : report.models) {
-    if (!audit.refinement) continue;
-    for (const QuantityStudy& study : audit.refinement->quantities) {
-      for (const RefinementLevel& level : study.levels) {
-        table.AddRow({audit.gradient.contact,
-                      QuantityToString(study.quantity),
-                      VerdictToString(study.verdict),
-                      study.order,
-                      level.steps,
-                      level.error,
-                      level.smallest,
-                      level.largest});
-      }
-    }
-  }
-  return table;
-}
-
 // The lowest error shown. Errors of right gradients are rounding; below this line they would squeeze all others.
 constexpr double kLowestError = 1e-7;
 
@@ -405,11 +386,14 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
     return;
   }
   WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
-  WriteTextFile(path + "_refinement.csv", RefinementTable(report).ToCsv());
   const Json& audits = document["audits"];
   const auto write = [&](const std::string& suffix, const std::string& list, const std::string& columns) {
     WriteTextFile(path + suffix, TableOf(audits, list, columns).ToCsv());
   };
+  write("_refinement.csv",
+        "/refinement/quantities",
+        "contact=^contact; quantity; verdict; order; steps=steps[]; error=error[]; smallest=smallest[]; "
+        "largest=largest[]");
   write("_contacts.csv",
         "/contacts",
         "contact=^contact; first step; last step; a; b; exact impacts; error; stays; wrong in=block; why");

@@ -247,7 +247,11 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   item["order"] = audit.order;
   for (const QuantityStudy& quantity : audit.refinement->quantities) {
     item["parts"].push_back({{"name", QuantityToString(quantity.quantity)}});
-    item["parts"].back().update(ErrorsToJson(quantity));
+    item["parts"].back().update(JudgementToJson(quantity));
+    for (const RefinementLevel& level : quantity.levels) {
+      item["parts"].back()["levels"].push_back(
+          {{"steps", level.steps}, {"error", level.error}, {"smallest", level.smallest}, {"largest", level.largest}});
+    }
   }
   AddConditioning(*audit.refinement, &item);
   for (const SegmentError& segment : audit.segments) {

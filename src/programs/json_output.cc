@@ -111,15 +111,9 @@ void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>&
   if (spread) (*item)["loss_spread"] = {spread->lowest, spread->highest};
 }
 
-Json ErrorsToJson(const QuantityStudy& study) {
-  Json levels = Json::array();
-  for (const RefinementLevel& level : study.levels) {
-    levels.push_back(
-        {{"steps", level.steps}, {"error", level.error}, {"smallest", level.smallest}, {"largest", level.largest}});
-  }
+Json JudgementToJson(const QuantityStudy& study) {
   return {{"verdict", VerdictToString(study.verdict)},
           {"order", study.order},
-          {"levels", std::move(levels)},
           {"entries", study.entries},
           {"exact", study.exact},
           {"converges_to", study.finest},

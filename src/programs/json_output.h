@@ -54,8 +54,8 @@ Json DesignToJson(const Scene& scene, const std::vector<double>& values);
 // Converts the entries of a gradient that are one-sided.
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
 
-// The verdict on a part of a gradient with its errors by number of steps, without the name of the part.
-Json ErrorsToJson(const QuantityStudy& study);
+// The verdict on a part of a gradient and its entries, without the name of the part and the errors by number of steps.
+Json JudgementToJson(const QuantityStudy& study);
 // Adds the keys condition, rounding and digits_lost if they were measured.
 void AddConditioning(const RefinementStudy& study, Json* item);
 Json WidthsToJson(const WidthSweepStudy& study);
