@@ -1,40 +1,10 @@
-// JSON lines between a program that asks and a simulator that answers: one object a line, answers in order.
+// JSON lines between a program that asks and a simulator that answers: one object a line, answers in order. Messages
+// are in docs/how-to/audit-a-simulator.md.
 //
-//   -> {"saltus": 1, "scene": {...}, "names": {...}}  a scene file as JSON, with defaults filled in
-//   -> {"saltus": 1, "hybrid": {...}, "scene": {...}} or a hybrid system; "scene" if it is made of one
-//   <- {"name": "mine 1.0", "can": ["gradient"]}      optional: some of the abilities below; "not_applicable": "why";
-//                                                     "grid_steps": n, if numbers of steps must be multiples of it
-//
-// "names" and "hybrid" have the names of states, controls and parameters:
-//
-//   {"modes": [{"name": "flight", "states": ["y", "v"]}], "controls": [...], "parameters": [...]}
-//
-// A step begins in a mode with lists of numbers in that order, and so does its answer:
-//
-//   -> {"id": 1, "step": {"mode": "flight", "t": 0, "h": 0.01, "state": [...], "control": [...], "parameters": [...],
-//                         "jacobian": true}}          "jacobian" only if the simulator "can"
-//   <- {"id": 1, "mode": "flight", "state": [...], "jacobian": [[...], ...]}
-//   <- {"id": 1, "error": "what went wrong"}          instead of any answer
-//
-// A Jacobian has a row for each component of the new state and a column for each of [state control parameters]. Without
-// one, steps are differentiated by differences, which are wider if all that is answered are numbers of float32.
-//
-// A scene has the one mode "discs", position and velocity of each disc as its state, and a force on each as its
-// control. A simulator of scenes that "can" take "names" is asked for such steps; those make up whole motions unless it
-// can "simulate" too. Other simulators of scenes must be able to simulate. Whole motions, and steps of these
-// simulators, have numbers in rows, one for each disc:
-//
-//   -> {"id": 1, "simulate": {"steps": 480, "duration": 1, "initial": [[px,py,vx,vy],...], "control": [[[fx,fy],...]]}}
-//   <- {"id": 1, "final": [[px,py,vx,vy],...]}        if it "can" give "states", and "states": true is among what is
-//                                                     asked: also "states", those after 0, 1, ... of its own steps
-//   -> {"id": 2, "gradient": {the same, "of_final": [[...],...]}}
-//   <- {"id": 2, "final": ..., "initial": [[...],...], "control": [[[...],...],...]}
-//                                                     if "parameters": true is among what is asked, and it gives them:
-//                                                     also "parameters": {"mass.ball": ..., ...}, derivatives by name
-//   -> {"id": 3, "step": {"h": 0.002, "state": [[...],...], "force": [[fx,fy],...]}}       a force for each disc
-//   <- {"id": 3, "state": [[...],...]}
-//
-// A control has a row a step, with a force for each controlled disc; one row stands for the same in every step.
+// A simulator is greeted with a scene or with the names of a hybrid system. Steps begin in a mode with lists of numbers
+// in the order of these names. A scene has the one mode "discs", the positions and velocities of its discs as state and
+// a force on each as control; simulators that cannot take names have rows of one disc instead. Whole motions, of scenes
+// only, are in rows, and are composed of steps if a simulator does not have them.
 #pragma once
 
 #include <cstdint>

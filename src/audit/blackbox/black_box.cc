@@ -241,11 +241,12 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
       errors.push_back(std::abs(loss - exact.loss) / exact.loss_scale);
       log_steps += std::log(steps[i]) / samples;
     }
-    const auto [smallest, worst] = std::minmax_element(errors.begin(), errors.end());
-    findings->levels.push_back({std::exp(log_steps), Median(errors), *smallest, *worst});
-    counts.push_back(findings->levels.back().steps);
-    medians.push_back(std::max(Median(errors), floor));
-    largest = std::max(largest, *worst);
+    const auto [smallest, worst] = std::ranges::minmax(errors);
+    const RefinementLevel& added =
+        findings->levels.emplace_back(RefinementLevel{std::exp(log_steps), Median(errors), smallest, worst});
+    counts.push_back(added.steps);
+    medians.push_back(std::max(added.error, floor));
+    largest = std::max(largest, added.largest);
   }
   if (largest <= floor) {
     findings->motion = Motion::kExact;

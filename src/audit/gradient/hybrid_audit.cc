@@ -133,12 +133,8 @@ std::string WhyNotAudited(const HybridProblem& problem) {
   return any ? "" : "the problem has no cost, whose gradient could be audited";
 }
 
-// Replaces control intervals of unequal lengths by `count` equal ones, each with the control at its middle.
+// Returns the input on `count` control intervals of equal lengths, each with the control at its middle.
 HybridInput OnEqualIntervals(HybridInput input, int count) {
-  if (HasEqualIntervals(input)) {
-    input.lengths.clear();
-    return input;
-  }
   const std::vector<double> times = input.Times(), control = std::move(input.control);
   const std::size_t m = control.size() / input.num_intervals;
   input.control.clear();
@@ -180,15 +176,9 @@ std::vector<Segment> SegmentsOf(const std::vector<HybridEvent>& events, double h
 std::vector<SegmentError> StudySegments(const HybridProblem& problem, HybridScheme* scheme, int steps,
                                         const std::vector<double>& final_cotangent, const StopRequest& stop) {
   const HybridSystem& system = problem.system;
-  const int m = system.num_controls(), per_interval = steps / problem.guess.num_intervals;
+  const int m = system.num_controls();
   const double h = problem.guess.duration / steps;
-  HybridInput on_steps = problem.guess;  // with a control interval for each step
-  on_steps.num_intervals = steps;
-  on_steps.control.clear();
-  for (int k = 0; k < steps; ++k) {
-    const auto row = problem.guess.control.begin() + static_cast<std::ptrdiff_t>(k / per_interval) * m;
-    on_steps.control.insert(on_steps.control.end(), row, row + m);
-  }
+  const HybridInput on_steps = OnEqualIntervals(problem.guess, steps);
   HybridSimulator exact(system, problem.integration);
   if (!exact.Rollout(on_steps)) return {};
   std::vector<Eigen::RowVectorXd> costates = {
@@ -400,7 +390,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   if (!audit.ok()) return audit;
   HybridProblem problem = WithAllFree(given);
   problem.free.duration = false;
-  problem.guess = OnEqualIntervals(problem.guess, std::max(options.steps, 1));
+  const int intervals = HasEqualIntervals(problem.guess) ? problem.guess.num_intervals : std::max(options.steps, 1);
+  problem.guess = OnEqualIntervals(problem.guess, intervals);
   const auto fail = [&](const std::string& reason) {
     audit.reason = reason;
     audit.interrupted = reason == kStopped;
@@ -455,9 +446,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const auto initial_gradient = [&](const Change& change, int more) {
     HybridProblem changed = integrated(simulator.steps_per_interval() + more);
     for (double& number : changed.guess.initial) number *= change();
-    HybridShooting function(changed);
-    const LossAtGuess loss(&function);
-    return loss.ok ? GradientIn(function, loss.gradient).initial : std::vector<double>();
+    const SteppedGradient::Parts parts = by(HybridShooting(changed));
+    return parts.entries.empty() ? std::vector<double>() : parts.entries.front();
   };
   const SteppedGradient gradient{
       .at = [&](int count) { return by(SchemeShooting(problem, scheme, count / K, options.stop)); },

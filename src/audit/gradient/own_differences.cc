@@ -2,18 +2,13 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <optional>
-#include <random>
 #include <utility>
 #include <vector>
 
 #include "audit/gradient/step_study.h"
-#include "base/parallel_for.h"
-#include "saltus/control/single_shooting.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
@@ -23,19 +18,6 @@ namespace {
 
 constexpr double kWidest = 0.1;  // width of differences, in grid widths (width_sweep.h)
 constexpr int kMostDiscs = 16;   // of a scene whose parameters are compared
-
-// The loss of a model at the guess of a scene.
-struct LossOfScene {
-  LossOfScene(const Contact& contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop,
-              SingleShooting::OfScene of_scene = nullptr)
-      : shooting(MakeSimulator(contact, scene, Precision::kDouble), variables, std::move(of_scene)) {
-    shooting.set_stop(stop);
-    at_guess.emplace(&shooting);
-  }
-
-  SingleShooting shooting;
-  std::optional<LossAtGuess> at_guess;
-};
 
 // Returns the distance that discs move in a step, m.
 double LengthOfStep(const Scene& scene, const Simulator& simulator, int most_states = 0) {
@@ -66,47 +48,40 @@ double ScaleOf(const SceneParameter& parameter, const Scene& scene, double lengt
   }
 }
 
-// For each of several threads, the losses that its directions need.
-class LossesOfThreads {
- public:
-  LossesOfThreads(const Contact& contact, const Scene& scene, const StopRequest& stop, int threads)
-      : contact_(contact), scene_(scene), controlled_(scene), stop_(stop), losses_(threads) {
-    controlled_.optimize = Optimize::kControl;
-  }
-  const LossAtGuess& At(int thread, Quantity quantity) {
-    const bool control = quantity == Quantity::kControl;
-    std::unique_ptr<LossOfScene>& loss = control ? losses_[thread].by_control : losses_[thread].by_state;
-    if (loss == nullptr) {
-      const auto variables = control ? SingleShooting::Variables::kOfScene : SingleShooting::Variables::kInitialState;
-      loss = std::make_unique<LossOfScene>(contact_, control ? controlled_ : scene_, variables, stop_);
-    }
-    return *loss->at_guess;
-  }
-  const Simulator& simulator() const { return losses_[0].by_state->shooting.simulator(); }
-
- private:
-  struct Losses {
-    std::unique_ptr<LossOfScene> by_state, by_control;
-  };
-  const Contact& contact_;
-  const Scene& scene_;
-  Scene controlled_;
-  const StopRequest& stop_;
-  std::vector<Losses> losses_;
-};
-
 }  // namespace
 
 OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop,
                                          int threads, int most_states) {
   if (!WhyNotApplicable(contact, scene).empty()) return {};
-  LossesOfThreads losses(contact, scene, stop, threads);
-  if (!losses.At(0, Quantity::kPosition).ok) return {};
-  const double length = LengthOfStep(scene, losses.simulator(), most_states);
-  return CompareAlongSums(
-      VariablesOf(scene, length, losses.simulator().num_steps()),
-      threads,
-      [&](int thread, Quantity quantity) -> const LossAtGuess& { return losses.At(thread, quantity); });
+  struct Loss {
+    std::unique_ptr<SingleShooting> shooting;
+    std::optional<LossAtGuess> at_guess;
+  };
+  std::vector<std::array<Loss, 2>> losses(threads);  // by state and by control
+  const auto loss_of = [&](int thread, Quantity quantity) -> const LossAtGuess& {
+    Loss& loss = losses[thread][quantity == Quantity::kControl ? 1 : 0];
+    if (loss.shooting == nullptr) {
+      loss.shooting = ShootingBy(quantity, contact, scene, stop);
+      loss.at_guess.emplace(loss.shooting.get());
+    }
+    return *loss.at_guess;
+  };
+  if (!loss_of(0, Quantity::kPosition).ok) return {};
+  const Simulator& simulator = losses[0][0].shooting->simulator();
+  const double length = LengthOfStep(scene, simulator, most_states);
+  return CompareAlongSums(VariablesOf(scene, length, simulator.num_steps()), threads, loss_of);
+}
+
+std::unique_ptr<SingleShooting> ShootingBy(Quantity quantity, const Contact& contact, const Scene& scene,
+                                           const StopRequest& stop) {
+  using Variables = SingleShooting::Variables;
+  const bool control = quantity == Quantity::kControl;
+  Scene controlled = scene;
+  if (control) controlled.optimize = Optimize::kControl;
+  auto shooting = std::make_unique<SingleShooting>(MakeSimulator(contact, controlled, Precision::kDouble),
+                                                   control ? Variables::kOfScene : Variables::kInitialState);
+  shooting->set_stop(stop);
+  return shooting;
 }
 
 std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int steps) {
@@ -168,15 +143,18 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
   const auto of_scene = [&](const Scene& other) {
     return WhyNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
   };
-  LossOfScene loss(contact, designed, SingleShooting::Variables::kOfScene, stop, of_scene);
+  SingleShooting shooting(
+      MakeSimulator(contact, designed, Precision::kDouble), SingleShooting::Variables::kOfScene, of_scene);
+  shooting.set_stop(stop);
+  const LossAtGuess loss(&shooting);
   const std::size_t count = designed.design.size();
-  if (!loss.at_guess->ok || loss.at_guess->gradient.size() != count) return audits;
-  const double length = LengthOfStep(scene, loss.shooting.simulator());
-  for (std::size_t i = 0; i < count && !loss.shooting.stopped(); ++i) {
+  if (!loss.ok || loss.gradient.size() != count) return audits;
+  const double length = LengthOfStep(scene, shooting.simulator());
+  for (std::size_t i = 0; i < count && !shooting.stopped(); ++i) {
     const SceneParameter& parameter = designed.design[i].parameter;
     std::vector<double> along(count, 0.0);
     along[i] = 1;
-    const OwnDifferences found = CompareAlong(*loss.at_guess, along, kWidest * ScaleOf(parameter, scene, length));
+    const OwnDifferences found = CompareAlong(loss, along, kWidest * ScaleOf(parameter, scene, length));
     ParameterAudit audit{NameOf(parameter, scene), found.gradient, std::nullopt};
     if (found.agreement != Agreement::kUndecided) audit.difference = found.difference;
     if (found.gradient == 0 && audit.difference.value_or(0) == 0) continue;

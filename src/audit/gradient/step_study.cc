@@ -86,48 +86,6 @@ bool MayHaveAFloor(const QuantityStudy& study) {
   return study.verdict == Verdict::kConsistent && study.levels.back().error > kSettled;
 }
 
-// The levels of the error of a quantity, added one after the other.
-class QuantityLevels {
- public:
-  // `loss` is the exact one: where the exact gradient is zero, errors are absolute, on the scale of the loss.
-  QuantityLevels(const QuantityStudy& study, double loss)
-      : scale_(std::max(Norm(Judged(study, study.exact)), 1e-6 * std::max(1.0, std::abs(loss)))) {}
-
-  // Returns the distance of the judged entries from the exact ones, relative to the scale.
-  double ErrorOf(const std::vector<double>& entries, const QuantityStudy& study) const {
-    return Distance(Judged(study, entries), Judged(study, study.exact)) / scale_;
-  }
-  // Adds a level of so many steps (the mean), given the entries at each of its samples, and judges what there is.
-  void Add(double steps, const std::vector<std::vector<double>>& samples, const RefinementOptions& options,
-           QuantityStudy* study);
-
- private:
-  double scale_;
-  std::vector<double> coarsest_;
-};
-
-void QuantityLevels::Add(double steps, const std::vector<std::vector<double>>& samples,
-                         const RefinementOptions& options, QuantityStudy* study) {
-  std::vector<double> errors;
-  for (const std::vector<double>& entries : samples) errors.push_back(ErrorOf(entries, *study));
-  const auto [smallest, largest] = std::minmax_element(errors.begin(), errors.end());
-  study->levels.push_back({steps, Median(errors), *smallest, *largest});
-  study->finest.clear();
-  for (size_t entry = 0; entry < study->exact.size(); ++entry) {
-    std::vector<double> values;
-    for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
-    study->finest.push_back(Median(values));
-  }
-  if (study->levels.size() == 1) coarsest_ = samples.front();
-  study->wrong_signs = FindWrongSigns(
-      study->entries, Judged(*study, study->exact), Judged(*study, coarsest_), Judged(*study, study->finest));
-  const double median = study->levels.back().error;
-  double largest_of_all = 0;
-  for (const RefinementLevel& level : study->levels) largest_of_all = std::max(largest_of_all, level.largest);
-  study->decisive = median > options.tolerance ? median : largest_of_all;
-  if (study->levels.size() >= kTail) Judge(options, study);
-}
-
 // Whether verdicts on the quantity enter that of the study, at least if they are bad.
 bool EntersTheVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl ||
@@ -164,7 +122,12 @@ class Levels {
   Levels(const SteppedGradient& gradient, double loss, const RefinementOptions& options, const StopRequest& stop,
          RefinementStudy* out)
       : gradient_(gradient), options_(options), stop_(stop), out_(*out) {
-    for (const QuantityStudy& quantity : out_.quantities) levels_.emplace_back(quantity, loss);
+    // Where the exact gradient is zero, errors are absolute, on the scale of the loss.
+    const double least = 1e-6 * std::max(1.0, std::abs(loss));
+    for (const QuantityStudy& study : out_.quantities) {
+      scales_.push_back(std::max(Norm(Judged(study, study.exact)), least));
+    }
+    coarsest_.resize(scales_.size());
   }
 
   // Returns the work of a level, in the unit of RefinementOptions::budget.
@@ -201,10 +164,10 @@ class Levels {
       log_steps += std::log(steps) / options_.samples;
       if (level == 0) contacts_ = std::max(contacts_, gradients[sample].contacts);
     }
-    for (size_t q = 0; q < levels_.size(); ++q) {
+    for (size_t q = 0; q < scales_.size(); ++q) {
       std::vector<std::vector<double>> entries;
       for (SteppedGradient::Parts& gradient : gradients) entries.push_back(std::move(gradient.entries[q]));
-      levels_[q].Add(std::exp(log_steps), entries, options_, &out_.quantities[q]);
+      AddTo(q, std::exp(log_steps), entries);
     }
     return true;
   }
@@ -230,15 +193,45 @@ class Levels {
  private:
   int StepsOf(int level, int sample) const { return gradient_.unit * ((gradient_.coarsest << level) + sample); }
 
+  // Returns the distance of the judged entries from the exact ones, relative to the scale.
+  double ErrorOf(size_t q, const std::vector<double>& entries) const {
+    const QuantityStudy& study = out_.quantities[q];
+    return Distance(Judged(study, entries), Judged(study, study.exact)) / scales_[q];
+  }
+
+  // Adds a level of so many steps (the mean) to a quantity, given the entries at each of its samples, and judges what
+  // there is.
+  void AddTo(size_t q, double steps, const std::vector<std::vector<double>>& samples) {
+    QuantityStudy& study = out_.quantities[q];
+    std::vector<double> errors;
+    for (const std::vector<double>& entries : samples) errors.push_back(ErrorOf(q, entries));
+    const auto [smallest, largest] = std::ranges::minmax(errors);
+    study.levels.push_back({steps, Median(errors), smallest, largest});
+    study.finest.clear();
+    for (size_t entry = 0; entry < study.exact.size(); ++entry) {
+      std::vector<double> values;
+      for (const std::vector<double>& entries : samples) values.push_back(entries[entry]);
+      study.finest.push_back(Median(values));
+    }
+    if (study.levels.size() == 1) coarsest_[q] = samples.front();
+    study.wrong_signs = FindWrongSigns(
+        study.entries, Judged(study, study.exact), Judged(study, coarsest_[q]), Judged(study, study.finest));
+    const double median = study.levels.back().error;
+    double largest_of_all = 0;
+    for (const RefinementLevel& level : study.levels) largest_of_all = std::max(largest_of_all, level.largest);
+    study.decisive = median > options_.tolerance ? median : largest_of_all;
+    if (study.levels.size() >= kTail) Judge(options_, &study);
+  }
+
   // Returns the largest relative distance of exact gradients with the step counts of the levels from the exact one, by
   // quantity.
   std::vector<double> RoundingOfLevels() const {
-    std::vector<double> largest(levels_.size(), 0.0);
+    std::vector<double> largest(scales_.size(), 0.0);
     for (size_t level = 0; level < out_.quantities.front().levels.size(); ++level) {
       for (int sample = 0; sample < std::min(options_.samples, kSamplesOfLevels); ++sample) {
         const SteppedGradient::Parts exact = gradient_.exact_at(StepsOf(static_cast<int>(level), sample));
         for (size_t q = 0; q < largest.size(); ++q) {
-          const double error = exact.reason.empty() ? levels_[q].ErrorOf(exact.entries[q], out_.quantities[q]) : 1.0;
+          const double error = exact.reason.empty() ? ErrorOf(q, exact.entries[q]) : 1.0;
           largest[q] = std::max(largest[q], error);
         }
       }
@@ -251,8 +244,10 @@ class Levels {
   const StopRequest& stop_;
   RefinementStudy& out_;
   const std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
-  int contacts_ = 0;                    // at the first level
-  std::vector<QuantityLevels> levels_;  // by quantity
+  int contacts_ = 0;  // at the first level
+  // Of each quantity: what errors are relative to, and the entries by the fewest steps.
+  std::vector<double> scales_;
+  std::vector<std::vector<double>> coarsest_;
 };
 
 constexpr int kDirections = 2;                    // of each quantity

@@ -4,12 +4,11 @@
 
 #include <algorithm>
 #include <limits>
-#include <optional>
+#include <memory>
 #include <utility>
 
 #include "audit/gradient/own_differences.h"
 #include "audit/gradient/step_study.h"
-#include "saltus/control/single_shooting.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -83,25 +82,19 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
     study.reason = own.reason;
     return study;
   }
-  SingleShooting by_state(MakeSimulator(contact, refined, Precision::kDouble),
-                          SingleShooting::Variables::kInitialState);
-  by_state.set_stop(stop);
-  std::optional<SingleShooting> by_control;
-  if (scene.control_width() > 0) {
-    refined.optimize = Optimize::kControl;
-    by_control.emplace(MakeSimulator(contact, refined, Precision::kDouble));
-    by_control->set_stop(stop);
-  }
+  const auto by_state = ShootingBy(Quantity::kPosition, contact, refined, stop);
+  std::unique_ptr<SingleShooting> by_control;
+  if (scene.control_width() > 0) by_control = ShootingBy(Quantity::kControl, contact, refined, stop);
   double loss = 0, speed = 0;
-  if (by_state.Evaluate(by_state.initial_guess(), &loss, nullptr)) {
-    speed = LargestSpeed(by_state.simulator(), options.most_states);
+  if (by_state->Evaluate(by_state->initial_guess(), &loss, nullptr)) {
+    speed = LargestSpeed(by_state->simulator(), options.most_states);
   }
-  const double length = std::max(speed, 1e-9) * by_state.simulator().step();
-  std::vector<SweptVariable> variables = VariablesOf(scene, length, by_state.simulator().num_steps());
+  const double length = std::max(speed, 1e-9) * by_state->simulator().step();
+  std::vector<SweptVariable> variables = VariablesOf(scene, length, by_state->simulator().num_steps());
   const std::vector<double> derivatives = DerivativesBy(scene, own);
   for (std::size_t i = 0; i < variables.size(); ++i) {
     variables[i].gradient = derivatives[i];
-    variables[i].function = variables[i].quantity == Quantity::kControl ? &*by_control : &by_state;
+    variables[i].function = variables[i].quantity == Quantity::kControl ? by_control.get() : by_state.get();
   }
   int next = 0;
   for (int i = 0; i < scene.num_bodies(); ++i) {
