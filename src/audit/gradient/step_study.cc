@@ -245,7 +245,7 @@ class Levels {
   RefinementStudy& out_;
   const std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
   int contacts_ = 0;  // at the first level
-  // Of each quantity: what errors are relative to, and the entries by the fewest steps.
+  // The scale of errors and the entries by the fewest steps, of each quantity.
   std::vector<double> scales_;
   std::vector<std::vector<double>> coarsest_;
 };
