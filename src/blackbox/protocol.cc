@@ -135,13 +135,14 @@ ProtocolJson QuestionToJson(const Scene& scene, const Question& question, const 
              {"state", RowsToJson(question.initial, 4)},
              {"force", RowsToJson(question.control, 2)}};
   } else {
+    std::vector<double> control = question.control;
+    const std::size_t width = scene.control_width();
+    const bool constant = std::equal(control.begin() + std::min(width, control.size()), control.end(), control.begin());
+    if (constant && control.size() > width) control.resize(width);
     asked = {{"steps", question.steps},
              {"duration", question.duration},
              {"initial", RowsToJson(question.initial, 4)},
-             {"control", ControlRowsToJson(question.control, scene.num_controlled())}};
-    ProtocolJson& rows = asked["control"];
-    const bool constant = std::ranges::adjacent_find(rows, std::not_equal_to<>()) == rows.end();
-    if (constant && rows.size() > 1) rows = ProtocolJson::array({rows[0]});
+             {"control", ControlRowsToJson(control, scene.num_controlled())}};
   }
   if (question.kind == Question::Kind::kGradient) {
     asked["of_final"] = RowsToJson(question.of_final, 4);
