@@ -288,6 +288,7 @@ class CallableScheme final : public HybridScheme {
         computation_(computation) {}
 
   std::string name() const override { return name_; }
+  bool HasJacobian() const override { return !jacobian_.is_none(); }
   int Step(const SchemeStep& at, double* next, double* jacobian, std::string* error) override {
     const StepFunction call = [this](const SchemeStep& step, double* after, std::string* why) {
       return Call(step, after, why);
@@ -718,9 +719,9 @@ class Problem {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
     Computation computation;
     const HybridProblem problem = At(guess, StopAfterGrace(&computation));
-    HybridAuditOptions options{
-        .steps = steps, .seconds = seconds, .width_sweep = width_sweep, .stop = computation.stop()};
+    HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
+    options.refinement.seconds = seconds;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
     if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);

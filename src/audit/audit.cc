@@ -125,10 +125,7 @@ std::string CauseOf(const ModelAudit& audit) {
   const bool studied = audit.refinement || audit.widths;
   if (audit.black_box && !studied && !audit.black_box->remarks.empty()) return audit.black_box->remarks.front();
   if (audit.verdict == Verdict::kIllConditioned) {
-    const Conditioning& conditioning = *audit.refinement->conditioning;
-    return "rounding alone changes the exact gradient by " + ToText(conditioning.rounding, 2) + " of it (condition " +
-           ToText(conditioning.condition, 2) + "): " + ToText(std::ceil(conditioning.DigitsLost()), 2) +
-           " of 16 digits are lost";
+    return audit.refinement->conditioning->Describe();
   }
   // These are deviations of the motion itself, which linearizations of contacts do not show.
   const std::optional<ContactRecognition>& recognition = audit.recognition;

@@ -2,7 +2,7 @@
 
 #include <yaml-cpp/yaml.h>
 
-#include <charconv>
+#include <algorithm>
 #include <cmath>
 #include <set>
 #include <span>
@@ -14,6 +14,7 @@ namespace {
 
 constexpr std::size_t kExcerpt = 80;
 constexpr int kVersion = 1;
+constexpr char kDiscs[] = "discs";  // the mode of a scene
 
 // Converts a scene file to JSON. Values under a key of `texts` are texts even if they look like numbers.
 ProtocolJson YamlToJson(const YAML::Node& node, const std::string& key) {
@@ -35,44 +36,33 @@ ProtocolJson YamlToJson(const YAML::Node& node, const std::string& key) {
   return json;
 }
 
-void Append(double value, std::string* text) {
-  char digits[32];
-  text->append(digits, std::to_chars(digits, digits + sizeof digits, value).ptr);
+template <typename Name>
+ProtocolJson NamesOf(int count, const Name& name) {
+  ProtocolJson names = ProtocolJson::array();
+  for (int i = 0; i < count; ++i) names.push_back(name(i));
+  return names;
 }
 
-// Appends a row of numbers: [a, b].
-void AppendRow(std::span<const double> row, std::string* text) {
-  for (std::size_t i = 0; i < row.size(); ++i) {
-    *text += i == 0 ? '[' : ',';
-    Append(row[i], text);
+ProtocolJson NamesOf(const Scene& scene) {
+  ProtocolJson states = ProtocolJson::array(), controls = ProtocolJson::array();
+  for (const Body& body : scene.bodies) {
+    for (const char* quantity : {"px ", "py ", "vx ", "vy "}) states.push_back(quantity + body.name);
+    for (const char* quantity : {"fx ", "fy "}) controls.push_back(quantity + body.name);
   }
-  *text += row.empty() ? "[]" : "]";
+  return {{"modes", {{{"name", kDiscs}, {"states", std::move(states)}}}},
+          {"controls", std::move(controls)},
+          {"parameters", ProtocolJson::array()}};
 }
 
-void AppendRows(std::span<const double> numbers, std::size_t width, std::string* text) {
-  *text += '[';
-  for (std::size_t i = 0; i < numbers.size(); i += width) {
-    if (i > 0) *text += ',';
-    AppendRow(numbers.subspan(i, width), text);
-  }
-  *text += ']';
-}
-
-void AppendControl(std::span<const double> control, std::size_t width, std::string* text) {
-  const std::size_t all = control.size();
-  const auto constant = [&] {
-    for (std::size_t i = width; i < all; ++i) {
-      if (control[i] != control[i - width]) return false;
-    }
-    return true;
-  };
-  *text += '[';
-  const std::size_t end = width > 0 && all > width && constant() ? width : all;
-  for (std::size_t i = 0; i < end; i += width) {
-    if (i > 0) *text += ',';
-    AppendRows(control.subspan(i, width), 2, text);
-  }
-  *text += ']';
+ProtocolJson StepToJson(const std::string& mode, double t, double h, std::span<const double> state,
+                        std::span<const double> control, std::span<const double> parameters) {
+  const auto list = [](std::span<const double> numbers) { return std::vector<double>(numbers.begin(), numbers.end()); };
+  return {{"mode", mode},
+          {"t", t},
+          {"h", h},
+          {"state", list(state)},
+          {"control", list(control)},
+          {"parameters", list(parameters)}};
 }
 
 std::string KindName(Question::Kind kind) {
@@ -113,44 +103,66 @@ void Collect(const ProtocolJson& json, std::span<const std::size_t> shape, const
   for (const ProtocolJson& item : json) Collect(item, shape.subspan(1), what, numbers);
 }
 
-std::vector<double> Member(const ProtocolJson& json, const char* key, const std::vector<std::size_t>& shape) {
-  const auto found = json.find(key);
-  if (found == json.end()) throw ProtocolError("found " + Excerpt(json.dump()) + ", expected \"" + key + "\" in it");
-  return NumbersFrom(*found, shape, "\"" + std::string(key) + "\"");
-}
-
 }  // namespace
 
-std::string HelloLine(const Scene& scene) {
-  const ProtocolJson hello = {{"saltus", kVersion}, {"scene", YamlToJson(YAML::Load(WriteScene(scene)), "")}};
-  return hello.dump();
+ProtocolJson NamesToJson(const HybridSystem& system) {
+  ProtocolJson modes = ProtocolJson::array();
+  for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
+    modes.push_back({{"name", system.ModeName(mode)},
+                     {"states", NamesOf(system.state_size(mode), [&](int i) { return system.StateName(mode, i); })}});
+  }
+  return {{"modes", std::move(modes)},
+          {"controls", NamesOf(system.num_controls(), [&](int i) { return system.ControlName(i); })},
+          {"parameters", NamesOf(system.num_parameters(), [&](int i) { return system.ParameterName(i); })}};
 }
 
-std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id, const BlackBoxTraits& traits) {
-  std::string text = "{\"id\": " + std::to_string(id) + ", \"" + KindName(question.kind) + "\": {";
-  if (question.kind == Question::Kind::kStep) {
-    text += "\"h\": ";
-    Append(question.duration, &text);
-    text += ", \"state\": ";
-    AppendRows(question.initial, 4, &text);
-    text += ", \"force\": ";
-    AppendRows(question.control, 2, &text);
-    return text + "}}";
+ProtocolJson HelloOf(const Scene& scene) {
+  return {{"saltus", kVersion}, {"scene", YamlToJson(YAML::Load(WriteScene(scene)), "")}, {"names", NamesOf(scene)}};
+}
+
+ProtocolJson HelloOf(const HybridSystem& system, const ProtocolJson& scene) {
+  ProtocolJson hello = {{"saltus", kVersion}, {"hybrid", NamesToJson(system)}};
+  if (!scene.is_null()) hello["scene"] = scene;
+  return hello;
+}
+
+ProtocolJson QuestionToJson(const Scene& scene, const Question& question, const BlackBoxTraits& traits) {
+  ProtocolJson asked;
+  if (question.kind == Question::Kind::kStep && traits.names) {
+    asked = StepToJson(kDiscs, 0, question.duration, question.initial, question.control, {});
+  } else if (question.kind == Question::Kind::kStep) {
+    asked = {{"h", question.duration},
+             {"state", RowsToJson(question.initial, 4)},
+             {"force", RowsToJson(question.control, 2)}};
+  } else {
+    std::vector<double> control = question.control;
+    const std::size_t width = scene.control_width();
+    const bool constant = std::equal(control.begin() + std::min(width, control.size()), control.end(), control.begin());
+    if (constant && control.size() > width) control.resize(width);
+    asked = {{"steps", question.steps},
+             {"duration", question.duration},
+             {"initial", RowsToJson(question.initial, 4)},
+             {"control", ControlRowsToJson(control, scene.num_controlled())}};
   }
-  text += "\"steps\": " + std::to_string(question.steps) + ", \"duration\": ";
-  Append(question.duration, &text);
-  text += ", \"initial\": ";
-  AppendRows(question.initial, 4, &text);
-  text += ", \"control\": ";
-  AppendControl(question.control, scene.control_width(), &text);
   if (question.kind == Question::Kind::kGradient) {
-    text += ", \"of_final\": ";
-    AppendRows(question.of_final, 4, &text);
-    if (question.parameters) text += ", \"parameters\": true";
-  } else if (traits.states) {
-    text += question.states ? ", \"states\": true" : ", \"states\": false";
+    asked["of_final"] = RowsToJson(question.of_final, 4);
+    if (question.parameters) asked["parameters"] = true;
+  } else if (question.kind == Question::Kind::kSimulate && traits.states) {
+    asked["states"] = question.states;
   }
-  return text + "}}";
+  return {{KindName(question.kind), std::move(asked)}};
+}
+
+ProtocolJson StepToJson(const HybridSystem& system, const SchemeStep& step, bool jacobian) {
+  const auto list = [](const double* numbers, int count) { return std::span(numbers, count); };
+  ProtocolJson asked = StepToJson(system.ModeName(step.mode),
+                                  step.t,
+                                  step.h,
+                                  list(step.x, system.state_size(step.mode)),
+                                  list(step.u, system.num_controls()),
+                                  list(step.p, system.num_parameters()));
+  if (jacobian) asked["jacobian"] = true;
+  return {{"step", std::move(asked)}};
 }
 
 BlackBoxTraits ReadHello(const std::string& line) {
@@ -172,44 +184,58 @@ BlackBoxTraits ReadHello(const std::string& line) {
     traits.grid_steps = steps->get<int>();
   }
   if (!json.contains("can")) return traits;
+  const std::pair<const char*, bool*> abilities[] = {{"gradient", &traits.gradient},
+                                                     {"step", &traits.step},
+                                                     {"states", &traits.states},
+                                                     {"jacobian", &traits.jacobian},
+                                                     {"names", &traits.names},
+                                                     {"simulate", &traits.simulate}};
+  traits.simulate = false;
   for (const ProtocolJson& ability : json["can"].is_array() ? json["can"] : ProtocolJson::array({json["can"]})) {
-    if (ability == "gradient") {
-      traits.gradient = true;
-    } else if (ability == "step") {
-      traits.step = true;
-    } else if (ability == "states") {
-      traits.states = true;
-    } else {
+    const auto known = std::ranges::find_if(abilities, [&](const auto& one) { return ability == one.first; });
+    if (known == std::end(abilities)) {
       throw ProtocolError("found " + Excerpt(ability.dump()) +
-                          " in \"can\", expected some of \"gradient\", \"step\" and \"states\"");
+                          " in \"can\", expected some of \"gradient\", \"step\", \"states\", \"jacobian\", "
+                          "\"names\" and \"simulate\"");
     }
+    *known->second = true;
   }
+  traits.step = traits.step || traits.names;
+  traits.simulate = traits.simulate || !traits.names;
   return traits;
 }
 
-Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& question, std::int64_t id,
-                  const BlackBoxTraits& traits) {
-  const ProtocolJson json = ParseObject(line, "an object with \"id\": " + std::to_string(id));
+ProtocolJson ReadReply(const std::string& line, std::int64_t id) {
+  ProtocolJson json = ParseObject(line, "an object with \"id\": " + std::to_string(id));
   const auto found = json.find("id");
   if (found == json.end() || *found != id) {
     throw ProtocolError("found " + (found == json.end() ? Excerpt(line) : "id " + Excerpt(found->dump())) +
                         ", expected \"id\": " + std::to_string(id) + " (answers come in the order of requests)");
   }
+  return json;
+}
+
+std::string ErrorIn(const ProtocolJson& reply) {
+  const auto error = reply.find("error");
+  if (error == reply.end()) return "";
+  const std::string words = error->is_string() ? error->get<std::string>() : error->dump();
+  return words.empty() ? "an error without words" : words;
+}
+
+Answer AnswerFrom(const ProtocolJson& json, const Scene& scene, const Question& question,
+                  const BlackBoxTraits& traits) {
   Answer answer;
-  if (const auto error = json.find("error"); error != json.end()) {
-    answer.error = error->is_string() ? error->get<std::string>() : error->dump();
-    if (answer.error.empty()) answer.error = "an error without words";
-    return answer;
-  }
+  answer.error = ErrorIn(json);
+  if (!answer.error.empty()) return answer;
   const std::size_t discs = scene.num_bodies(), pushed = scene.num_controlled(), steps = question.steps;
   if (question.kind == Question::Kind::kStep) {
-    answer.final = Member(json, "state", {discs, 4});
+    answer.final = NumbersAt(json, "state", traits.names ? std::vector{4 * discs} : std::vector{discs, std::size_t{4}});
     return answer;
   }
-  answer.final = Member(json, "final", {discs, 4});
+  answer.final = NumbersAt(json, "final", {discs, 4});
   if (question.kind == Question::Kind::kGradient) {
-    answer.initial = Member(json, "initial", {discs, 4});
-    if (pushed > 0) answer.control = Member(json, "control", {steps, pushed, 2});
+    answer.initial = NumbersAt(json, "initial", {discs, 4});
+    if (pushed > 0) answer.control = NumbersAt(json, "control", {steps, pushed, 2});
     const auto given = json.find("parameters");
     if (given != json.end() && !given->is_object()) {
       throw ProtocolError("found " + Excerpt(given->dump()) + ", expected an object as \"parameters\"");
@@ -219,15 +245,14 @@ Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& q
       answer.parameters.emplace_back(name, NumbersFrom(value, {}, "\"parameters\"")[0]);
     }
   } else if (traits.states && question.states) {
-    answer.states = Member(json, "states", {steps / traits.grid_steps + 1, discs, 4});
+    answer.states = NumbersAt(json, "states", {steps / traits.grid_steps + 1, discs, 4});
   }
   return answer;
 }
 
-std::string Describe(const Question& question, std::int64_t id) {
-  const std::string steps =
-      question.kind == Question::Kind::kStep ? "" : " of " + std::to_string(question.steps) + " steps";
-  return "request " + std::to_string(id) + " (" + KindName(question.kind) + steps + ")";
+std::string Describe(const Question& question) {
+  const bool step = question.kind == Question::Kind::kStep;
+  return KindName(question.kind) + (step ? "" : " of " + std::to_string(question.steps) + " steps");
 }
 
 std::string Excerpt(const std::string& text) {
@@ -258,6 +283,12 @@ std::vector<double> NumbersFrom(const ProtocolJson& json, const std::vector<std:
   std::vector<double> numbers;
   Collect(json, shape, "expected " + what + " of " + ShapeToString(shape) + " finite numbers", &numbers);
   return numbers;
+}
+
+std::vector<double> NumbersAt(const ProtocolJson& json, const char* key, const std::vector<std::size_t>& shape) {
+  const auto found = json.find(key);
+  if (found == json.end()) throw ProtocolError("found " + Excerpt(json.dump()) + ", expected \"" + key + "\" in it");
+  return NumbersFrom(*found, shape, "\"" + std::string(key) + "\"");
 }
 
 }  // namespace saltus

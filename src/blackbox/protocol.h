@@ -1,20 +1,10 @@
-// JSON lines between a program that asks and a simulator that answers: one object a line, answers in order.
+// JSON lines between a program that asks and a simulator that answers: one object a line, answers in order. Messages
+// are in docs/how-to/audit-a-simulator.md.
 //
-//   -> {"saltus": 1, "scene": {...}}                  the scene file as JSON, with defaults filled in
-//   <- {"name": "mine 1.0", "can": ["gradient"]}      optional: "gradient", "step", "states"; "not_applicable": "why";
-//                                                     "grid_steps": n, if numbers of steps must be multiples of it
-//   -> {"id": 1, "simulate": {"steps": 480, "duration": 1, "initial": [[px,py,vx,vy],...], "control": [[[fx,fy],...]]}}
-//   <- {"id": 1, "final": [[px,py,vx,vy],...]}        if it gives states, and "states": true is among what is asked:
-//                                                     also "states", those after 0, 1, ... of its own steps
-//   -> {"id": 2, "gradient": {the same, "of_final": [[...],...]}}
-//   <- {"id": 2, "final": ..., "initial": [[...],...], "control": [[[...],...],...]}
-//                                                     if "parameters": true is among what is asked, and it gives them:
-//                                                     also "parameters": {"mass.ball": ..., ...}, derivatives by name
-//   -> {"id": 3, "step": {"h": 0.002, "state": [[...],...], "force": [[fx,fy],...]}}       a force for each disc
-//   <- {"id": 3, "state": [[...],...]}
-//   <- {"id": 3, "error": "what went wrong"}          instead of an answer
-//
-// A control has a row a step, with a force for each controlled disc; one row stands for the same in every step.
+// A simulator is greeted with a scene or with the names of a hybrid system. Steps begin in a mode with lists of numbers
+// in the order of these names. A scene has the one mode "discs", the positions and velocities of its discs as state and
+// a force on each as control; simulators that cannot take names have rows of one disc instead. Whole motions, of scenes
+// only, are in rows, and are composed of steps if a simulator does not have them.
 #pragma once
 
 #include <cstdint>
@@ -23,6 +13,7 @@
 #include <string>
 
 #include "saltus/audit/black_box.h"
+#include "saltus/audit/hybrid_audit.h"
 
 namespace saltus {
 
@@ -33,19 +24,28 @@ struct ProtocolError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Returns the line that greets the simulator, without its end.
-std::string HelloLine(const Scene& scene);
-// Returns the line of a question, without its end. `traits` are those of the simulator that is asked.
-std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id,
-                         const BlackBoxTraits& traits = {});
+// The names of a system as JSON: {"modes": [{"name", "states"}], "controls", "parameters"}.
+ProtocolJson NamesToJson(const HybridSystem& system);
 
-// Read a greeting and an answer; both throw ProtocolError.
+// Return the object that greets the simulator. `scene` is null if the system is not made of one.
+ProtocolJson HelloOf(const Scene& scene);
+ProtocolJson HelloOf(const HybridSystem& system, const ProtocolJson& scene);
+// Reads its answer. Throws ProtocolError.
 BlackBoxTraits ReadHello(const std::string& line);
-Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& question, std::int64_t id,
+
+// Return a question without its id. The traits are those of the simulator that is asked.
+ProtocolJson QuestionToJson(const Scene& scene, const Question& question, const BlackBoxTraits& traits);
+ProtocolJson StepToJson(const HybridSystem& system, const SchemeStep& step, bool jacobian);
+// Returns an answer as an object. Throws ProtocolError if it is none, or of another id.
+ProtocolJson ReadReply(const std::string& line, std::int64_t id);
+// Returns the reason in a reply without an answer; empty if there is an answer.
+std::string ErrorIn(const ProtocolJson& reply);
+// Reads a reply. Throws ProtocolError.
+Answer AnswerFrom(const ProtocolJson& reply, const Scene& scene, const Question& question,
                   const BlackBoxTraits& traits);
 
-// Describes a question for messages: "request 7, simulate 480 steps".
-std::string Describe(const Question& question, std::int64_t id);
+// Describes a question for messages: "simulate of 480 steps".
+std::string Describe(const Question& question);
 // Returns the beginning of a text, in quotes and without unprintable characters: at most 80 characters.
 std::string Excerpt(const std::string& text);
 
@@ -56,5 +56,7 @@ ProtocolJson ControlRowsToJson(const std::vector<double>& control, std::size_t d
 // Returns the numbers of nested lists of that shape, all finite. `what` is for the message of ProtocolError.
 std::vector<double> NumbersFrom(const ProtocolJson& json, const std::vector<std::size_t>& shape,
                                 const std::string& what);
+// Returns those under a key, which is expected.
+std::vector<double> NumbersAt(const ProtocolJson& json, const char* key, const std::vector<std::size_t>& shape);
 
 }  // namespace saltus

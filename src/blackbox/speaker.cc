@@ -22,16 +22,6 @@ double Number(const ProtocolJson& question, const char* key) {
   return found->get<double>();
 }
 
-const ProtocolJson& Require(const ProtocolJson& question, const char* key) {
-  const auto found = question.find(key);
-  if (found == question.end()) throw ProtocolError("expected \"" + std::string(key) + "\"");
-  return *found;
-}
-
-std::vector<double> Rows(const ProtocolJson& question, const char* key, int rows, std::size_t width) {
-  return NumbersFrom(Require(question, key), {static_cast<std::size_t>(rows), width}, "\"" + std::string(key) + "\"");
-}
-
 // Returns position and velocity of each disc, without rotation that only the model has.
 std::vector<double> Plain(const std::vector<double>& state, int body_size) {
   std::vector<double> plain;
@@ -135,10 +125,10 @@ Simulator& Speaker::SimulatorOf(int steps, double duration) {
 std::vector<double> Speaker::OwnControl(const ProtocolJson& question, int steps) const {
   const std::size_t width = scene_->control_width();
   if (width == 0) return {};
-  const ProtocolJson& rows = Require(question, "control");
-  const bool one = rows.is_array() && rows.size() == 1;
-  const std::vector<double> given =
-      NumbersFrom(rows, {one ? std::size_t{1} : static_cast<std::size_t>(steps), width / 2, 2}, "\"control\"");
+  const auto rows = question.find("control");
+  const bool one = rows != question.end() && rows->is_array() && rows->size() == 1;
+  const std::size_t count = one ? 1 : steps;
+  const std::vector<double> given = NumbersAt(question, "control", {count, width / 2, 2});
   std::vector<double> own(steps / grid_steps_ * width, 0.0);
   for (std::size_t i = 0; i < steps * width; ++i) {
     own[i / width / grid_steps_ * width + i % width] += given[one ? i % width : i] / grid_steps_;
@@ -151,7 +141,8 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   if (asked != std::floor(asked) || asked > kMaxSteps) throw ProtocolError("expected a whole number of \"steps\"");
   const int steps = static_cast<int>(asked);
   Simulator& simulator = SimulatorOf(steps, Number(question, "duration"));
-  const std::vector<double> initial = Rows(question, "initial", simulator.num_bodies(), kNumbers);
+  const std::size_t discs = simulator.num_bodies();
+  const std::vector<double> initial = NumbersAt(question, "initial", {discs, kNumbers});
   const std::vector<double> control = OwnControl(question, steps);
   if (!simulator.Rollout(initial, control)) throw ProtocolError(simulator.WhyFailed());
   const int K = simulator.num_steps();
@@ -163,7 +154,7 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   }
   if (!with_gradient) return answer;
 
-  const std::vector<double> of_final = Rows(question, "of_final", simulator.num_bodies(), kNumbers);
+  const std::vector<double> of_final = NumbersAt(question, "of_final", {discs, kNumbers});
   std::vector<double> cotangent(simulator.state_size(), 0.0);
   for (std::size_t i = 0; i < of_final.size(); ++i) {
     cotangent[i / kNumbers * simulator.body_size() + i % kNumbers] = of_final[i];
@@ -183,8 +174,9 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
 
 ProtocolJson Speaker::TakeStep(const ProtocolJson& question) {
   const Simulator& simulator = SimulatorOf(grid_steps_, Number(question, "h"));
-  const std::vector<double> initial = Rows(question, "state", simulator.num_bodies(), kNumbers);
-  const std::vector<double> force = Rows(question, "force", simulator.num_bodies(), 2);
+  const std::size_t discs = simulator.num_bodies();
+  const std::vector<double> initial = NumbersAt(question, "state", {discs, kNumbers});
+  const std::vector<double> force = NumbersAt(question, "force", {discs, 2});
   std::vector<double> state(simulator.state_size()), next(state.size());
   simulator.ExpandInitial(initial, state);
   simulator.Step(state, force, next);

@@ -74,20 +74,25 @@ std::vector<double> HybridShooting::DurationsAt(std::span<const double> z) const
   return times;
 }
 
-bool HybridShooting::Rollout(std::span<const double> z) {
+bool HybridShooting::Rollout(std::span<const double> z, bool with_derivatives) {
   CHECK_EQ(z.size(), guess_.size());
   why_.clear();
   stopped_ = stopped_ || (stop_ && stop_());
   if (stopped_) return false;
-  return RolloutOf(InputAt(z));
+  return RolloutOf(InputAt(z), with_derivatives);
 }
 
-bool HybridShooting::RolloutOf(HybridInput input) {
+bool HybridShooting::RolloutOf(HybridInput input, bool with_derivatives) {
   input_ = std::move(input);
   has_motion_ = false;
   if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
-  has_motion_ = accurate_ ? simulator_.RolloutAccurately(input_) : simulator_.Rollout(input_);
-  return has_motion_ ? FindPlaces() : Fail(simulator_.WhyFailed());
+  has_motion_ = Move(input_, with_derivatives);
+  return has_motion_ && FindPlaces();
+}
+
+bool HybridShooting::Move(const HybridInput& input, bool /*with_derivatives*/) {
+  const bool moves = accurate_ ? simulator_.RolloutAccurately(input) : simulator_.Rollout(input);
+  return moves || Fail(simulator_.WhyFailed());
 }
 
 bool HybridShooting::Fail(std::string why) {
@@ -100,7 +105,7 @@ bool HybridShooting::FindPlaces() {
   constraint_places_.clear();
   int rows = 0;
   const std::vector<double> times = input_.Times();
-  const std::vector<HybridEvent>& events = simulator_.events();
+  const std::vector<HybridEvent>& events = Events();
   const HybridFunctions& functions = problem_.system.functions();
   for (const HybridTerm& term : problem_.terms) {
     const bool is_cost = term.IsCost();
@@ -131,8 +136,8 @@ bool HybridShooting::FindPlaces() {
     const bool at_end = term.at == HybridTerm::At::kEnd;
     const int first = std::max(term.interval, 0), past = term.interval >= 0 ? first + 1 : input_.num_intervals;
     for (int k = first; k < (at_end ? 1 : past); ++k) {
-      const int node = at_end ? input_.num_intervals : k, mode = simulator_.ModeAt(node);
-      const std::span<const double> state = simulator_.StateAt(node);
+      const int node = at_end ? input_.num_intervals : k, mode = ModeAt(node);
+      const std::span<const double> state = StateAt(node);
       const bool counts = term.mode < 0 || term.mode == functions.BaseMode(mode);
       const bool fits = !term.with_state || static_cast<int>(state.size()) == state_size;
       if (at_end && !(counts && fits)) {
@@ -165,7 +170,7 @@ std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
 const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double loss) const {
   constexpr double kRounding = 1e-9, kViolated = 1e-8;
   const HybridFunctions& functions = problem_.system.functions();
-  const HybridEvent& at = simulator_.events()[event];
+  const HybridEvent& at = Events()[event];
   const std::vector<double> times = input_.Times();
   double change = 0, size = std::abs(loss);
   const HybridTerm* last = nullptr;
@@ -201,8 +206,8 @@ std::string HybridShooting::WhereLossJumps(double loss) const {
   constexpr double kSameTime = 1e-12;  // of the duration
   const std::vector<double> times = input_.Times();
   std::string remark;
-  for (int event = 0; event < std::ssize(simulator_.events()); ++event) {
-    const HybridEvent& at = simulator_.events()[event];
+  for (int event = 0; event < std::ssize(Events()); ++event) {
+    const HybridEvent& at = Events()[event];
     const auto near = [&](double time) { return std::abs(time - at.time) <= kSameTime * input_.duration; };
     const auto node = std::ranges::find_if(times, near);
     if (node == times.end() || node + 1 == times.end()) continue;
@@ -232,8 +237,8 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
 
 // Describes the place where a term is evaluated, such as "at t = 1 in mode 'flight'".
 std::string HybridShooting::DescribePlace(const Place& place) const {
-  const HybridEvent* event = place.event >= 0 ? &simulator_.events()[place.event] : nullptr;
-  const int mode = event == nullptr     ? simulator_.ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
+  const HybridEvent* event = place.event >= 0 ? &Events()[place.event] : nullptr;
+  const int mode = event == nullptr     ? ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
                    : place.term->before ? event->mode
                                         : event->next_mode;
   return "at t = " + ToText(place.time, 10) + " in mode '" + problem_.system.ModeName(mode) + "'";
@@ -329,7 +334,7 @@ void HybridShooting::PullBack(const Place& place, const Values& values, const Ei
   if (term.with_control) add(next(), sum->direct.control.data() + place.interval * problem_.system.num_controls());
   if (term.with_parameters) add(next(), sum->direct.parameters.data());
   if (term.with_time && place.event >= 0) {
-    sum->cotangent.event_times.resize(simulator_.events().size());
+    sum->cotangent.event_times.resize(Events().size());
     sum->cotangent.event_times[place.event] += next()[0];
     sum->reads_motion = true;
   } else if (term.with_time) {
@@ -342,7 +347,7 @@ HybridGradient HybridShooting::TotalOf(Derivative of, const HybridSensitivity* m
   if (!of.reads_motion) return std::move(of.direct);
   HybridGradient through;
   if (motion == nullptr) {
-    through = simulator_.Adjoint(of.cotangent);
+    through = Adjoint(of.cotangent);
   } else {
     Eigen::RowVectorXd row = Eigen::RowVectorXd::Zero(motion->columns);
     const auto add = [&](std::span<const double> by, const std::vector<double>& rows) {
@@ -377,7 +382,7 @@ HybridGradient HybridShooting::TotalOf(Derivative of, const HybridSensitivity* m
 }
 
 bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
-  if (!Rollout(z)) return false;
+  if (!Rollout(z, gradient != nullptr)) return false;
   *loss = 0;
   Derivative sum = NoDerivative();
   Values values;
@@ -419,7 +424,7 @@ std::vector<double>* HybridShooting::StateIn(HybridCotangent* cotangent, const P
   }
   if (place.event < 0) return &cotangent->final_state;
   std::vector<std::vector<double>>& of_events = place.term->before ? cotangent->before : cotangent->after;
-  of_events.resize(simulator_.events().size());
+  of_events.resize(Events().size());
   return &of_events[place.event];
 }
 

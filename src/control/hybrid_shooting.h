@@ -21,7 +21,7 @@ HybridProblem WithAllFree(HybridProblem problem);
 // Whether the control, or terms, are given on the intervals of the guess, which must not move with events.
 bool IsOnGrid(const HybridProblem& problem);
 
-class HybridShooting final : public ShootingFunction {
+class HybridShooting : public ShootingFunction {
  public:
   // Precondition: WhatIsWrongWith(problem) is empty.
   explicit HybridShooting(const HybridProblem& problem);
@@ -83,6 +83,18 @@ class HybridShooting final : public ShootingFunction {
   // Returns a remark on the events of the last motion at which the loss jumps so; empty if there are none.
   std::string WhereLossJumps(double loss) const;
 
+ protected:
+  // The motion whose loss is computed: that of the simulator, with located events. A motion of another kind overrides
+  // these five. Move() returns false if there is none, with the reason in Fail(); only a motion that was asked for
+  // derivatives has those of Adjoint().
+  virtual bool Move(const HybridInput& input, bool with_derivatives);
+  virtual const std::vector<HybridEvent>& Events() const { return simulator_.events(); }
+  virtual int ModeAt(int node) const { return simulator_.ModeAt(node); }  // at the beginning of an interval, or the end
+  virtual std::span<const double> StateAt(int node) const { return simulator_.StateAt(node); }
+  virtual HybridGradient Adjoint(const HybridCotangent& cotangent) { return simulator_.Adjoint(cotangent); }
+  // Keeps the reason why there is no loss, or no derivative of it, and returns false.
+  bool Fail(std::string why);
+
  private:
   // A place in the motion where a term is evaluated, with the data that its function reads.
   struct Place {
@@ -98,8 +110,8 @@ class HybridShooting final : public ShootingFunction {
     std::vector<std::vector<double>> jacobians;
   };
 
-  bool Rollout(std::span<const double> z);
-  bool RolloutOf(HybridInput input);
+  bool Rollout(std::span<const double> z, bool with_derivatives = true);
+  bool RolloutOf(HybridInput input, bool with_derivatives = true);
   // Finds every place of a term. Returns false if a term is not defined in this motion.
   bool FindPlaces();
   std::vector<const double*> BlocksOf(const Place& place) const;
@@ -118,8 +130,7 @@ class HybridShooting final : public ShootingFunction {
   // Returns the derivative by all of the input: by the sensitivities of the motion, or by an adjoint without these.
   HybridGradient TotalOf(Derivative of, const HybridSensitivity* motion);
   std::string DescribePlace(const Place& place) const;
-  // Keep the reason why there is no loss, or no derivative of it, and return false.
-  bool Fail(std::string why);
+  // Keep the reason, as Fail() does.
   bool FailAt(const Place& place);
   bool FailAtDerivatives();
 

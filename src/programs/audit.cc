@@ -27,6 +27,8 @@ DEFINE_bool(
     "also compare the gradient with differences of the loss of every width (always done where no exact gradient "
     "exists)");
 DEFINE_string(given, "", "JSON file with an externally computed gradient to audit, with the keys that --json prints");
+DEFINE_bool(fail_on_wrong, false,
+            "end with exit code 1 if a gradient is wrong or has the wrong sign (audits of hybrid systems always do)");
 
 namespace saltus {
 namespace {
@@ -157,9 +159,10 @@ void PrintAuditTable(const Request& request, const AuditReport& report) {
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators) {
   const std::size_t asked = request.contacts.size() + simulators;
   bool failed = report.models.size() < asked;
-  std::vector<std::string> without;
+  std::vector<std::string> without, wrong;
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
+    if (FLAGS_fail_on_wrong && IsWrong(audit.verdict)) wrong.push_back(audit.gradient.contact + ": " + audit.Why());
     if (audit.gradient.ok()) continue;
     const bool not_applicable = IsNotApplicable(audit, request.scene);
     if (not_applicable && asked == 1) {
@@ -172,7 +175,10 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
   if (!without.empty()) {
     std::cerr << "no gradient of " << without.size() << " of " << asked << " (" << FirstOf(without) << ")" << std::endl;
   }
-  return failed ? kAnswerFailed : kDone;
+  if (!wrong.empty()) {
+    std::cerr << "wrong gradients of " << wrong.size() << " of " << asked << " (" << FirstOf(wrong) << ")" << std::endl;
+  }
+  return failed || !wrong.empty() ? kAnswerFailed : kDone;
 }
 
 int AuditMain(int argc, char** argv) {
@@ -224,7 +230,8 @@ int AuditMain(int argc, char** argv) {
       DoAll({write, print});
     }
     PrintReportPath(request);
-    return AuditExitCode(request, report, simulators.size());
+    const bool wrong = FLAGS_fail_on_wrong && given && IsWrong(WorstOf(given->entries));
+    return std::max(AuditExitCode(request, report, simulators.size()), wrong ? kAnswerFailed : kDone);
   });
 }
 

@@ -40,19 +40,15 @@ Json DerivativesToJson(const Scene& scene, const Sensitivity& gradient) {
   return item;
 }
 
-Json RefinementToJson(const Scene& scene, const RefinementStudy& study) {
+Json RefinementToJson(const RefinementStudy& study) {
   Json quantities = Json::array();
   for (const QuantityStudy& quantity : study.quantities) {
-    quantities.push_back({{"quantity", QuantityToString(quantity.quantity)},
-                          {"verdict", VerdictToString(quantity.verdict)},
-                          {"order", quantity.order},
-                          {"steps", OfLevels(quantity.levels, &RefinementLevel::steps)},
-                          {"error", OfLevels(quantity.levels, &RefinementLevel::error)},
-                          {"entries", EntryNames(scene, quantity.quantity, study.intervals)},
-                          {"exact", quantity.exact},
-                          {"converges_to", quantity.finest},
-                          {"one_sided", quantity.one_sided},
-                          {"wrong_signs", quantity.wrong_signs}});
+    Json& item = quantities.emplace_back(Json{{"quantity", QuantityToString(quantity.quantity)}});
+    item.update(JudgementToJson(quantity));
+    item["steps"] = OfLevels(quantity.levels, &RefinementLevel::steps);
+    item["error"] = OfLevels(quantity.levels, &RefinementLevel::error);
+    item["smallest"] = OfLevels(quantity.levels, &RefinementLevel::smallest);
+    item["largest"] = OfLevels(quantity.levels, &RefinementLevel::largest);
   }
   return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
 }
@@ -90,23 +86,6 @@ Json RecognitionToJson(const ContactRecognition& found) {
   add("position_from_position", found.position_from_position);
   add("velocity_from_position", found.velocity_from_position);
   return evidence;
-}
-
-Json WidthsToJson(const WidthSweepStudy& study) {
-  Json sweeps = Json::array();
-  for (const WidthSweep& sweep : study.sweeps) {
-    sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
-                      {"entry", sweep.entry},
-                      {"gradient", sweep.gradient},
-                      {"narrow", sweep.narrow},
-                      {"wide", sweep.wide},
-                      {"exact", sweep.exact ? Json(*sweep.exact) : Json()},
-                      {"finding", WidthFindingToString(sweep.finding)},
-                      {"grid_width", sweep.grid_width},
-                      {"widths", sweep.widths},
-                      {"slopes", sweep.slopes}});
-  }
-  return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
 }
 
 void AddBlackBox(const BlackBoxFindings& found, Json* item) {
@@ -159,11 +138,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     }
   }
   item["verdict"] = VerdictToString(audit.verdict);
-  if (audit.refinement && audit.refinement->conditioning) {
-    item["condition"] = audit.refinement->conditioning->condition;
-    item["rounding"] = audit.refinement->conditioning->rounding;
-    item["digits_lost"] = audit.refinement->conditioning->DigitsLost();
-  }
+  if (audit.refinement) AddConditioning(*audit.refinement, &item);
   if (audit.own && audit.own->agreement != Agreement::kUndecided) {
     item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
   }
@@ -184,7 +159,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     item["block"] = BlockToString(first->block);
   }
   if (const std::string why = audit.Why(); !why.empty()) item["why"] = why;
-  if (audit.refinement && audit.refinement->ok()) item["refinement"] = RefinementToJson(scene, *audit.refinement);
+  if (audit.refinement && audit.refinement->ok()) item["refinement"] = RefinementToJson(*audit.refinement);
   if (audit.attribution && audit.attribution->ok()) {
     item["contacts"] = ContactsToJson(*audit.attribution);
     item["sequence"] = audit.attribution->sequence;
@@ -250,7 +225,7 @@ Table EntryTable(const Scene& scene, const AuditReport& report) {
     if (!audit.refinement || !audit.refinement->ok()) continue;
     const int intervals = audit.refinement->intervals;
     for (const QuantityStudy& study : audit.refinement->quantities) {
-      const std::vector<std::string> names = EntryNames(scene, study.quantity, intervals);
+      const std::vector<std::string>& names = study.entries;
       const std::vector<double> own = EntriesIn(scene, audit.gradient, study.quantity, intervals);
       for (size_t i = 0; i < names.size(); ++i) {
         const bool flips = std::ranges::find(study.wrong_signs, names[i]) != study.wrong_signs.end();
@@ -294,27 +269,6 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
                       values[i],
                       CellAt(errors, i),
                       CellAt(exact, i)});
-      }
-    }
-  }
-  return table;
-}
-
-// Returns the errors by level of refinement.
-Table RefinementTable(const AuditReport& report) {
-  Table table(ColumnsOf("contact; quantity; verdict; order; steps; error; smallest; largest"));
-  for (const ModelAudit& audit : report.models) {
-    if (!audit.refinement) continue;
-    for (const QuantityStudy& study : audit.refinement->quantities) {
-      for (const RefinementLevel& level : study.levels) {
-        table.AddRow({audit.gradient.contact,
-                      QuantityToString(study.quantity),
-                      VerdictToString(study.verdict),
-                      study.order,
-                      level.steps,
-                      level.error,
-                      level.smallest,
-                      level.largest});
       }
     }
   }
@@ -432,11 +386,14 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
     return;
   }
   WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
-  WriteTextFile(path + "_refinement.csv", RefinementTable(report).ToCsv());
   const Json& audits = document["audits"];
   const auto write = [&](const std::string& suffix, const std::string& list, const std::string& columns) {
     WriteTextFile(path + suffix, TableOf(audits, list, columns).ToCsv());
   };
+  write("_refinement.csv",
+        "/refinement/quantities",
+        "contact=^contact; quantity; verdict; order; steps=steps[]; error=error[]; smallest=smallest[]; "
+        "largest=largest[]");
   write("_contacts.csv",
         "/contacts",
         "contact=^contact; first step; last step; a; b; exact impacts; error; stays; wrong in=block; why");

@@ -38,6 +38,17 @@ class GradientReader : public InputReader {
     }
     return numbers;
   }
+
+  // Returns numbers of discs, of which unknown ones are NaN.
+  std::vector<double> Rotations(const Json& list, const std::string& key, size_t most) const {
+    const auto fits = [](const Json& number) { return number.is_null() || number.is_number(); };
+    if (!list.is_array() || list.size() > most || !std::ranges::all_of(list, fits)) {
+      Fail(key, "a list of at most " + std::to_string(most) + " finite numbers or null, one for each disc");
+    }
+    std::vector<double> numbers;
+    for (const Json& number : list) numbers.push_back(number.is_null() ? kUnknown : number.get<double>());
+    return numbers;
+  }
 };
 
 Json ReadObject(const std::string& path) {
@@ -91,12 +102,17 @@ void ReadGradient(const Json& document, const GradientReader& reader, const Scen
       given->position = reader.Vectors(value, key, scene.num_bodies());
     } else if (key == "velocity") {
       given->velocity = reader.Vectors(value, key, scene.num_bodies());
+    } else if (scene.Spins() && (key == "angle" || key == "angular_velocity")) {
+      (key == "angle" ? given->angle : given->angular_velocity) = reader.Rotations(value, key, scene.num_bodies());
     } else if (key == "control") {
       ReadControl(value, reader, scene, given);
     } else if (key == "parameters") {
       if (!value.is_object() && !value.is_null()) reader.Fail(key, "an object or null");
     } else if (key != "intervals") {
-      reader.Fail(key, "no such key, but position, velocity, control, parameters, name, tolerance or intervals");
+      reader.Fail(
+          key,
+          "no such key, but position, velocity, control, parameters, name, tolerance or intervals, and of scenes "
+          "with discs that spin angle and angular_velocity");
     }
   }
 }
@@ -106,6 +122,11 @@ bool HasNumber(const GivenGradient& given, const Scene& scene) {
   for (const std::vector<double>& numbers : {given.position, given.velocity}) {
     for (size_t i = 0; i < numbers.size(); ++i) {
       if (!std::isnan(numbers[i]) && !scene.bodies[i / 2].fixed) return true;
+    }
+  }
+  for (const std::vector<double>& numbers : {given.angle, given.angular_velocity}) {
+    for (size_t i = 0; i < numbers.size(); ++i) {
+      if (!std::isnan(numbers[i]) && scene.bodies[i].Spins()) return true;
     }
   }
   return !std::ranges::all_of(given.control, [](double number) { return std::isnan(number); });

@@ -7,7 +7,8 @@
 
 namespace saltus {
 
-// Keys: position, velocity, control and parameters as in every gradient that the programs print. Lists may end early,
+// Keys: position, velocity, control and parameters, and of discs that spin angle and angular_velocity, as in every
+// gradient that the programs print. Lists may end early,
 // [x, y] may be null if it is not known, and parameters are not looked at. Besides: name (default: the path), tolerance
 // (absolute, default 0) and intervals (equal parts of the horizon that rows of the control stand for; default: one a
 // step). Or an object with such a gradient under the key gradient, as in the audits of saltus_audit --json: named, and

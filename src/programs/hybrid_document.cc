@@ -240,20 +240,20 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   };
   item["gradient"] = gradient_to_json(audit.gradient);
   item["exact_gradient"] = gradient_to_json(audit.exact);
-  if (audit.parts.empty()) return item;
+  if (audit.own && audit.own->agreement != Agreement::kUndecided) {
+    item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
+  }
+  if (!audit.refinement) return item;
   item["order"] = audit.order;
-  for (const HybridAudit::Part& part : audit.parts) {
-    Json levels = Json::array();
-    for (const RefinementLevel& level : part.study.levels) {
-      levels.push_back(
+  for (const QuantityStudy& quantity : audit.refinement->quantities) {
+    item["parts"].push_back({{"name", QuantityToString(quantity.quantity)}});
+    item["parts"].back().update(JudgementToJson(quantity));
+    for (const RefinementLevel& level : quantity.levels) {
+      item["parts"].back()["levels"].push_back(
           {{"steps", level.steps}, {"error", level.error}, {"smallest", level.smallest}, {"largest", level.largest}});
     }
-    item["parts"].push_back({{"name", part.name},
-                             {"verdict", VerdictToString(part.study.verdict)},
-                             {"order", part.study.order},
-                             {"levels", std::move(levels)},
-                             {"wrong_signs", part.study.wrong_signs}});
   }
+  AddConditioning(*audit.refinement, &item);
   for (const SegmentError& segment : audit.segments) {
     item["segments"].push_back({{"time", segment.time},
                                 {"mode", segment.mode},
@@ -263,18 +263,7 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
                                 {"stays", segment.stays}});
   }
   if (audit.first_wrong >= 0) item["first_wrong"] = item["segments"][audit.first_wrong];
-  if (!audit.widths) return item;
-  Json sweeps = Json::array();
-  for (const WidthSweep& sweep : audit.widths->sweeps) {
-    sweeps.push_back({{"entry", sweep.entry},
-                      {"gradient", sweep.gradient},
-                      {"narrow", sweep.narrow},
-                      {"wide", sweep.wide},
-                      {"finding", WidthFindingToString(sweep.finding)},
-                      {"widths", sweep.widths},
-                      {"slopes", sweep.slopes}});
-  }
-  item["width_sweep"] = {{"summary", audit.widths->Summary()}, {"sweeps", std::move(sweeps)}};
+  if (audit.widths) item["width_sweep"] = WidthsToJson(*audit.widths);
   return item;
 }
 

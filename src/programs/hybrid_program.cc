@@ -279,10 +279,10 @@ Table AuditsTable(const std::vector<HybridAudit>& audits) {
   Table table(ColumnsOf("scheme; verdict; steps; loss:8; exact loss:8; order:3; finest error:3; reason"));
   for (const HybridAudit& audit : audits) {
     double error = 0;
-    for (const HybridAudit::Part& part : audit.parts) {
-      if (!part.study.levels.empty()) error = std::max(error, part.study.levels.back().error);
+    const bool studied = audit.refinement && audit.refinement->ok();
+    for (const QuantityStudy& quantity : studied ? audit.refinement->quantities : std::vector<QuantityStudy>()) {
+      error = std::max(error, quantity.levels.back().error);
     }
-    const bool studied = !audit.parts.empty();
     table.AddRow({audit.scheme,
                   Cell(VerdictToString(audit.verdict)).With(IsWrong(audit.verdict) ? Tone::kBad : Tone::kPlain),
                   audit.steps,

@@ -111,6 +111,40 @@ void AddTies(const std::vector<Tie>& ambiguous, const std::optional<LossSpread>&
   if (spread) (*item)["loss_spread"] = {spread->lowest, spread->highest};
 }
 
+Json JudgementToJson(const QuantityStudy& study) {
+  return {{"verdict", VerdictToString(study.verdict)},
+          {"order", study.order},
+          {"entries", study.entries},
+          {"exact", study.exact},
+          {"converges_to", study.finest},
+          {"one_sided", study.one_sided},
+          {"wrong_signs", study.wrong_signs}};
+}
+
+void AddConditioning(const RefinementStudy& study, Json* item) {
+  if (!study.conditioning) return;
+  (*item)["condition"] = study.conditioning->condition;
+  (*item)["rounding"] = study.conditioning->rounding;
+  (*item)["digits_lost"] = study.conditioning->DigitsLost();
+}
+
+Json WidthsToJson(const WidthSweepStudy& study) {
+  Json sweeps = Json::array();
+  for (const WidthSweep& sweep : study.sweeps) {
+    sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
+                      {"entry", sweep.entry},
+                      {"gradient", sweep.gradient},
+                      {"narrow", sweep.narrow},
+                      {"wide", sweep.wide},
+                      {"exact", sweep.exact ? Json(*sweep.exact) : Json()},
+                      {"finding", WidthFindingToString(sweep.finding)},
+                      {"grid_width", sweep.grid_width},
+                      {"widths", sweep.widths},
+                      {"slopes", sweep.slopes}});
+  }
+  return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
+}
+
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of) {
   // Whatever loss a solver has minimized, the conditions are those of the exact one.
   Json item = {{"of", of}, {"verdict", VerdictToString(certificate.verdict)}};

@@ -7,7 +7,8 @@
 #include <vector>
 
 #include "base/table.h"
-#include "saltus/audit/gradients.h"
+#include "saltus/audit/refinement.h"
+#include "saltus/audit/width_sweep.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
@@ -52,6 +53,12 @@ Json GradientToJson(const Scene& scene, const Sensitivity& gradient);
 Json DesignToJson(const Scene& scene, const std::vector<double>& values);
 // Converts the entries of a gradient that are one-sided.
 Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries);
+
+// The verdict on a part of a gradient and its entries, without the name of the part and the errors by number of steps.
+Json JudgementToJson(const QuantityStudy& study);
+// Adds the keys condition, rounding and digits_lost if they were measured.
+void AddConditioning(const RefinementStudy& study, Json* item);
+Json WidthsToJson(const WidthSweepStudy& study);
 
 // The conditions of the minimum principle, see saltus/optimality/certificate.h.
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of = "exact_loss");

@@ -38,6 +38,25 @@ TEST(Given, JudgesEveryEntryThatIsKnown) {
   EXPECT_EQ(WorstOf({}), Verdict::kUnknown);
 }
 
+TEST(Given, JudgesRotationsOfDiscsThatSpin) {
+  const Scene scene = ProblemScene("back_spin");
+  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  ASSERT_TRUE(exact && scene.bodies[0].Spins());
+  const double by_spin = exact->gradient.initial[4 * scene.bodies.size() + 1];
+  ASSERT_NE(by_spin, 0);
+  GivenGradient given;
+  given.angle = {0.1};
+  given.angular_velocity = {by_spin};
+  std::vector<GivenEntry> entries = JudgeGiven(scene, given, *exact);
+  ASSERT_EQ(entries.size(), 2u);
+  EXPECT_EQ(entries[0].entry, "angle " + scene.bodies[0].name);
+  EXPECT_EQ(entries[0].verdict, Verdict::kWrong);
+  EXPECT_EQ(entries[1].entry, "angular velocity " + scene.bodies[0].name);
+  EXPECT_EQ(entries[1].verdict, Verdict::kRight);
+  given.angular_velocity = {-by_spin};
+  EXPECT_EQ(JudgeGiven(scene, given, *exact)[1].verdict, Verdict::kWrongSign);
+}
+
 TEST(Given, FixedDiscsHaveNoEntries) {
   const Scene scene = FourDiscs(0);
   GivenGradient given;

@@ -173,6 +173,112 @@ TEST(HybridAudit, TimeDependentGuards) {
   EXPECT_EQ(audit.first_wrong, 0);
 }
 
+// The loss is the same whether a cost is a value or a square, and whether it reads the state at the start too.
+struct Travelled {
+  template <typename T>
+  bool operator()(const T* end, const T* start, T* residual) const {
+    residual[0] = end[0] - start[0];
+    return true;
+  }
+};
+
+HybridProblem BallThatTravels() {
+  HybridProblem problem = BallProblem();
+  HybridTerm value = MakeTerminalCost(1, -5, 1, 2);
+  value.role = HybridTerm::Role::kValue;
+  HybridTerm travelled{.name = "travelled", .with_state = true, .with_initial = true};
+  travelled.function = std::make_shared<ceres::AutoDiffCostFunction<Travelled, 1, 2, 2>>(new Travelled);
+  problem.terms = {value, travelled};
+  return problem;
+}
+
+TEST(HybridAudit, CostsThatAreValuesOrReadTheStateAtTheStart) {
+  HybridSchemeOf<LocatedBall> exact((LocatedBall()));
+  const HybridAudit right = AuditScheme(BallThatTravels(), &exact, Steps(40));
+  EXPECT_EQ(right.verdict, Verdict::kRight) << right.Why();
+  EXPECT_NEAR(right.loss, right.exact_loss, 1e-12);
+  HybridSchemeOf<BouncingBall> late((BouncingBall()));
+  const HybridAudit wrong = AuditScheme(BallThatTravels(), &late, Steps(40));
+  EXPECT_TRUE(IsWrong(wrong.verdict));
+  EXPECT_EQ(wrong.first_wrong, 0);
+}
+
+// Exact steps, with Jacobians that are not theirs.
+class WrongJacobians final : public HybridScheme {
+ public:
+  std::string name() const override { return "wrong Jacobians"; }
+  int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) override {
+    const int mode = steps_.Step(step, next, jacobian, error);
+    if (jacobian != nullptr) jacobian[1] *= 0.9;  // of the height by the velocity
+    return mode;
+  }
+
+ private:
+  HybridSchemeOf<LocatedBall> steps_{LocatedBall()};
+};
+
+TEST(HybridAudit, AGradientThatContradictsItsOwnStepsIsSaidToDoSo) {
+  WrongJacobians scheme;
+  const HybridAudit audit = AuditScheme(BallProblem(), &scheme, Steps(40));
+  ASSERT_TRUE(audit.own);
+  EXPECT_EQ(audit.own->agreement, Agreement::kDiffers);
+  EXPECT_THAT(audit.Why(), HasSubstr("contradicts its own steps"));
+  HybridSchemeOf<BouncingBall> late((BouncingBall()));  // is wrong, but the derivative of its steps
+  EXPECT_EQ(AuditScheme(BallProblem(), &late, Steps(40)).own->agreement, Agreement::kAgrees);
+}
+
+// The logistic map, once a second: each event doubles a perturbation on average. Steps locate the events, and are
+// exact.
+struct LogisticMap {
+  static constexpr int kNumControls = 0, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2};  // the time since the last event, and y
+  static constexpr std::array kNumGuards = {1};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T*, const T*, T* xdot) const {
+    xdot[0] = T(1.0);
+    xdot[1] = 0.03 * (0.5 - x[1]);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return 1.0 - x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = T(0.0);
+    x_plus[1] = 4.0 * x[1] * (1.0 - x[1]);
+    return 0;
+  }
+  template <typename T>
+  int Step(int, const T&, const T* x, const T*, const T*, const T& h, T* next) const {
+    using std::exp;
+    const auto fly = [&](const T& by) {
+      next[0] += by;
+      next[1] = 0.5 + (next[1] - 0.5) * exp(-0.03 * by);
+    };
+    std::copy_n(x, 2, next);
+    if (!(x[0] + h > 1.0)) return fly(h), 0;
+    const T rest = x[0] + h - 1.0;
+    fly(1.0 - x[0]);
+    Reset(0, 0, h, std::array<T, 2>{next[0], next[1]}.data(), x, next);
+    fly(rest);
+    return 0;
+  }
+};
+
+TEST(HybridAudit, ErrorsThatAreRoundingOfTheExactGradientAreIllConditioned) {
+  HybridProblem problem{.system = HybridSystem(LogisticMap()),
+                        .guess = {.initial = {0.3, 0.2}, .duration = 6.5},
+                        .terms = {MakeTerminalCost(1, 0.0, 1.0, 2)}};
+  HybridSchemeOf<LogisticMap> scheme((LogisticMap()));
+  EXPECT_EQ(AuditScheme(problem, &scheme, Steps(37)).verdict, Verdict::kRight);
+  problem.guess.duration = 64.5;
+  const HybridAudit audit = AuditScheme(problem, &scheme, Steps(237));
+  EXPECT_EQ(audit.verdict, Verdict::kIllConditioned) << audit.reason;
+  ASSERT_TRUE(audit.refinement && audit.refinement->conditioning);
+  EXPECT_GT(audit.refinement->conditioning->condition, 1e9);
+  EXPECT_THAT(audit.Why(), HasSubstr("of 16 digits are lost"));
+}
+
 class BrokenScheme final : public HybridScheme {
  public:
   enum class How { kMode, kNan, kReason };

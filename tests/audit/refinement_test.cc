@@ -126,6 +126,16 @@ TEST(Refinement, ControlsAreComparedOverIntervals) {
   }
 }
 
+// Time that is over at once leaves the levels without which there is no verdict.
+TEST(Refinement, ALimitOfTimeLeavesFourLevels) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  const RefinementStudy study = StudyRefinement("direct_toi", scene, {.samples = 3, .seconds = 1e-9});
+  ASSERT_TRUE(study.ok()) << study.reason;
+  EXPECT_EQ(study.Find(Quantity::kPosition)->levels.size(), 4u);
+  EXPECT_EQ(StudyRefinement("direct_toi", scene, {.samples = 3}).Find(Quantity::kPosition)->levels.size(), 7u);
+}
+
 TEST(Refinement, StepsThatAModelCannotTakeAreNotTried) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 14;

@@ -17,6 +17,7 @@
 #include "blackbox/command_box.h"
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
+#include "lines.h"
 #include "programs/run_program.h"
 #include "test_scenes.h"
 

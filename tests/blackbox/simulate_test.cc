@@ -8,6 +8,7 @@
 
 #include "blackbox/protocol.h"
 #include "blackbox/speaker.h"
+#include "lines.h"
 #include "programs/run_program.h"
 #include "test_scenes.h"
 

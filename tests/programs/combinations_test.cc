@@ -145,6 +145,14 @@ const std::vector<Input> kAudits = {
     {"box_that_refuses", "--scene={folder}/edges.yaml" + Box("box", "direct", "none"), 2, "walls that end"},
     {"two_boxes", kBalls + Box("one", "direct", "none") + Box("two", "event", "none")},
     {"given", kBalls + "--contact=event --given={folder}/given.json"},
+    {"given_of_a_disc_that_spins",
+     "--scene={problems}/back_spin.yaml --steps=24 --contact=event --given={folder}/spin.json"},
+    {"wrong_model_that_fails",
+     kBalls + "--contact=event,direct --fail_on_wrong",
+     1,
+     "wrong gradients of 1 of 2 (direct: "},
+    {"right_model_that_may_fail", kBalls + "--contact=event --fail_on_wrong"},
+    {"wrong_given_that_fails", kBalls + "--contact=event --given={folder}/given.json --fail_on_wrong", 1},
     {"zeroth_surrogate", kBalls + "--contact=direct --surrogate=smoothed_zeroth --surrogate_samples=8"},
     {"surrogate_of_lcp", kBalls + "--contact=lcp --surrogate=complementarity_aware"},
     {"spin", "--scene={folder}/spin.yaml --contact=event,direct,pbd_brax"},
@@ -334,6 +342,7 @@ class Combinations : public testing::Test {
     write("constrained.yaml", Bounded("constrained", "hard: true"));
     write("bounded.yaml", Bounded("bounded", "weight: 1.0"));
     write("given.json", kGiven);
+    write("spin.json", R"({"name": "given", "angular_velocity": [0.1], "angle": [null]})");
     write("states.json", kStates);
     json start;
     for (int k = 0; k < 24; ++k) start["control"].push_back({{2.0, 2.5}});

@@ -135,7 +135,8 @@ TEST(HybridProgram, AuditsABlackBox) {
   }
   const Outcome broken = RunProgram("bouncing_ball --simulate=\"box=echo nonsense\"" + set);
   EXPECT_EQ(broken.exit_code, 1);
-  EXPECT_THAT(broken.errors, HasSubstr("audit of box: found 'nonsense', expected an object"));
+  EXPECT_THAT(broken.errors,
+              HasSubstr("audit of box: 'echo nonsense': the greeting: found 'nonsense', expected an object"));
 }
 
 TEST(HybridProgram, WritesAPageWithTheDocument) {

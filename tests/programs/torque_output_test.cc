@@ -29,6 +29,20 @@ json JsonOf(const std::string& program, const std::string& flags) {
   return json::parse(outcome.output);
 }
 
+// In free flight the gradient of the exact model is the exact one, whatever the steps.
+TEST(TorqueOutput, WidthSweepsHaveItsExactDerivative) {
+  const json audit = JsonOf("saltus_audit", "--contact=event --width_sweep")["audits"][0];
+  int found = 0;
+  for (const json& sweep : audit["width_sweep"]["sweeps"]) {
+    if (sweep["entry"] != "torque/radius b") continue;
+    ++found;
+    ASSERT_TRUE(sweep["exact"].is_number());
+    EXPECT_NE(sweep["exact"], 0);
+    EXPECT_NEAR(sweep["gradient"].get<double>(), sweep["exact"].get<double>(), 1e-9);
+  }
+  EXPECT_EQ(found, 1);
+}
+
 TEST(TorqueOutput, ComesBackAsItWent) {
   const std::string directory = TempFile("torque_solutions");
   const json run = JsonOf("saltus_solve", "--solver=ceres_lm --contact=event --output_dir=" + directory)["runs"][0];

@@ -94,6 +94,18 @@ TEST_F(WrongFiles, AGradientOfFixedDiscsOnlyJudgesNothing) {
   EXPECT_EQ(ErrorOf(R"({"position": [[1, 2], [1, 2]]})", read), "none");
 }
 
+TEST_F(WrongFiles, AGradientHasRotationsOfDiscsThatSpinOnly) {
+  const char* spin = R"({"angle": [null], "angular_velocity": [0.5]})";
+  EXPECT_THAT(ErrorOfGiven(spin), HasSubstr("and of scenes with discs that spin angle and angular_velocity"));
+  const Scene scene = ProblemScene("back_spin");
+  const auto read = [&](const std::string& path) { (void)ReadGivenGradient(path, scene); };
+  EXPECT_EQ(ErrorOf(spin, read), "none");
+  EXPECT_THAT(ErrorOf(R"({"angle": [null]})", read), HasSubstr("no number of a disc that moves"));
+  EXPECT_THAT(ErrorOf(R"({"angle": [0.5, 0.5]})", read),
+              HasSubstr("angle: expected a list of at most 1 finite numbers"));
+  EXPECT_THAT(ErrorOf(R"({"angle": [[0.5]]})", read), HasSubstr("angle: expected a list of at most 1 finite numbers"));
+}
+
 TEST_F(WrongFiles, ATouchEndsAfterItBegins) {
   const auto with = [](const std::string& touch) {
     return R"({"bodies": [{"name": "ball", "radius": 0.1}], "planes": [{"name": "ground", "point": [0, 0],

@@ -50,7 +50,10 @@ struct BlackBoxTraits {
   std::string not_applicable;  // why it does not support the scene; empty if it does
   std::string error;           // why it gives no answers; empty if it does
   bool gradient = false, step = false, states = false;
-  int grid_steps = 1;  // numbers of steps are multiples of this
+  bool simulate = true;   // whole motions
+  bool names = false;     // steps of states by name (blackbox/protocol.h), in place of rows of discs
+  bool jacobian = false;  // Jacobians of steps; of hybrid systems
+  int grid_steps = 1;     // numbers of steps are multiples of this
 };
 
 class BlackBox {

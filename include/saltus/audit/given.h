@@ -14,8 +14,10 @@ struct GivenGradient {
   std::string name;
   double tolerance = 0;                    // absolute, for numbers that were rounded when they were printed
   std::vector<double> position, velocity;  // B x 2, by x and y of each disc of the scene
-  std::vector<double> control;             // by the rows of a control (control_rows.h)
-  int intervals = 0;                       // of the control, equal parts of the horizon; 0: one a step
+  // B, by those of each disc that spins, in scenes with such discs.
+  std::vector<double> angle, angular_velocity;
+  std::vector<double> control;  // by the rows of a control (control_rows.h)
+  int intervals = 0;            // of the control, equal parts of the horizon; 0: one a step
 };
 
 struct GivenEntry {

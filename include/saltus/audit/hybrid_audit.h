@@ -16,8 +16,7 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/audit/refinement.h"
-#include "saltus/audit/width_sweep.h"
+#include "saltus/audit/audit.h"
 #include "saltus/hybrid/hybrid_problem.h"
 
 namespace saltus {
@@ -37,6 +36,8 @@ class HybridScheme {
   // that is not null becomes the derivative by [x u p]: row-major, (size of the next mode's state) x (n + m + P).
   // Returns -1 and the reason in `error` if there is no such state.
   virtual int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) = 0;
+  // Whether Jacobians are the scheme's own, and not differences of its steps.
+  virtual bool HasJacobian() const { return true; }
 };
 
 // Computes a step of `function` and, unless `jacobian` is null, its Jacobian by central differences, or by one-sided
@@ -85,10 +86,9 @@ class HybridSchemeOf final : public HybridScheme {
 };
 
 struct HybridAuditOptions {
-  int steps = 100;  // least number of steps; rounded up to a multiple of the control intervals
-  RefinementOptions refinement = {};
-  double seconds = 0;        // limit of time for the refinement beyond its first four levels; 0: none
-  bool width_sweep = false;  // whether widths are swept even if the exact gradient exists
+  int steps = 100;                    // least number of steps; rounded up to a multiple of the control intervals
+  RefinementOptions refinement = {};  // on one thread
+  bool width_sweep = false;           // whether widths are swept even if the exact gradient exists
   // The loss jumps where an event moves to another step: differences over a few steps scatter more than those of discs.
   WidthSweepOptions widths = {.per_decade = 4, .largest = 400, .wide_from = 20, .wide_to = 200};
   StopRequest stop = nullptr;
@@ -106,27 +106,23 @@ struct SegmentError {
 };
 
 struct HybridAudit {
-  struct Part {
-    std::string name;                  // "initial", "control" or "parameters"
-    std::vector<std::string> entries;  // their names
-    QuantityStudy study;               // its quantity has no meaning
-  };
-
   std::string scheme;
   std::string reason;  // why there is no verdict: the problem, the exact motion or the scheme fails, and where
   Verdict verdict = Verdict::kUnknown;
   int steps = 0;  // number of steps of `loss` and `gradient`
   double loss = 0, exact_loss = 0;
   HybridGradient gradient, exact;
-  double order = 0;  // observed order of the error in the step: the least of all parts
-  std::vector<Part> parts;
-  std::vector<SegmentError> segments;  // of a wrong gradient
-  int first_wrong = -1;                // index of the first segment whose error is not small and stays
+  double order = 0;                           // observed order of the error in the step: the least of all quantities
+  std::optional<RefinementStudy> refinement;  // of initial state, control and parameters; if there is an exact gradient
+  std::optional<OwnDifferences> own;          // of a scheme with Jacobians of its own
+  std::vector<SegmentError> segments;         // of a wrong gradient
+  int first_wrong = -1;                       // index of the first segment whose error is not small and stays
   std::optional<WidthSweepStudy> widths;
   bool interrupted = false;
 
   bool ok() const { return reason.empty(); }
-  // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient.
+  // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient that agrees with
+  // differences of its own loss.
   std::string Why() const;
 };
 

@@ -54,14 +54,29 @@ const char* VerdictToString(Verdict verdict);  // the names in the table above
 bool IsWrong(Verdict verdict);
 
 // A part of the gradient whose entries have one unit, judged on its own.
-// kGeometry and kWallAngle have the parameters of Scene::design that are a length, or an angle.
-enum class Quantity { kPosition, kVelocity, kControl, kRestitution, kFriction, kMass, kGravity, kGeometry, kWallAngle };
+// kGeometry and kWallAngle have the parameters of Scene::design that are a length, or an angle. The last three are
+// those of a hybrid system, of which each entry has a unit of its own.
+enum class Quantity {
+  kPosition,
+  kVelocity,
+  kControl,
+  kRestitution,
+  kFriction,
+  kMass,
+  kGravity,
+  kGeometry,
+  kWallAngle,
+  kSystemState,
+  kSystemControl,
+  kSystemParameter
+};
 const char* QuantityToString(Quantity quantity);
+inline bool IsOfSystem(Quantity quantity) { return quantity >= Quantity::kSystemState; }
 
 // Names of the entries of a quantity, and the entries themselves: two for each disc that moves (position, velocity),
 // two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), one for each
 // design parameter of that kind, or one number. Precondition: the gradient's number of steps is a multiple of
-// `intervals`.
+// `intervals`, and the quantity is one of a scene.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
 // Returns the factor that takes derivatives of the loss by that quantity from the units `from` to those of `to`.
@@ -79,6 +94,7 @@ struct RefinementOptions {
   // Largest work of one level: steps times discs or, if that is more, 24 times the number of contacts of all steps.
   // Levels finer than the fourth are left out if their work exceeds it.
   double budget = 1.5e6;
+  double seconds = 0;  // limit of time for the levels beyond the fourth; 0: none
   // Number of threads that run the step counts of a level; results do not depend on it. More than one needs a contact
   // model whose simulators may run at the same time, as those of all models of the registry may.
   int threads = 1;
@@ -97,7 +113,8 @@ struct QuantityStudy {
   Verdict verdict = Verdict::kUnknown;
   double order = 0;                      // observed over the finer levels; 0 if errors are rounding
   std::vector<RefinementLevel> levels;   // from coarse to fine
-  std::vector<double> exact;             // one for each of EntryNames()
+  std::vector<std::string> entries;      // their names
+  std::vector<double> exact;             // one for each entry
   std::vector<double> finest;            // medians over the finest level: what the model converges to
   std::vector<std::string> one_sided;    // entries that are not judged
   std::vector<std::string> wrong_signs;  // entries that are wrong in sign, at the scene's own steps or at the finest
@@ -121,6 +138,8 @@ struct Conditioning {
 
   // Returns how many of the 16 decimal digits of double precision the exact gradient loses by rounding.
   double DigitsLost() const;
+  // Returns the numbers in one sentence.
+  std::string Describe() const;
 };
 // Measures the conditioning of the gradient of the event-driven model. Returns std::nullopt if that model does not
 // support the scene or fails. Each impact amplifies earlier errors: after a few dozen impacts, the last bits of the
@@ -133,7 +152,8 @@ struct RefinementStudy {
   std::vector<QuantityStudy> quantities;  // those that the scene has
   // The worse verdict of position and velocity. The control counts only if it is wrong, because every model that
   // integrates forces by Euler steps is at most consistent there. Parameters, and quantities without an entry that is
-  // judged, do not count. kOneSided if no entry of position and velocity is judged.
+  // judged, do not count. kOneSided if no entry of position and velocity is judged. All quantities of a hybrid system
+  // count.
   Verdict verdict = Verdict::kUnknown;
   std::optional<Conditioning> conditioning;  // of the exact gradient, measured if a quantity is not right
 

@@ -12,6 +12,7 @@
 #include "audit/blackbox/black_box_head_on.h"
 #include "audit/blackbox/black_box_simulator.h"
 #include "audit/gradient/own_differences.h"
+#include "audit/gradient/step_study.h"
 #include "base/number_text.h"
 #include "base/statistics.h"
 #include "saltus/control/objective.h"
@@ -118,14 +119,6 @@ int BitsOf(double noise) {
   return bits;
 }
 
-// Returns |changed - from| / |from|; the vectors have the same length, and the result is 0 if they are empty.
-double RelativeChange(const std::vector<double>& changed, const std::vector<double>& from) {
-  double change = 0;
-  for (std::size_t i = 0; i < from.size(); ++i) change = std::hypot(change, changed[i] - from[i]);
-  const double size = Norm(from);
-  return size > 0 ? change / size : change;
-}
-
 // Asks one question again and again, with others in between (other initial states, no forces). Each is asked alone, so
 // that one copy of a command gets them all. Different answers are a remark. Returns whether they differ by so much that
 // derivatives are not known.
@@ -166,7 +159,8 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
       const double change = std::abs(again->final[i] - answers[0].final[i]);
       difference = std::max(difference, change * (i % 4 < 2 ? 1 : duration));
     }
-    of_gradient = std::max(of_gradient, RelativeChange(again->initial, answers[0].initial));
+    const double size = Norm(answers[0].initial), change = Distance(again->initial, answers[0].initial);
+    of_gradient = std::max(of_gradient, size > 0 ? change / size : change);
   }
   if ((difference == 0 && of_gradient == 0) || extent == 0) return false;
   // The finest steps of a refinement have the narrowest differences, which noise disturbs most.
@@ -247,11 +241,12 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
       errors.push_back(std::abs(loss - exact.loss) / exact.loss_scale);
       log_steps += std::log(steps[i]) / samples;
     }
-    const auto [smallest, worst] = std::minmax_element(errors.begin(), errors.end());
-    findings->levels.push_back({std::exp(log_steps), Median(errors), *smallest, *worst});
-    counts.push_back(findings->levels.back().steps);
-    medians.push_back(std::max(Median(errors), floor));
-    largest = std::max(largest, *worst);
+    const auto [smallest, worst] = std::ranges::minmax(errors);
+    const RefinementLevel& added =
+        findings->levels.emplace_back(RefinementLevel{std::exp(log_steps), Median(errors), smallest, worst});
+    counts.push_back(added.steps);
+    medians.push_back(std::max(added.error, floor));
+    largest = std::max(largest, added.largest);
   }
   if (largest <= floor) {
     findings->motion = Motion::kExact;

@@ -46,6 +46,18 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
       if (!body.fixed) add(name, values[i], at, largest);
     }
   }
+  for (const bool angle : {true, false}) {
+    const std::vector<double>& values = angle ? given.angle : given.angular_velocity;
+    CHECK(values.empty() || (scene.Spins() && values.size() <= scene.bodies.size()));
+    std::vector<double> all;  // of all discs
+    for (size_t i = 0; i < scene.bodies.size() && scene.Spins(); ++i) {
+      all.push_back(exact.gradient.initial[4 * scene.bodies.size() + kSpin * i + (angle ? 0 : 1)]);
+    }
+    for (size_t i = 0; i < values.size(); ++i) {
+      const Body& body = scene.bodies[i];
+      if (body.Spins()) add((angle ? "angle " : "angular velocity ") + body.name, values[i], all[i], Largest(all));
+    }
+  }
   if (given.control.empty()) return entries;
   const int intervals = given.intervals > 0 ? given.intervals : exact.num_steps;
   const int columns = ControlColumns(scene), width = columns * scene.num_controlled();

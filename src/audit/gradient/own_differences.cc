@@ -2,17 +2,13 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <optional>
-#include <random>
 #include <utility>
 #include <vector>
 
-#include "base/parallel_for.h"
-#include "saltus/control/single_shooting.h"
+#include "audit/gradient/step_study.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
@@ -20,90 +16,8 @@
 namespace saltus {
 namespace {
 
-constexpr int kDirections = 2;  // of each quantity
-constexpr double kWidest = 0.1,
-                 kNarrower = 0.1;  // widths in grid widths (width_sweep.h), each so much less than the last
-constexpr int kWidths = 8;
-constexpr double kTolerance = 1e-3;  // relative, by which a gradient may miss its differences
-constexpr double kSettled = 0.1;     // of the miss, by which slopes of neighbouring widths may differ
-constexpr double kJumps = 0.5;       // of the change of loss over a width, that over the next: it does not vanish
-constexpr int kMostJumps = 3;        // widths in a row
-constexpr int kMostDiscs = 16;       // of a scene whose parameters are compared
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-
-// The loss of a model as a function of some of its variables.
-class Loss {
- public:
-  Loss(const Contact& contact, const Scene& scene, SingleShooting::Variables variables, const StopRequest& stop,
-       SingleShooting::OfScene of_scene = nullptr)
-      : shooting_(MakeSimulator(contact, scene, Precision::kDouble), variables, std::move(of_scene)),
-        gradient_(shooting_.num_variables()) {
-    shooting_.set_stop(stop);
-    ok_ = shooting_.Evaluate(shooting_.initial_guess(), &value_, gradient_.data());
-  }
-
-  bool ok() const { return ok_; }
-  int num_variables() const { return shooting_.num_variables(); }
-  double value() const { return value_; }
-  const std::vector<double>& gradient() const { return gradient_; }
-  const SingleShooting& shooting() const { return shooting_; }
-
-  // Returns the loss at a distance along a direction, NaN where it fails.
-  double At(const std::vector<double>& direction, double width) {
-    std::vector<double> z = shooting_.initial_guess();
-    for (std::size_t i = 0; i < z.size(); ++i) z[i] += width * direction[i];
-    double loss = 0;
-    return shooting_.Evaluate(z, &loss, nullptr) ? loss : kNan;
-  }
-
- private:
-  SingleShooting shooting_;
-  double value_ = 0;
-  std::vector<double> gradient_;
-  bool ok_ = false;
-};
-
-// Compares the gradient along a direction with differences. `widest` is in the units of the direction.
-OwnDifferences Compare(Loss* loss, const std::vector<double>& direction, double widest) {
-  OwnDifferences found;
-  double scale = 0;  // so that entries that happen to cancel do not ask for more than there is
-  for (std::size_t i = 0; i < direction.size(); ++i) {
-    found.gradient += loss->gradient()[i] * direction[i];
-    scale += std::pow(loss->gradient()[i] * direction[i], 2);
-  }
-  scale = std::max(std::sqrt(scale), std::abs(found.gradient));
-  std::array<double, 2> before = {kNan, kNan};
-  std::array<std::optional<double>, 2> settled;  // on another slope, on either side
-  std::array<double, 2> change_before = {kNan, kNan};
-  std::array<bool, 2> exists = {false, false};  // the loss, on either side: a parameter may be at a bound
-  int jumps = 0;                                // widths on end at which the loss jumps on both sides
-  double width = widest;
-  for (int i = 0; i < kWidths && jumps < kMostJumps && !loss->shooting().stopped(); ++i, width *= kNarrower) {
-    bool jumps_here = true;
-    for (int side = 0; side < 2; ++side) {
-      const double signed_width = side == 0 ? width : -width;
-      const double change = loss->At(direction, signed_width) - loss->value();
-      exists[side] = exists[side] || !std::isnan(change);
-      jumps_here = jumps_here && std::abs(change) >= kJumps * std::abs(change_before[side]);
-      change_before[side] = change;
-      const double slope = change / signed_width;
-      const double miss = std::abs(slope - found.gradient);
-      if (miss <= kTolerance * std::max(scale, std::abs(slope))) {
-        found.agreement = Agreement::kAgrees;
-        found.difference = slope;
-        return found;
-      }
-      if (std::abs(slope - before[side]) <= kSettled * miss) settled[side] = slope;
-      before[side] = slope;
-    }
-    jumps = jumps_here ? jumps + 1 : 0;
-  }
-  if ((settled[0] || !exists[0]) && (settled[1] || !exists[1]) && (settled[0] || settled[1])) {
-    found.agreement = Agreement::kDiffers;
-    found.difference = 0.5 * (settled[0].value_or(*settled[1]) + settled[1].value_or(*settled[0]));
-  }
-  return found;
-}
+constexpr double kWidest = 0.1;  // width of differences, in grid widths (width_sweep.h)
+constexpr int kMostDiscs = 16;   // of a scene whose parameters are compared
 
 // Returns the distance that discs move in a step, m.
 double LengthOfStep(const Scene& scene, const Simulator& simulator, int most_states = 0) {
@@ -134,101 +48,65 @@ double ScaleOf(const SceneParameter& parameter, const Scene& scene, double lengt
   }
 }
 
-struct Direction {
-  Quantity quantity = Quantity::kPosition;
-  std::vector<double> along;  // again and again over the variables
-  double widest = 0;
-};
-
-// For each of several threads, the losses that its directions need.
-class LossesOfThreads {
- public:
-  LossesOfThreads(const Contact& contact, const Scene& scene, const StopRequest& stop, int threads)
-      : contact_(contact), scene_(scene), controlled_(scene), stop_(stop), losses_(threads) {
-    controlled_.optimize = Optimize::kControl;
-  }
-  Loss& At(int thread, Quantity quantity) {
-    const bool control = quantity == Quantity::kControl;
-    std::unique_ptr<Loss>& loss = control ? losses_[thread].by_control : losses_[thread].by_state;
-    if (loss == nullptr) {
-      const auto variables = control ? SingleShooting::Variables::kOfScene : SingleShooting::Variables::kInitialState;
-      loss = std::make_unique<Loss>(contact_, control ? controlled_ : scene_, variables, stop_);
-    }
-    return *loss;
-  }
-
- private:
-  struct Losses {
-    std::unique_ptr<Loss> by_state, by_control;
-  };
-  const Contact& contact_;
-  const Scene& scene_;
-  Scene controlled_;
-  const StopRequest& stop_;
-  std::vector<Losses> losses_;
-};
-
-// Returns the worse of the two.
-OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
-  const auto badness = [](const OwnDifferences& found) {
-    return found.agreement == Agreement::kDiffers ? 2 : found.agreement == Agreement::kUndecided ? 1 : 0;
-  };
-  return badness(b) > badness(a) ? b : a;
-}
-
 }  // namespace
 
 OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop,
                                          int threads, int most_states) {
-  OwnDifferences worst;
-  if (!WhyNotApplicable(contact, scene).empty()) return worst;
-  LossesOfThreads losses(contact, scene, stop, threads);
-  const Loss& by_state = losses.At(0, Quantity::kPosition);
-  if (!by_state.ok()) return worst;
-  const double T = scene.duration;
-  const Simulator& simulator = by_state.shooting().simulator();
-  double smallest_mass = std::numeric_limits<double>::infinity();
-  for (int body : scene.control.bodies) smallest_mass = std::min(smallest_mass, scene.bodies[body].mass);
+  if (!WhyNotApplicable(contact, scene).empty()) return {};
+  struct Loss {
+    std::unique_ptr<SingleShooting> shooting;
+    std::optional<LossAtGuess> at_guess;
+  };
+  std::vector<std::array<Loss, 2>> losses(threads);  // by state and by control
+  const auto loss_of = [&](int thread, Quantity quantity) -> const LossAtGuess& {
+    Loss& loss = losses[thread][quantity == Quantity::kControl ? 1 : 0];
+    if (loss.shooting == nullptr) {
+      loss.shooting = ShootingBy(quantity, contact, scene, stop);
+      loss.at_guess.emplace(loss.shooting.get());
+    }
+    return *loss.at_guess;
+  };
+  if (!loss_of(0, Quantity::kPosition).ok) return {};
+  const Simulator& simulator = losses[0][0].shooting->simulator();
   const double length = LengthOfStep(scene, simulator, most_states);
+  return CompareAlongSums(VariablesOf(scene, length, simulator.num_steps()), threads, loss_of);
+}
 
-  std::mt19937 random(1);
-  const auto sign = [&] { return random() % 2 == 0 ? 1.0 : -1.0; };
-  std::vector<Direction> directions;
-  const int half = by_state.num_variables() / 2;  // positions, then velocities
-  for (int n = 0; n < kDirections; ++n) {
-    for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity}) {
-      const bool position = quantity == Quantity::kPosition;
-      std::vector<double> along(2 * half, 0.0);
-      for (int i = 0; i < half; ++i) along[position ? i : half + i] = sign();
-      directions.push_back({quantity, std::move(along), kWidest * (position ? length : length / T)});
+std::unique_ptr<SingleShooting> ShootingBy(Quantity quantity, const Contact& contact, const Scene& scene,
+                                           const StopRequest& stop) {
+  using Variables = SingleShooting::Variables;
+  const bool control = quantity == Quantity::kControl;
+  Scene controlled = scene;
+  if (control) controlled.optimize = Optimize::kControl;
+  auto shooting = std::make_unique<SingleShooting>(MakeSimulator(contact, controlled, Precision::kDouble),
+                                                   control ? Variables::kOfScene : Variables::kInitialState);
+  shooting->set_stop(stop);
+  return shooting;
+}
+
+std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int steps) {
+  std::vector<SweptVariable> variables;
+  const double T = scene.duration;
+  for (const Quantity quantity : {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl}) {
+    const bool position = quantity == Quantity::kPosition, control = quantity == Quantity::kControl;
+    const std::vector<std::string> names = EntryNames(scene, quantity, 1);
+    const int width = static_cast<int>(names.size());
+    for (int i = 0; i < width; ++i) {
+      SweptVariable& variable = variables.emplace_back();
+      variable = {.quantity = quantity, .entry = names[i], .first = static_cast<int>(variables.size()) - 1};
+      variable.grid_width = position ? length : length / T;
+      if (!control) continue;
+      variable.entry.erase(variable.entry.find("[0]"), 3);  // a force in all steps is that of the only interval
+      variable.first = i;
+      variable.count = steps;
+      variable.stride = width;
+      const int turned = i - 2 * scene.num_controlled();
+      const Body& body = scene.bodies[turned < 0 ? scene.control.bodies[i / 2] : scene.control.turned[turned]];
+      const double mass = turned < 0 ? body.mass : body.MomentOfInertia() / (body.radius * body.radius);  // of the rim
+      variable.grid_width = 2 * length * mass / (T * T);
     }
   }
-  for (int n = 0; n < kDirections && !scene.control.bodies.empty(); ++n) {
-    std::vector<double> row(scene.control_width());
-    for (double& entry : row) entry = sign();
-    directions.push_back({Quantity::kControl, std::move(row), kWidest * 2 * length * smallest_mass / (T * T)});
-  }
-
-  const int count = static_cast<int>(directions.size());
-  std::vector<std::optional<OwnDifferences>> found(count);
-  std::atomic<int> differs = count;  // none is worse, so what follows it is not needed
-  ParallelFor(threads, count, [&](int thread, int i) {
-    if (i > differs) return;
-    const Direction& direction = directions[i];
-    Loss& loss = losses.At(thread, direction.quantity);
-    if (!loss.ok()) return;
-    std::vector<double> along(loss.num_variables());
-    for (std::size_t j = 0; j < along.size(); ++j) along[j] = direction.along[j % direction.along.size()];
-    found[i] = Compare(&loss, along, direction.widest);
-    found[i]->quantity = direction.quantity;
-    if (found[i]->agreement != Agreement::kDiffers) return;
-    for (int other = differs; i < other && !differs.compare_exchange_weak(other, i);) continue;
-  });
-  worst.agreement = Agreement::kAgrees;
-  for (int i = 0; i <= std::min<int>(differs, count - 1); ++i) {
-    if (found[i]) worst = Worse(worst, *found[i]);
-  }
-  return worst;
+  return variables;
 }
 
 std::vector<std::string> ParametersToCompare(const Scene& scene) {
@@ -265,14 +143,18 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
   const auto of_scene = [&](const Scene& other) {
     return WhyNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
   };
-  Loss loss(contact, designed, SingleShooting::Variables::kOfScene, stop, of_scene);
-  if (!loss.ok() || loss.num_variables() != static_cast<int>(designed.design.size())) return audits;
-  const double length = LengthOfStep(scene, loss.shooting().simulator());
-  for (int i = 0; i < loss.num_variables() && !loss.shooting().stopped(); ++i) {
+  SingleShooting shooting(
+      MakeSimulator(contact, designed, Precision::kDouble), SingleShooting::Variables::kOfScene, of_scene);
+  shooting.set_stop(stop);
+  const LossAtGuess loss(&shooting);
+  const std::size_t count = designed.design.size();
+  if (!loss.ok || loss.gradient.size() != count) return audits;
+  const double length = LengthOfStep(scene, shooting.simulator());
+  for (std::size_t i = 0; i < count && !shooting.stopped(); ++i) {
     const SceneParameter& parameter = designed.design[i].parameter;
-    std::vector<double> along(loss.num_variables(), 0.0);
+    std::vector<double> along(count, 0.0);
     along[i] = 1;
-    const OwnDifferences found = Compare(&loss, along, kWidest * ScaleOf(parameter, scene, length));
+    const OwnDifferences found = CompareAlong(loss, along, kWidest * ScaleOf(parameter, scene, length));
     ParameterAudit audit{NameOf(parameter, scene), found.gradient, std::nullopt};
     if (found.agreement != Agreement::kUndecided) audit.difference = found.difference;
     if (found.gradient == 0 && audit.difference.value_or(0) == 0) continue;

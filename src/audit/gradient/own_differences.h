@@ -7,10 +7,13 @@
 // whether the steps are right, which is what the width sweep and the exact gradient are for.
 #pragma once
 
+#include <memory>
 #include <string>
 #include <vector>
 
+#include "audit/gradient/step_study.h"
 #include "saltus/audit/audit.h"
+#include "saltus/control/single_shooting.h"
 
 namespace saltus {
 
@@ -26,6 +29,15 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
                                               const std::vector<std::string>& names, const StopRequest& stop = nullptr);
 // Returns the names of the contact parameters, gravity, masses, and optimized ones; none in scenes with many discs.
 std::vector<std::string> ParametersToCompare(const Scene& scene);
+
+// Returns the loss of a scene as a function of its initial state or, for kControl, of its control.
+std::unique_ptr<SingleShooting> ShootingBy(Quantity quantity, const Contact& contact, const Scene& scene,
+                                           const StopRequest& stop);
+
+// Returns the variables of a scene, without derivatives: the initial state of every disc that moves, as
+// SingleShooting::Variables::kInitialState has it, and forces that are constant over `steps` rows of the control.
+// `length`: the distance that discs move in a step, m.
+std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int steps);
 
 // Returns the largest speed of a disc in the simulator's last rollout, m/s: over all states, or if `most_states` is
 // positive and there are more, over about as many at even distances.

@@ -1,4 +1,6 @@
 // The quantities by which gradients are compared: their names, units and entries (refinement.h).
+#include <glog/logging.h>
+
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/scene/materials.h"
@@ -30,11 +32,85 @@ std::vector<SceneParameter> OfPairs(Quantity quantity, const Scene& scene) {
   return parameters;
 }
 
+struct Entry {
+  std::string name;
+  double value;
+};
+
+// Returns the entries of a quantity. Without a gradient, and of the control, values have no meaning.
+std::vector<Entry> EntriesIn(const Scene& scene, const Sensitivity* gradient, Quantity quantity, int intervals) {
+  std::vector<Entry> entries;
+  const auto add = [&](const std::string& name, auto&& value_in) {
+    entries.push_back({name, gradient == nullptr ? 0.0 : value_in(*gradient)});
+  };
+  switch (quantity) {
+    case Quantity::kPosition:
+    case Quantity::kVelocity:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        const bool position = quantity == Quantity::kPosition;
+        for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) {
+          add((position ? "p" : "v") + std::string(j == 0 ? "x " : "y ") + scene.bodies[i].name,
+              [&](const Sensitivity& g) { return g.initial[4 * i + (position ? 0 : 2) + j]; });
+        }
+      }
+      break;
+    case Quantity::kControl:
+      for (int k = 0; k < intervals; ++k) {
+        const std::string in = "[" + std::to_string(k) + "] ";
+        for (const int body : scene.control.bodies) {
+          for (const char* force : {"ux", "uy"}) entries.push_back({force + in + scene.bodies[body].name, 0});
+        }
+        for (const int body : scene.control.turned) {
+          entries.push_back({"torque/radius" + in + scene.bodies[body].name, 0});
+        }
+      }
+      break;
+    case Quantity::kMass:
+      for (int i = 0; i < scene.num_bodies(); ++i) {
+        if (scene.bodies[i].fixed) continue;
+        add("mass " + scene.bodies[i].name,
+            [&](const Sensitivity& g) { return i < int(g.parameters.mass.size()) ? g.parameters.mass[i] : 0.0; });
+      }
+      break;
+    case Quantity::kGravity:
+      for (const int j : {0, 1})
+        add(j == 0 ? "gx" : "gy", [&](const Sensitivity& g) { return g.parameters.gravity[j]; });
+      break;
+    case Quantity::kRestitution:
+    case Quantity::kFriction:
+      for (const SceneParameter& parameter : OfPairs(quantity, scene)) {
+        add(NameOf(parameter, scene), [&](const Sensitivity& g) { return ByContact(parameter, g.parameters); });
+      }
+      break;
+    case Quantity::kGeometry:
+    case Quantity::kWallAngle:
+      for (std::size_t i = 0; i < scene.design.size(); ++i) {
+        if (!IsOf(quantity, scene.design[i].parameter)) continue;
+        add(NameOf(scene.design[i].parameter, scene),
+            [&](const Sensitivity& g) { return i < g.parameters.design.size() ? g.parameters.design[i] : 0.0; });
+      }
+      break;
+    default:
+      LOG(FATAL) << "a scene has no " << QuantityToString(quantity);
+  }
+  return entries;
+}
+
 }  // namespace
 
 const char* QuantityToString(Quantity quantity) {
-  constexpr const char* kNames[] = {
-      "position", "velocity", "control", "restitution", "friction", "mass", "gravity", "geometry", "wall_angle"};
+  constexpr const char* kNames[] = {"position",
+                                    "velocity",
+                                    "control",
+                                    "restitution",
+                                    "friction",
+                                    "mass",
+                                    "gravity",
+                                    "geometry",
+                                    "wall_angle",
+                                    "initial",
+                                    "control",
+                                    "parameters"};
   return kNames[static_cast<int>(quantity)];
 }
 
@@ -54,86 +130,15 @@ double GradientFactor(Quantity quantity, const Units& from, const Units& to) {
 
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals) {
   std::vector<std::string> names;
-  const auto add_vector = [&](const std::string& prefix, const std::string& suffix) {
-    names.push_back(prefix + "x" + suffix);
-    names.push_back(prefix + "y" + suffix);
-  };
-  switch (quantity) {
-    case Quantity::kPosition:
-    case Quantity::kVelocity:
-      for (const Body& body : scene.bodies) {
-        if (!body.fixed) add_vector(quantity == Quantity::kPosition ? "p" : "v", " " + body.name);
-      }
-      break;
-    case Quantity::kControl:
-      for (int k = 0; k < intervals; ++k) {
-        for (int body : scene.control.bodies) {
-          add_vector("u", "[" + std::to_string(k) + "] " + scene.bodies[body].name);
-        }
-        for (int body : scene.control.turned) {
-          names.push_back("torque/radius[" + std::to_string(k) + "] " + scene.bodies[body].name);
-        }
-      }
-      break;
-    case Quantity::kMass:
-      for (const Body& body : scene.bodies) {
-        if (!body.fixed) names.push_back("mass " + body.name);
-      }
-      break;
-    case Quantity::kGravity:
-      add_vector("g", "");
-      break;
-    case Quantity::kRestitution:
-    case Quantity::kFriction:
-      for (const SceneParameter& parameter : OfPairs(quantity, scene)) names.push_back(NameOf(parameter, scene));
-      break;
-    case Quantity::kGeometry:
-    case Quantity::kWallAngle:
-      for (const DesignParameter& design : scene.design) {
-        if (IsOf(quantity, design.parameter)) names.push_back(NameOf(design.parameter, scene));
-      }
-      break;
-  }
+  for (Entry& entry : EntriesIn(scene, nullptr, quantity, intervals)) names.push_back(std::move(entry.name));
   return names;
 }
 
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals) {
-  const Sensitivity& g = gradient.gradient;
-  std::vector<double> entries;
-  switch (quantity) {
-    case Quantity::kPosition:
-    case Quantity::kVelocity:
-      for (int i = 0; i < scene.num_bodies(); ++i) {
-        const int at = 4 * i + (quantity == Quantity::kVelocity ? 2 : 0);
-        if (!scene.bodies[i].fixed) entries.insert(entries.end(), {g.initial[at], g.initial[at + 1]});
-      }
-      break;
-    case Quantity::kControl:
-      entries = CoarsenControl(g.control, gradient.num_steps, intervals);
-      break;
-    case Quantity::kRestitution:
-    case Quantity::kFriction:
-      for (const SceneParameter& parameter : OfPairs(quantity, scene)) {
-        entries.push_back(ByContact(parameter, g.parameters));
-      }
-      break;
-    case Quantity::kMass:
-      for (int i = 0; i < scene.num_bodies(); ++i) {
-        if (!scene.bodies[i].fixed) entries.push_back(i < int(g.parameters.mass.size()) ? g.parameters.mass[i] : 0.0);
-      }
-      break;
-    case Quantity::kGravity:
-      entries = {g.parameters.gravity[0], g.parameters.gravity[1]};
-      break;
-    case Quantity::kGeometry:
-    case Quantity::kWallAngle:
-      for (std::size_t i = 0; i < scene.design.size(); ++i) {
-        if (!IsOf(quantity, scene.design[i].parameter)) continue;
-        entries.push_back(i < g.parameters.design.size() ? g.parameters.design[i] : 0.0);
-      }
-      break;
-  }
-  return entries;
+  if (quantity == Quantity::kControl) return CoarsenControl(gradient.gradient.control, gradient.num_steps, intervals);
+  std::vector<double> values;
+  for (const Entry& entry : EntriesIn(scene, &gradient.gradient, quantity, intervals)) values.push_back(entry.value);
+  return values;
 }
 
 }  // namespace saltus

@@ -1,0 +1,25 @@
+// The lines of a scene's protocol, for simulators in this process.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "blackbox/protocol.h"
+
+namespace saltus {
+
+inline std::string HelloLine(const Scene& scene) { return HelloOf(scene).dump(); }
+
+inline std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id,
+                                const BlackBoxTraits& traits = {}) {
+  ProtocolJson line = {{"id", id}};
+  line.update(QuestionToJson(scene, question, traits));
+  return line.dump();
+}
+
+inline Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& question, std::int64_t id,
+                         const BlackBoxTraits& traits) {
+  return AnswerFrom(ReadReply(line, id), scene, question, traits);
+}
+
+}  // namespace saltus
