@@ -406,7 +406,7 @@ void AddResiduals(const Identified& identified, Page* page) {
     for (std::size_t k = 0; k < residuals.size(); k += stride) {
       const SampleResidual& at = residuals[k];
       series.x.push_back(identified.recordings[at.recording].samples[at.sample].time);
-      series.y.push_back(at.standardised.norm());
+      series.y.push_back(std::hypot(at.standardised[0], at.standardised[1]));
     }
     panel.series.push_back(std::move(series));
   }

@@ -64,7 +64,7 @@ enum class Determination {
 const char* DeterminationToString(Determination determination);
 
 struct Estimate {
-  Unknown unknown;
+  Unknown unknown;  // of a scene
   std::string name;
   double start = 0;  // value in the scene
   // These have no meaning if the parameter is not determined.
@@ -77,8 +77,8 @@ struct Estimate {
 
 struct SampleResidual {
   int recording = 0, sample = 0;
-  Vec2d predicted = Vec2d::Zero();     // m
-  Vec2d standardised = Vec2d::Zero();  // (predicted - measured) / sigma
+  std::vector<double> predicted = {};     // by the motion; of a scene the position, m
+  std::vector<double> standardised = {};  // (predicted - measured) / sigma
   bool outlier = false;
 };
 
