@@ -27,6 +27,7 @@
 #include "programs/bodies_file.h"
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
+#include "saltus/identify/hybrid_fit.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "scene/yaml_value.h"
 
@@ -679,6 +680,22 @@ class Problem {
     return RegulatorToPython(regulator, remark);
   }
 
+  // Returns the motion from the guess with what was measured of it, for identification: (quantity, time, value, sigma,
+  // whether this is stated) of each residual of its terms.
+  HybridExperiment Experiment(const Guess& guess, const std::string& name,
+                              const std::vector<std::tuple<std::string, double, double, double, bool>>& data) const {
+    HybridExperiment experiment{.name = name, .problem = At(guess), .data = {}};
+    for (const auto& [quantity, time, value, sigma, is_stated] : data) {
+      experiment.data.push_back({quantity, time, value, sigma, is_stated});
+    }
+    if (!mechanical_) return experiment;
+    experiment.begin = [system = *mechanical_, mode = std::get<0>(guess)](HybridInput* input) {
+      input->mode = mode;
+      return WhyNoStart(system, input);
+    };
+    return experiment;
+  }
+
   // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
                  const std::string& command, int steps, bool width_sweep, double budget, double seconds) const {
@@ -709,6 +726,7 @@ class Problem {
 }  // namespace
 
 void BindHybrid(py::module_* module) {
+  const py::class_<HybridExperiment> experiment(*module, "HybridExperiment");
   py::class_<HybridSystem>(*module, "HybridSystem")
       .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"), py::arg("slides"));
   py::class_<HybridTerm>(*module, "HybridTerm")
@@ -779,7 +797,8 @@ void BindHybrid(py::module_* module) {
            py::arg("with_gradients"),
            py::arg("threads"))
       .def("end_state", &Problem::EndState, py::arg("guess"), py::arg("cotangent"));
-  problem.def("page_document", &Problem::PageDocument, py::arg("guess"));
+  problem.def("page_document", &Problem::PageDocument, py::arg("guess"))
+      .def("experiment", &Problem::Experiment, py::arg("guess"), py::arg("name"), py::arg("data"));
   module->def(
       "render_page",
       [](const std::string& document) { return RenderPage(Json::parse(document)); },

@@ -75,6 +75,7 @@ class System(Closed):
     parameters: list[str]
     draw: Any = None
     _system: Any
+    _ranges: Mapping[str, tuple[float, float]] = {}  # of parameters that have a range by what they are
 
     def _make(self) -> Any:
         """Returns the system of C++."""
@@ -363,6 +364,11 @@ class Cost(Closed):
             return [recorded]
         return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
 
+    def _data(self) -> list[tuple[str, float, float, float, bool]] | None:
+        """What was measured, for each residual of its terms: quantity, time, value, sigma, and whether this is stated; None of
+        a cost that is no data."""
+        return None
+
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         """The same cost with its record in place of its function."""
         record = Record(self._recorded(problem))
@@ -585,6 +591,16 @@ def _spread(name: str, given: ArrayLike, shape: tuple[int, ...], allowed: Mappin
     return np.broadcast_to(array.reshape(shape) if array.size == np.prod(shape) else array, shape)
 
 
+def _deviations(sigma: Any, shape: tuple[int, ...], allowed: Mapping[tuple[int, ...], str]) -> Any:
+    """Standard deviations of data, None if they are not stated. Raises TypeError and ValueError."""
+    if sigma is None:
+        return None
+    deviations = _spread("sigma", sigma, shape, allowed)
+    if not np.all((deviations > 0) & np.isfinite(deviations)):
+        raise ValueError("sigma: expected finite numbers > 0")
+    return deviations
+
+
 def terminal(
     target: Any = None,
     *,
@@ -650,12 +666,18 @@ def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
 class _Measurements(Cost):
     """Values of states at given times. Each time has its own function, without the values that are missing."""
 
-    def __init__(self, times: tuple[float, ...], values: Any, states: Any, sigma: Any):
+    def __init__(self, times: tuple[float, ...], values: Any, states: Any, sigma: Any, quantities: list[str]):
         super().__init__("measurements", states, times, "cost", None, None, False, None)
-        self._values, self._sigma = values, sigma
+        self._values, self._quantities, self._given_sigma = values, quantities, sigma
+        self._sigma = np.ones(values.shape) if sigma is None else sigma
 
     def __reduce__(self) -> Any:
-        return (_Measurements, (self._times, self._values, self.function, self._sigma))
+        return (_Measurements, (self._times, self._values, self.function, self._given_sigma, self._quantities))
+
+    def _data(self) -> list[tuple[str, float, float, float, bool]]:
+        return [(name, time, float(value), float(sigma), self._given_sigma is not None)
+                for time, values, sigmas in zip(self._times, self._values, self._sigma)
+                for name, value, sigma in zip(self._quantities, values, sigmas) if not np.isnan(value)]
 
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         if not callable(self.function):
@@ -696,13 +718,14 @@ class _Measurements(Cost):
 
 
 def measurements(
-    times: ArrayLike, values: ArrayLike, states: Sequence[str] | Callable[..., Any], *, sigma: ArrayLike = 1.0
+    times: ArrayLike, values: ArrayLike, states: Sequence[str] | Callable[..., Any], *, sigma: ArrayLike | None = None
 ) -> Cost:
     """A term that compares a motion with data: the sum of ((state - value) / sigma)^2 over all values.
 
     times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
     values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
-    returns S numbers. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value.
+    returns S numbers. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value;
+    left out, `solve` takes 1, and `identify` estimates it.
     """
     at = _read_times("times", times)
     array = np.array(values, dtype=float)
@@ -721,10 +744,8 @@ def measurements(
         allowed = {(rows,): f"({rows},), one for each value"}
     else:
         allowed = {array.shape: f"({rows}, {columns}), one for each value", (columns,): f"({columns},), one for each state"}
-    deviations = _spread("sigma", sigma, array.shape, allowed)
-    if not np.all((deviations > 0) & np.isfinite(deviations)):
-        raise ValueError("sigma: expected finite numbers > 0")
-    return _Measurements(at, array, states, deviations)
+    names = [f"measurement {i + 1}" for i in range(columns)] if callable(states) else states
+    return _Measurements(at, array, states, _deviations(sigma, array.shape, allowed), names)
 
 
 class _EventTimes(Cost):
@@ -732,17 +753,22 @@ class _EventTimes(Cost):
 
     def __init__(self, guard: str, mode: str | None, times: Any, sigma: Any):
         super().__init__(f"times of '{guard}'", lambda t: t, "event", "cost", mode, guard, False, None)
-        self._data, self._sigma = times, sigma
+        self._seen, self._given_sigma = times, sigma
+        self._sigma = np.ones(times.shape) if sigma is None else sigma
 
     def __reduce__(self) -> Any:
-        return (_EventTimes, (self.guard, self.mode, self._data, self._sigma))
+        return (_EventTimes, (self.guard, self.mode, self._seen, self._given_sigma))
+
+    def _data(self) -> list[tuple[str, float, float, float, bool]]:
+        return [(self.name, float(time), float(time), float(sigma), self._given_sigma is not None)
+                for time, sigma in zip(self._seen, self._sigma) if not np.isnan(time)]
 
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         return self
 
     def _terms(self, problem: HybridProblem) -> list[Any]:
         terms = []
-        for number, (time, sigma) in enumerate(zip(self._data, self._sigma)):
+        for number, (time, sigma) in enumerate(zip(self._seen, self._sigma)):
             if np.isnan(time):
                 continue
             miss = Cost(self.name, lambda t, time=time, sigma=sigma: (t - float(time)) / float(sigma), "event", "cost", self.mode,
@@ -752,12 +778,13 @@ class _EventTimes(Cost):
         return terms
 
 
-def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: str | None = None) -> Cost:
+def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike | None = None, mode: str | None = None) -> Cost:
     """A term that compares the times of events with data: the sum of ((time - value) / sigma)^2.
 
     guard: the name of the events, such as "ground", or "tip hit" of a MechanicalSystem. times: (N,), of the first N such
     events of the motion; NaN is one that was not seen. A motion with fewer events has no loss, and further ones do not count.
-    sigma: the standard deviation of a time: one number, or one for each time. mode: counts events from this mode only.
+    sigma: the standard deviation of a time: one number, or one for each time; left out, `solve` takes 1, and `identify`
+    estimates it. mode: counts events from this mode only.
     """
     expect("text", guard=guard)
     try:
@@ -769,9 +796,7 @@ def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: s
     seen = values[~np.isnan(values)]
     if np.any(np.diff(seen) < 0):
         raise ValueError(f"times: found {seen[1:][np.diff(seen) < 0][0]:g} behind a later one, expected rising times")
-    deviations = _spread("sigma", sigma, values.shape, {values.shape: f"({len(values)},), one for each time"})
-    if not np.all((deviations > 0) & np.isfinite(deviations)):
-        raise ValueError("sigma: expected finite numbers > 0")
+    deviations = _deviations(sigma, values.shape, {values.shape: f"({len(values)},), one for each time"})
     return _EventTimes(guard, mode, values, deviations)
 
 

@@ -132,6 +132,11 @@ class MechanicalSystem(System):
         self.parameters = _names("parameters", parameters)
         given = _named("contacts", contacts or {})
         self.contacts = _names("contacts", given)
+        restitutions = {contact.restitution: (0.0, 1.0) for contact in given.values() if isinstance(contact, Contact)
+                        and isinstance(contact.restitution, str)}
+        frictions = {contact.friction: (0.0, np.inf) for contact in given.values() if isinstance(contact, Contact)
+                     and isinstance(contact.friction, str)}
+        self._ranges = {**frictions, **restitutions}
         n = len(self.coordinates)
         self._record = (
             self._of_positions("mass", mass, (n, n)),

@@ -289,9 +289,18 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
 class Fit(_OfScene):
     """Parameters fitted to recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
     ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
-    and ``events`` if they were fitted, ..."""
+    and ``events`` if they were fitted, ... A fit of hybrid problems has ``sigma`` of each quantity by its name, if it was
+    estimated, and the number of ``events``."""
 
     _kind = "fit"
+    _problems: list[Any] | None = None
+
+    @property
+    def problems(self) -> list[Any]:
+        """Of hybrid problems: copies with the fitted values; what is not determined is as it was."""
+        if self._problems is None:
+            raise AttributeError("this fit has no problems: it is of a scene, or was read from a file or a pickle")
+        return self._problems
 
     @property
     def reason(self) -> str:
@@ -314,7 +323,8 @@ class Fit(_OfScene):
 
     def _rows(self) -> list[tuple[str, str]]:
         reason = self._data.get("reason")
-        rows = [("contact", self._data["contact"]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
+        by = "contact" if "contact" in self._data else "system"
+        rows = [(by, self._data[by]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
         for item in self._parameters:
             if item["standard_error"] is None:
                 with_others = f" with {', '.join(item['with'])}" if "with" in item else ""
@@ -323,7 +333,7 @@ class Fit(_OfScene):
             else:
                 low, high = item["interval"]
                 rows.append((item["name"], f"{item['value']:.7g} +- {item['standard_error']:.3g}, {low:.6g} to {high:.6g}"))
-        keys = ("misfit", "sigma", "samples", "impacts", "seconds")
+        keys = ("misfit", "sigma", "samples", "impacts" if by == "contact" else "events", "seconds")
         rows += [(key, _brief(self._data[key])) for key in keys if key in self._data]
         if self._data.get("outliers"):
             rows.append(("outliers", str(len(self._data["outliers"]))))

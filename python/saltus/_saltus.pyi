@@ -152,6 +152,21 @@ def identify(
     threads: int,
     status: Any,
 ) -> tuple[dict[str, Any], Any, BaseException | None]: ...
+class HybridExperiment:
+    def __init__(self, *arguments: Any) -> None: ...
+
+def identify_hybrid(
+    kind: str,
+    experiments: Sequence[HybridExperiment],
+    unknowns: Sequence[tuple[str, bool, int, int, float, float]],
+    *,
+    loss: str,
+    loss_scale: float,
+    seconds: float,
+    starts: int,
+    threads: int,
+    status: Any,
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
 class HybridSystem:
     def __init__(self, modes: Any, controls: Sequence[str], parameters: Sequence[str], slides: bool) -> None: ...
 
@@ -226,6 +241,7 @@ class HybridProblem:
         with_gradients: bool,
         threads: int,
     ) -> tuple[_Array, _Array, dict[int, str]]: ...
+    def experiment(self, guess: _Guess, name: str, data: Sequence[tuple[str, float, float, float, bool]]) -> HybridExperiment: ...
     def end_state(self, guess: _Guess, cotangent: Any) -> tuple[_Array, ...]: ...
     def page_document(self, guess: _Guess) -> dict[str, Any]: ...
     def planned(self, guess: _Guess) -> PlannedMotion: ...

@@ -30,11 +30,12 @@ struct Segment {
 // Numbers that were measured together; they are outliers together.
 struct FitSample {
   double time = 0;                 // s
-  int quantity = 0;                // what was measured, such as the disc
+  int quantity = 0;                // what was measured, such as the disc; into FitProblem::quantities
   Eigen::VectorXd value;           // measured
   Eigen::VectorXd sigma;           // standard deviations, 0 where none is stated
   Eigen::VectorXd unit;            // of FitProblem::sigma, which takes the place of these
   Eigen::Index num_positions = 1;  // numbers, the first ones, whose range is the extent of the motion
+  int line = 0;                    // of a file, from 1; 0: of none
   Eigen::Index size() const { return value.size(); }
 };
 
@@ -47,10 +48,14 @@ struct FitMotion {
   std::vector<Candidate> events;            // what touches what; of a hybrid system modes and guards
 };
 
+struct FitRequest;
+
 // The motions that a fit compares with samples. Calls for different segments may come from different threads.
 class FitModel {
  public:
   virtual ~FitModel() = default;
+  // Makes the problem of the fit and its segments. Returns the reason if there is none.
+  virtual std::string Prepare(FitRequest* request) = 0;
   // Simulates a segment up to its last sample, with these values of the unknowns.
   virtual FitMotion Move(const std::vector<double>& values, const Segment& segment, bool with_derivatives) const = 0;
   // Returns the number of ways in which initial states are found from samples; starts differ in it.
@@ -79,8 +84,13 @@ struct LearnedStart {
 
 struct FitProblem {
   std::shared_ptr<const FitModel> model;
-  std::vector<std::vector<FitSample>> recordings;  // in the order of time
-  std::vector<FitUnknown> unknowns;                // those that are learned are the last
+  struct Recording {
+    std::string name;
+    std::vector<FitSample> samples;  // in the order of time
+  };
+  std::vector<Recording> recordings;
+  std::vector<std::string> quantities;  // their names
+  std::vector<FitUnknown> unknowns;     // those that are learned are the last
   std::optional<LearnedStart> learned;
   // The numbers of Segment::initial that are unknown, each with the quantity whose samples determine it.
   struct FreeInitial {
@@ -95,7 +105,7 @@ struct FitProblem {
   int num_plain() const { return static_cast<int>(unknowns.size() - (learned ? learned->parameters.size() : 0)); }
   int num_columns() const { return static_cast<int>(unknowns.size() + free_initial.size()); }
   const FitSample& SampleAt(const Segment& segment, int i) const {
-    return recordings[segment.recording][segment.first + i];
+    return recordings[segment.recording].samples[segment.first + i];
   }
   std::vector<double> ValuesAt(const std::vector<double>& coordinates) const;
 };
@@ -132,8 +142,7 @@ struct LossAt {
 };
 LossAt EvaluateLoss(const FitProblem& problem, double scale, double squared);
 
-// A problem whose model, recordings and unknowns are set, and the segments of its recordings with the initial states
-// from which the fits start.
+// A problem without its model, and the segments of its recordings.
 struct FitRequest {
   FitProblem problem;
   std::vector<Segment> segments;
@@ -142,6 +151,6 @@ struct FitRequest {
 std::string WhatIsWrongWith(const IdentifyOptions& options);
 // Fits from several starts, and judges the best fit (identify.h). `length` is the length of the motion in the unit of
 // sigma, from which its estimates start.
-IdentifyReport Identify(FitRequest request, double length);
+IdentifyReport IdentifyBy(const std::shared_ptr<FitModel>& model, double length);
 
 }  // namespace saltus

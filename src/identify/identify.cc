@@ -296,8 +296,8 @@ class Identification {
   // Returns the number of measured numbers less that of unknown ones.
   int NumbersLeft() const {
     Eigen::Index measured = 0;
-    for (const std::vector<FitSample>& samples : problem_.recordings) {
-      for (const FitSample& sample : samples) measured += sample.size();
+    for (const FitProblem::Recording& recording : problem_.recordings) {
+      for (const FitSample& sample : recording.samples) measured += sample.size();
     }
     return static_cast<int>(measured) - problem_.num_plain() -
            static_cast<int>(problem_.free_initial.size() * segments_.size());
@@ -601,11 +601,14 @@ class Identification {
   }
 
   void ReportResiduals(const FitResult& fit) {
+    report_.quantities = problem_.quantities;
+    for (const FitProblem::Recording& recording : problem_.recordings) report_.recordings.push_back(recording.name);
     // The fit's own segments: those of a search that was interrupted have fewer samples.
     ForEachSample(problem_, fit, [&](int s, int i, const FitSample& sample, const Eigen::VectorXd& residual) {
       const Segment& segment = fit.point.segments[s];
       const Eigen::VectorXd predicted = sample.value + fit.motion[s].miss[i];
-      SampleResidual at{segment.recording, segment.first + i};
+      SampleResidual at{segment.recording, segment.first + i, sample.quantity, sample.line, sample.time};
+      at.measured.assign(sample.value.begin(), sample.value.begin() + sample.num_positions);
       at.predicted.assign(predicted.begin(), predicted.begin() + sample.num_positions);
       at.standardised.assign(residual.begin(), residual.begin() + sample.num_positions);
       at.outlier = residual.norm() > problem_.options.outlier;
@@ -631,7 +634,15 @@ std::string WhatIsWrongWith(const IdentifyOptions& options) {
   return "found an option out of range, expected loss_scale > 0, segment >= 0, starts >= 1";
 }
 
-IdentifyReport Identify(FitRequest request, double length) { return Identification(std::move(request), length).Run(); }
+IdentifyReport IdentifyBy(const std::shared_ptr<FitModel>& model, double length) {
+  IdentifyReport report;
+  FitRequest request;
+  report.reason = model->Prepare(&request);
+  report.verdict = FitVerdict::kNotApplicable;
+  if (!report.reason.empty()) return report;
+  request.problem.model = model;
+  return Identification(std::move(request), length).Run();
+}
 
 const char* DeterminationToString(Determination determination) {
   constexpr const char* kNames[] = {"determined", "only in combination", "not determined", "at its bound"};

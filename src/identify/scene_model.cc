@@ -248,8 +248,7 @@ class SceneModel final : public FitModel {
     scene_.free.clear();
   }
 
-  // Makes the problem of the fit. Returns the reason if there is none.
-  std::string Prepare(FitRequest* request) {
+  std::string Prepare(FitRequest* request) override {
     if (std::string why = WhyNot(); !why.empty()) return why;
     for (const Unknown& unknown : unknowns_) {
       FitUnknown fit = UnknownOf(unknown, scene_);
@@ -266,9 +265,11 @@ class SceneModel final : public FitModel {
       request->problem.unknowns.emplace_back();
     }
     for (const Recording& recording : recordings_) {
-      std::vector<FitSample>& samples = request->problem.recordings.emplace_back();
+      auto& [name, samples] = request->problem.recordings.emplace_back();
+      name = recording.name;
       for (const Sample& sample : recording.samples) samples.push_back(FitSampleOf(sample));
     }
+    for (const Body& body : scene_.bodies) request->problem.quantities.push_back(body.name);
     for (const int body : free_bodies_) {
       for (int i = 0; i < 4; ++i) request->problem.free_initial.push_back({4 * body + i, body});
     }
@@ -400,7 +401,7 @@ class SceneModel final : public FitModel {
   // A velocity counts as a position over the time that the scene needs for its length.
   FitSample FitSampleOf(const Sample& sample) const {
     const Eigen::VectorXd value = Measured(sample), one = Eigen::VectorXd::Ones(value.size());
-    FitSample fit{sample.time, sample.body, value, sample.sigma * one, one, 2};
+    FitSample fit{sample.time, sample.body, value, sample.sigma * one, one, 2, sample.line};
     if (sample.velocity) {
       fit.sigma.tail(2).setConstant(sample.sigma_velocity);
       fit.unit.tail(2).setConstant(1 / NaturalUnits(scene_).time);
@@ -499,16 +500,8 @@ class SceneModel final : public FitModel {
 
 IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
                         const std::vector<Unknown>& unknowns, const IdentifyOptions& options) {
-  const auto model = std::make_shared<SceneModel>(contact, scene, recordings, unknowns, options);
-  IdentifyReport report;
-  FitRequest request;
-  request.problem.model = model;
-  report.reason = model->Prepare(&request);
-  if (!report.reason.empty()) {
-    report.verdict = FitVerdict::kNotApplicable;
-    return report;
-  }
-  report = Identify(std::move(request), NaturalUnits(scene).length);
+  IdentifyReport report = IdentifyBy(std::make_shared<SceneModel>(contact, scene, recordings, unknowns, options),
+                                     NaturalUnits(scene).length);
   for (std::size_t u = 0; u < report.estimates.size(); ++u) report.estimates[u].unknown = unknowns[u];
   return report;
 }
