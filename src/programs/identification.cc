@@ -19,6 +19,9 @@ namespace {
 
 constexpr const char* kExact = "event";  // beside which the others stand
 
+// Whether fits are of a scene under contact models, or of a hybrid system.
+bool IsOfScene(const Json& document) { return document["fits"].empty() || document["fits"][0].contains("contact"); }
+
 bool HasMinimum(const IdentifyReport& report) { return !report.residuals.empty(); }
 
 bool IsDetermined(const Estimate& estimate) { return estimate.determination == Determination::kDetermined; }
@@ -245,12 +248,13 @@ Table EstimateTable(const Identified& identified) {
   return table;
 }
 
-Table FitTable(const Json& document, const std::string& by) {
+Table FitTable(const Json& document) {
   return TableOf(
       document["fits"],
       "",
-      by + "; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts; events; starts; sequences; iterations; "
-           "seconds:3; remark=reason");
+      std::string(IsOfScene(document) ? "contact; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts"
+                                      : "system; verdict; samples; outliers; misfit:4; cost:6; events") +
+          "; starts; sequences; iterations; seconds:3; remark=reason");
 }
 
 std::vector<std::string> FitRemarks(const Identified& identified) {
@@ -295,12 +299,11 @@ Table ComparisonTable(const Identified& identified) {
 }
 
 Table OutlierTable(const Json& document) {
-  return TableOf(document["fits"],
-                 "/outliers",
-                 "contact=^contact; recording; experiment; line; time:6; body; quantity; residual x=residual/0:3; "
-                 "residual y=residual/1:3",
-                 3,
-                 kMostOutliersNamed);
+  const char* columns =
+      IsOfScene(document)
+          ? "contact=^contact; recording; line; time:6; body; residual x=residual/0:3; residual y=residual/1:3"
+          : "system=^system; experiment; quantity; time:6; residual=residual/0:3";
+  return TableOf(document["fits"], "/outliers", columns, 3, kMostOutliersNamed);
 }
 
 Table ResidualTable(const Identified& identified) {
@@ -369,7 +372,7 @@ std::vector<std::size_t> ShownFits(const Identified& identified) {
 
 void AddFits(const Identified& identified, const Json& document, Page* page) {
   page->AddHeading("Fits");
-  page->AddTableIfAny(FitTable(document, identified.by), "The fit of each " + identified.by + ".");
+  page->AddTableIfAny(FitTable(document), "The fit of each " + identified.by + ".");
   if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
   page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
   page->AddTableIfAny(

@@ -62,7 +62,7 @@ inline constexpr std::size_t kMostOutliersNamed = 20;
 
 // Returns the parameters by contact model, and the result of each fit.
 Table EstimateTable(const Identified& identified);
-Table FitTable(const Json& document, const std::string& by = "contact");
+Table FitTable(const Json& document);
 // Returns the remarks on fits, each behind its contact model.
 std::vector<std::string> FitRemarks(const Identified& identified);
 // Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
