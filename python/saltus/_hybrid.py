@@ -88,6 +88,18 @@ class System(Closed):
     def _states_of(self, mode: str | None) -> list[str]:
         raise NotImplementedError
 
+    def _all_modes(self) -> list[str]:
+        """Returns the names of the modes that a motion may have. Raises ValueError if there are too many."""
+        raise NotImplementedError
+
+    def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
+        """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
+        tape, n, parameters = Tape(), len(self._states_of(mode)), len(self.parameters)
+        symbols = {"x": tape.inputs(0, n), "t": tape.inputs(n, 1)[0], "p": tape.inputs(n + 1, parameters)}
+        if control:
+            symbols["u"] = tape.inputs(n + 1 + parameters, len(self.controls))
+        return tape, symbols
+
     def _guards_of(self, mode: str) -> list[str]:
         raise NotImplementedError
 
@@ -256,6 +268,9 @@ class HybridSystem(System):
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states[str(mode)]
 
+    def _all_modes(self) -> list[str]:
+        return self.modes
+
     def _guards_of(self, mode: str) -> list[str]:
         return self.guards[mode]
 
@@ -279,14 +294,6 @@ class HybridSystem(System):
             if after not in self.states or len(self.states[after]) != len(self.states[mode]):
                 raise ValueError(f"{what}: found mode {after!r}, expected one with {len(self.states[mode])} states")
         return {guard: self.modes.index(after) for guard, after in named.items()}
-
-    def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
-        """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
-        tape, n, parameters = Tape(), len(self.states[mode]), len(self.parameters)
-        symbols = {"x": tape.inputs(0, n), "t": tape.inputs(n, 1)[0], "p": tape.inputs(n + 1, parameters)}
-        if control:
-            symbols["u"] = tape.inputs(n + 1 + parameters, len(self.controls))
-        return tape, symbols
 
     def _record_flow(self, mode: str, function: Any) -> Any:
         tape, symbols = self._symbols(mode, control=True)
@@ -378,11 +385,11 @@ class Cost(Closed):
         system = problem.system
         if isinstance(self.function, Record):
             if self.at == "always":
-                return self.function.of_cost
+                return [_in_mode(term, system._mode_number(mode)) for term, mode in zip(self.function.of_cost, self._modes(system))]
             reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
-            return self.function.of_cost
+            return _in_mode(self.function.of_cost, self._mode_in(system))
         parameters = parameters_of(self.function)
         if parameters is None:
             raise ValueError(f"{self.name}: found a function without a signature, expected a def or a lambda")
@@ -416,18 +423,22 @@ class Cost(Closed):
 
     def _recorded_always(self, system: System, names: list[str]) -> list[Any]:
         """Records the function for its mode, or for each mode, with the inputs of a flow."""
-        if not isinstance(system, HybridSystem):
-            raise ValueError(f"{self.name}: found at='always' with a MechanicalSystem, expected a HybridSystem; "
-                             "at='steps' holds at the beginnings of control intervals, which may be short")
         self._mode_in(system)
         if self.mode is None and "x" in names:
             self._state_size(system)
         terms = []
-        for mode in system.modes if self.mode is None else [self.mode]:
+        for mode in self._modes(system):
             tape, symbols = system._symbols(mode, control=True)
             found = _outputs(self.name, tape, _call(self.name, self.function, {name: symbols[name] for name in names}, ""))
             terms.append((self.name, "always", self.role, system._mode_number(mode), "", False, -1, "", [], found))
         return terms
+
+    def _modes(self, system: System) -> list[str]:
+        """Returns the modes in which a term that holds always counts."""
+        try:
+            return system._all_modes() if self.mode is None else [self.mode]
+        except ValueError as error:
+            raise _at(self.name, error) from error
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
@@ -457,6 +468,11 @@ class Cost(Closed):
         if len(sizes) > 1:
             raise ValueError(f"{self.name}: found no mode, expected one, as modes have states of different sizes")
         return sizes.pop()
+
+
+def _in_mode(recorded: Any, mode: int) -> Any:
+    """A term of C++ with its mode in the system at hand: a mechanical system numbers its modes as it meets them."""
+    return (*recorded[:3], mode, *recorded[4:])
 
 
 def _at_node(recorded: Any, node: int, intervals: int) -> Any:
