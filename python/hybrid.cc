@@ -487,7 +487,7 @@ class Problem {
   // the first time. NaN where there is none, and the reasons by the numbers of the points.
   py::tuple Losses(const Guess& guess, bool control, const std::vector<int>& initial,
                    const std::vector<int>& parameters, bool duration, const py::object& points, bool with_gradients,
-                   int threads) const {
+                   int threads, const py::object& counter) const {
     Computation computation;
     HybridProblem problem = At(guess, computation.stop());
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
@@ -505,8 +505,10 @@ class Problem {
     std::vector<std::map<int, HybridShooting>> shootings(ReadThreads(threads));  // of each thread, by the first mode
     const double* from = read.data();
     double *loss = losses.mutable_data(), *gradient = with_gradients ? gradients.mutable_data() : nullptr;
+    WorkCount work(&computation, counter, count);
     computation.RunOrThrow([&] {
       ParallelFor(static_cast<int>(shootings.size()), static_cast<int>(count), [&](int thread, int i) {
+        if (work.shows()) work.Add(1);
         const std::span<const double> point(from + i * size, static_cast<std::size_t>(size));
         double* const row = gradient == nullptr ? nullptr : gradient + i * size;
         HybridInput input = first.InputAt(point);
@@ -698,12 +700,13 @@ class Problem {
 
   // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
-                 const std::string& command, int steps, bool width_sweep, double budget, double seconds) const {
+                 const std::string& command, int steps, bool width_sweep, double budget, double audit_seconds,
+                 double seconds) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
-    Computation computation;
+    Computation computation(seconds);
     const HybridProblem problem = At(guess, StopAfterGrace(&computation));
     HybridAuditOptions options{
-        .steps = steps, .seconds = seconds, .width_sweep = width_sweep, .stop = computation.stop()};
+        .steps = steps, .seconds = audit_seconds, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
@@ -713,7 +716,9 @@ class Problem {
         scheme = std::make_shared<CommandScheme>(problem.system, CommandOptions{.name = name, .command = command});
       audit = AuditScheme(problem, scheme.get(), options);
     });
-    return ToPython(HybridAuditToJson(problem, audit));
+    Json document = HybridAuditToJson(problem, audit);
+    if (audit.interrupted) document["reason"] = computation.WhyTimedOut();
+    return ToPython(document);
   }
 
  private:
@@ -795,7 +800,8 @@ void BindHybrid(py::module_* module) {
            py::arg("duration"),
            py::arg("points"),
            py::arg("with_gradients"),
-           py::arg("threads"))
+           py::arg("threads"),
+           py::arg("counter"))
       .def("end_state", &Problem::EndState, py::arg("guess"), py::arg("cotangent"));
   problem.def("page_document", &Problem::PageDocument, py::arg("guess"))
       .def("experiment", &Problem::Experiment, py::arg("guess"), py::arg("name"), py::arg("data"));
@@ -820,6 +826,7 @@ void BindHybrid(py::module_* module) {
               py::arg("steps"),
               py::arg("width_sweep"),
               py::arg("budget"),
+              py::arg("audit_seconds"),
               py::arg("seconds"));
   module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }

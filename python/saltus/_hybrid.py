@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import _saltus
 from ._expression import Condition, Tape, _as_array, call, outputs
+from ._progress import CountedProgress
 from ._results import KINDS, Result, WrongGradient, on_intervals
 from ._types import Closed, _is_number, asked_for, expect, expect_int, parameters_of
 
@@ -1296,6 +1297,7 @@ class HybridBatch(Closed):
         optimize: what a point consists of, as in ``solve``: some of "control", "initial", "parameters", "duration" and the
             names of initial states and parameters; default: that of the problem.
         threads: number of threads; 0 is one per core.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Attributes:
         variables: the names of the n numbers of a point, in order: the control interval by interval, as "u[3]" of the
@@ -1304,15 +1306,17 @@ class HybridBatch(Closed):
         failures: the reasons why points of the last call have no loss or gradient, by their numbers.
     """
 
-    _attributes = ("problem", "optimize", "threads", "variables", "num_variables", "failures")
+    _attributes = ("problem", "optimize", "threads", "progress", "variables", "num_variables", "failures")
 
-    def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0):
+    def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0,
+                 progress: bool | None = None):
         if not isinstance(problem, HybridProblem):
             raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
         expect_int(threads=threads)
         if threads < 0:
             raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
-        self.problem, self.threads = copy.copy(problem), threads
+        CountedProgress("batch", progress)
+        self.problem, self.threads, self.progress = copy.copy(problem), threads, progress
         self.optimize = problem.optimize if optimize is None else optimize
         control, initial, parameters, duration = problem._free(self.optimize)
         system, states = problem.system, problem.system._states_of(problem.mode)
@@ -1324,7 +1328,8 @@ class HybridBatch(Closed):
 
     def _losses(self, points: ArrayLike, with_gradients: bool) -> tuple[Any, Any]:
         free = self.problem._free(self.optimize)
-        losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads)
+        with CountedProgress("batch", self.progress) as shown:
+            losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads, shown.counter)
         return losses, gradients
 
     def loss(self, points: ArrayLike) -> Any:
@@ -1488,10 +1493,10 @@ _BUDGET = 2e4
 
 def audit(
     problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str,
-    seconds: float
+    audit_seconds: float, seconds: float
 ) -> HybridAudit:
     expect_int(steps=steps)
-    if not 0 <= seconds < np.inf:
+    if not 0 <= audit_seconds < np.inf:
         raise ValueError("audit_seconds: expected seconds, or 0 for no limit")
     if simulate is not None and (step is not None or not isinstance(simulate, str)):
         raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
@@ -1524,6 +1529,6 @@ def audit(
 
     found = problem._call(
         "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET,
-        float(seconds)
+        float(audit_seconds), float(seconds)
     )
     return HybridAudit(found)

@@ -258,6 +258,8 @@ class Audit(Result):
     def raise_if_wrong(self, accept: tuple[str, ...] = ("right", "consistent")) -> None:
         """Raises WrongGradient unless every verdict is one of `accept`: for test suites."""
         wrong = [item for item in self._data["audits"] if item.get("verdict") not in accept]
+        if not wrong and "interrupted" in self._data:
+            raise WrongGradient(f"the audit was interrupted before all were judged: {self._data.get('reason', '')}")
         if wrong:
             raise WrongGradient("; ".join(_why_wrong(item) for item in wrong))
 
@@ -267,7 +269,7 @@ class Audit(Result):
             error = f", relative error {item['relative_error']:.3g}" if item.get("relative_error") is not None else ""
             rows.append((item["contact"], f"{item.get('verdict', item.get('termination', ''))}{error}{_why(item)}"))
             rows += [("remark", finding) for finding in item.get("findings", [])]
-        return rows
+        return rows + [("interrupted", self._data.get("reason", ""))] if "interrupted" in self._data else rows
 
 
 def _why(item: Mapping[str, Any]) -> str:
