@@ -241,6 +241,8 @@ class SaltedKalmanFilter(Remade):
             number = system._mode_number(first)
             self._filter = _saltus.SaltedKalmanFilter(system._system, parameters, time, number, *estimate)
         else:
+            if mode is not None or len(self._parameters) > 0:
+                raise ValueError("mode and parameters: found some with a scene, which has its own; leave them out")
             self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
 
     @property

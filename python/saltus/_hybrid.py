@@ -1381,7 +1381,11 @@ class HybridEndState(Closed):
     def _at(self, initial: Any, control: Any, parameters: Any, cotangent: Any) -> Any:
         problem = copy.copy(self.problem)
         problem.initial, problem.parameters = initial, parameters
-        problem.control = np.reshape(control, self.control.shape)
+        shape = self.control.shape
+        if np.size(control) != np.prod(shape):
+            raise ValueError(f"control: found shape {np.shape(control)}, expected {shape}, as the problem of this HybridEndState has; make "
+                             "another one for other intervals")
+        problem.control = np.reshape(control, shape)
         return problem._call("end_state", cotangent)
 
     def __call__(self, initial: ArrayLike, control: ArrayLike, parameters: ArrayLike) -> Any:

@@ -196,7 +196,7 @@ def identify(
         raise TypeError("recordings: found none, expected the path of a CSV or NPZ file, or a dict of arrays")
     is_list = isinstance(recordings, Iterable) and not isinstance(recordings, (str, os.PathLike, Mapping))
     given = list(recordings) if is_list else [recordings]
-    names = unknown if isinstance(unknown, str) else ",".join(unknown)
+    names = ",".join(expect_names(unknown=unknown))
     with Progress("identify", progress) as shown:
         found, page, stopped_by = _saltus.identify(
             as_scene(scene),

@@ -14,7 +14,7 @@ from . import _saltus
 from ._expression import Tape, _as_array
 from ._hybrid import Cost, HybridProblem, System, _call, _named, _names, _outputs
 from ._scene import _plain
-from ._types import Closed, expect
+from ._types import Closed, expect, expect_path
 
 _LAWS = ("newton", "poisson")
 _EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, behind the name of a contact
@@ -208,7 +208,12 @@ class MechanicalSystem(System):
         return {"mode": mode, "t": t, "x": x, "q": x[:n], "v": x[n:]}
 
     def _mode_number(self, mode: str | None) -> int:
-        return -1 if mode is None else self._system.mode(mode)
+        if mode is None:
+            return -1
+        if not isinstance(mode, str):
+            raise ValueError(f"mode: found {mode!r}, expected a letter for each of {len(self.contacts)} contacts, such as "
+                             f"{'o' * len(self.contacts)!r}; leave it out to have it found")
+        return self._system.mode(mode)
 
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states
@@ -309,8 +314,9 @@ def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridPro
     if isinstance(source, Mapping):
         bodies = _Bodies(json.dumps(dict(source), default=_plain, ensure_ascii=False), "scene")
     else:
-        with open(os.fspath(source), "rb") as file:
-            bodies = _Bodies(file.read(), os.fspath(source))
+        path = expect_path("load_bodies", source, ", or a dict with the keys of one")
+        with open(path, "rb") as file:
+            bodies = _Bodies(file.read(), path)
     read = bodies._read
     control, initial, parameters, duration = read["free"]
     optimize = [*(["control"] if control else []), *(bodies.states[i] for i in initial),

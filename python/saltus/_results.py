@@ -9,7 +9,7 @@ from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 
-from ._types import Floats
+from ._types import Floats, expect_path
 
 
 def _plain(value: Any) -> Any:
@@ -353,7 +353,7 @@ KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradien
 
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
-    with open(os.fspath(path), "rb") as file:
+    with open(expect_path("load_result", path), "rb") as file:
         content = file.read()
     if content.startswith(b"PK"):
         raise ValueError(f"{os.fspath(path)}: found an NPZ archive, such as programs write; read it with numpy.load")

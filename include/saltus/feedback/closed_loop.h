@@ -140,7 +140,7 @@ struct MonteCarlo {
   int failed = 0;     // runs without a motion, which do not count below
   int otherwise = 0;  // runs whose events are not those of the plan
   int counted = 0;    // runs whose final state has the planned size, which mean and covariance are of
-  // Of the final state, and of it about its mean; NaN where no run counts, or fewer than two.
+  // The mean of the final state and its covariance; NaN where no run counts, or fewer than two.
   Eigen::VectorXd mean = {};
   Eigen::MatrixXd covariance = {};
   double loss = 0, loss_error = 0;  // mean over the runs with a motion, and its standard error
