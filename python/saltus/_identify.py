@@ -103,7 +103,7 @@ def _identify_hybrid(problems: list[Any], parameters: Any, own: Any, bounds: Any
     fit = Fit(found)
     fit._page, fit._problems = page, _fitted(problems, unknowns, fit.estimates)
     if stopped_by is not None:
-        stopped_by.fit = fit
+        stopped_by.fit = fit  # type: ignore[attr-defined]
         raise stopped_by
     return fit
 
@@ -183,7 +183,8 @@ def identify(
     expect("a number", loss_scale=loss_scale, segment=segment, seconds=seconds)
     expect("True or False", known_start=known_start)
     expect("a callable", status=status)
-    problems = list(scene) if isinstance(scene, (list, tuple)) else [scene]
+    given_scene: Any = scene
+    problems = list(given_scene) if isinstance(given_scene, (list, tuple)) else [given_scene]
     if any(isinstance(problem, HybridProblem) for problem in problems):
         expect_none_of(identify, recordings=recordings, unknown=unknown, contact=contact, law=law, events=events, segment=segment,
                        known_start=known_start)
@@ -199,7 +200,7 @@ def identify(
     names = ",".join(expect_names(unknown=unknown))
     with Progress("identify", progress) as shown:
         found, page, stopped_by = _saltus.identify(
-            as_scene(scene),
+            as_scene(given_scene),
             [_plain(recording, index) for index, recording in enumerate(given)],
             names or ("" if law or events else "restitution"),
             contact,

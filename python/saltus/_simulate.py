@@ -105,12 +105,12 @@ class Batch(Closed, Remade, _saltus.Batch):
             threads=1 if is_own(contact) else threads,
         )
 
-    def loss(self, points: ArrayLike, losses: Floats | None = None) -> Floats:
+    def loss(self, points: ArrayLike, losses: Floats | None = None) -> Floats:  # type: ignore[override]
         """Returns the losses (P,) at points (P, num_variables), or (P, ...) in the shape of z."""
         with CountedProgress("batch", self._arguments["progress"]) as shown:
             return super().loss(points, losses, shown.counter)
 
-    def loss_and_gradient(
+    def loss_and_gradient(  # type: ignore[override]
         self, points: ArrayLike, losses: Floats | None = None, gradients: Floats | None = None
     ) -> tuple[Floats, Floats]:
         """Returns the losses (P,), and the gradients (P, num_variables)."""

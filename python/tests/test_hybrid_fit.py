@@ -113,6 +113,32 @@ def test_event_times_alone_and_values_that_are_missing():
         assert abs(of(fit, name)["value"] - truth) < 4 * of(fit, name)["standard_error"] < 0.01
 
 
+def test_heights_and_event_times_together():
+    """Fits begin with the first part of all data, in the order of time: of the event times that stand behind the heights, too."""
+    seen = np.array(bounces(3)) + 1e-3 * np.array([0.5, -1, 1])
+    problem = experiment(TIMES, noisy(TIMES, 16))
+    problem.costs = [*problem.costs, saltus.event_times("ground", seen[:2], sigma=1e-3)]
+    fit = saltus.identify(problem, parameters=["e", "g"], bounds={"e": (0, 1)})
+    assert fit.verdict == "fits" and fit.samples == 26 and not fit.outliers, fit.reason
+    for name, truth in (("g", G), ("e", E)):
+        assert abs(of(fit, name)["value"] - truth) < 4 * of(fit, name)["standard_error"]
+    seen[1] += 0.05
+    problem.costs = [problem.costs[0], saltus.event_times("ground", seen[:2], sigma=1e-3)]
+    fit = saltus.identify(problem, parameters=["e", "g"], bounds={"e": (0, 1)})
+    assert [(one["quantity"], one["time"]) for one in fit.outliers] == [("times of 'ground'", seen[1])]
+
+
+def test_a_guess_whose_motion_has_fewer_events_than_the_data():
+    """It bounces twice in the time of six bounces; the first part of the data, in the order of time, leads on."""
+    problem = experiment(TIMES, noisy(TIMES, 17), parameters=[4.0, E])
+    problem.durations, problem.duration = np.append(np.diff([0, *TIMES]), 2.35 - TIMES[-1]), 2.35
+    problem.costs = [saltus.event_times("ground", bounces(6), sigma=1e-3), *problem.costs]
+    fit = saltus.identify(problem, parameters=["g", "e"], bounds={"e": (0, 1)}, starts=1)
+    assert fit.verdict == "fits" and fit.events == 6 and fit.samples == 30, fit.reason
+    for name, truth in (("g", G), ("e", E)):
+        assert abs(of(fit, name)["value"] - truth) < 4 * of(fit, name)["standard_error"]
+
+
 def test_what_data_leave_open():
     times = np.linspace(0.02, 0.4, 16)  # before the first bounce
     fit = saltus.identify(experiment(times, noisy(times, 6)), parameters=["e", "g"], bounds={"e": (0, 1)})

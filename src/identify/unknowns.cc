@@ -37,9 +37,9 @@ double FitUnknown::ScaleAt(double value) const {
 double FitUnknown::BoundNear(double value) const { return high - value < value - low ? high : low; }
 
 double FitUnknown::CoordinateAtBoundNear(double coordinate) const {
-  constexpr double kFar = 23;  // where the value is 1e-10 from its bound
+  constexpr double kFar = 23;  // where the value is 1e-10 changes that matter from its bound
   if (!reaches_bounds || !HasBounds()) return coordinate;
-  return IsBoundedBelow() && IsBoundedAbove() ? std::copysign(kFar, coordinate) : -kFar;
+  return IsBoundedBelow() && IsBoundedAbove() ? std::copysign(kFar, coordinate) : std::log(scale) - kFar;
 }
 
 double FitUnknown::Spread(double share) const {

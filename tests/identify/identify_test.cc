@@ -647,6 +647,10 @@ TEST(Unknowns, KeepTheirBounds) {
       EXPECT_GE(unknown.FromCoordinate(far), low);
       EXPECT_LE(unknown.FromCoordinate(far), high);
     }
+    if (!unknown.HasBounds()) continue;
+    unknown.scale = high - low < 10 ? high - low : 1e-6;  // of a small number
+    const double at_bound = unknown.FromCoordinate(unknown.CoordinateAtBoundNear(unknown.ToCoordinate(0.2)));
+    EXPECT_NEAR(at_bound, unknown.BoundNear(at_bound), 2e-10 * unknown.scale);
   }
 }
 
