@@ -179,6 +179,12 @@ class HybridModel final : public FitModel {
       if (!term.IsCost() || !at_one_place) {
         return term.name + ": found a term that is a constraint or counts at several places, expected measured numbers";
       }
+      const bool in_interval = term.at == HybridTerm::At::kEachInterval;
+      bool in_all_modes = !in_interval || term.mode < 0;
+      for (int mode = 0; in_interval && term.with_state && mode < given.problem.system.num_modes(); ++mode) {
+        in_all_modes &= given.problem.system.state_size(mode) == term.function->parameter_block_sizes()[0];
+      }
+      if (!in_all_modes) return term.name + ": found a term that counts in some modes only, expected one for all modes";
       rows += term.function->num_residuals();
     }
     if (rows != std::ssize(given.data)) {

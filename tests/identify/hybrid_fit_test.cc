@@ -180,6 +180,8 @@ TEST(HybridFit, WhatMakesNoSenseIsRefused) {
               HasSubstr("y: found a number that is not finite or a sigma that is not positive"));
   EXPECT_THAT(reason(changed([](HybridExperiment* bad) { bad->problem.terms[0].interval = -1; }), {kE}),
               HasSubstr("height: found a term that is a constraint or counts at several places"));
+  EXPECT_THAT(reason(changed([](HybridExperiment* bad) { bad->problem.terms[0].mode = 0; }), {kE}),
+              HasSubstr("height: found a term that counts in some modes only"));
 }
 
 }  // namespace
