@@ -741,7 +741,7 @@ def measurements(
 
     times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
     values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
-    returns S numbers. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value;
+    returns S numbers, which `identify` calls by its name and their place. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value;
     left out, `solve` takes 1, and `identify` estimates it.
     """
     at = _read_times("times", times)
@@ -761,7 +761,8 @@ def measurements(
         allowed = {(rows,): f"({rows},), one for each value"}
     else:
         allowed = {array.shape: f"({rows}, {columns}), one for each value", (columns,): f"({columns},), one for each state"}
-    names = [f"measurement {i + 1}" for i in range(columns)] if callable(states) else states
+    label = getattr(states, "__name__", "measurement").replace("<lambda>", "measurement")
+    names = [f"{label} {i + 1}" for i in range(columns)] if callable(states) else states
     return _Measurements(at, array, states, _deviations(sigma, array.shape, allowed), names)
 
 

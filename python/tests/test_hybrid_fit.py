@@ -98,6 +98,17 @@ def test_without_sigma_the_scatter_is_estimated():
     assert "sigma" not in stated and abs(stated.estimates["g"] - fit.estimates["g"]) < of(fit, "g")["standard_error"]
 
 
+def test_measured_functions_are_named():
+    def seen(x):
+        return [2 * x[0], x[0] ** 2]
+
+    heights = noisy(TIMES, 18)
+    values = np.column_stack([2 * heights, heights**2 + 1e-3 * np.cos(70 * TIMES)])
+    fit = saltus.identify(experiment(TIMES, values, sigma=None, states=seen), parameters=["e", "g"])
+    assert list(fit.sigma) == ["seen 1", "seen 2"] and fit.samples == 48
+    assert abs(of(fit, "g")["value"] - G) < 4 * of(fit, "g")["standard_error"]
+
+
 def test_event_times_alone_and_values_that_are_missing():
     seen = np.array(bounces(5)) + 1e-4 * np.array([1, -1, 1, -1, 1])
     seen[2] = np.nan
