@@ -63,12 +63,12 @@ using OwnSimulator = std::tuple<std::string, py::object, std::string, bool>;
 // An audit, and what has stopped it: an exception or None. One that was stopped has the models that were begun.
 py::tuple AuditScene(const Scene& scene, const std::vector<std::string>& contacts, const std::vector<OwnSimulator>& own,
                      const std::string& precision, bool width_sweep, const py::object& surrogate, int threads,
-                     double audit_seconds) {
+                     double audit_seconds, double seconds) {
   Request request;
   request.scene = scene;
   request.precision = ReadPrecision(precision);
   for (const std::string& name : contacts) request.contacts.push_back(ReadContact(py::str(name)).name());
-  Computation computation;
+  Computation computation(seconds);
   AuditOptions options;
   options.width_sweep = width_sweep;
   options.surrogate = ReadSurrogate(surrogate);
@@ -103,11 +103,16 @@ py::tuple AuditScene(const Scene& scene, const std::vector<std::string>& contact
     std::erase_if(report.models, [](const ModelAudit& model) { return model.gradient.contact.empty(); });
     return py::make_tuple(ToPython(AuditToJson(request, report)), error.value());
   }
+  Json document = AuditToJson(request, report);
+  if (document.contains("interrupted")) {
+    document["reason"] = computation.WhyTimedOut();
+    return py::make_tuple(ToPython(document), py::none());
+  }
   const ModelGradient& first = report.models[0].gradient;
   if (contacts.size() + own.size() == 1 && !first.ok() && IsNotApplicable(first, scene)) {
     throw py::value_error("contact " + first.contact + ": " + first.reason);
   }
-  return py::make_tuple(ToPython(AuditToJson(request, report)), py::none());
+  return py::make_tuple(ToPython(document), py::none());
 }
 
 // Colour, line and marker of a contact model in every figure, in matplotlib's names.
@@ -136,7 +141,8 @@ void BindAudit(py::module_* module) {
               py::arg("width_sweep"),
               py::arg("surrogate"),
               py::arg("threads"),
-              py::arg("audit_seconds"));
+              py::arg("audit_seconds"),
+              py::arg("seconds"));
   module->def("contact_models", [] { return SummariesOf(AllContactModels()); });
   module->def("style", &StyleOfModel, py::arg("contact"));
 }

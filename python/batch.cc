@@ -31,19 +31,21 @@ class PointsOfScene {
   int num_threads() const { return batch_->num_threads(); }
   int num_variables() const { return num_variables_; }
 
-  py::tuple LossAndGradient(const py::object& points, const py::object& losses_out, const py::object& gradients_out) {
+  // Loss() and LossAndGradient() show what is done by `counter` (WorkCount).
+  py::tuple LossAndGradient(const py::object& points, const py::object& losses_out, const py::object& gradients_out,
+                            const py::object& counter) {
     const Array read = ReadPoints(points);
     const py::ssize_t count = read.shape(0);
     Array losses = WritableArray(losses_out, "losses", {count}, &read);
     Array gradients = WritableArray(gradients_out, "gradients", {count, num_variables()}, &read);
-    Evaluate(read, MutableView(losses), MutableView(gradients));
+    Evaluate(read, MutableView(losses), MutableView(gradients), counter);
     return py::make_tuple(losses, gradients);
   }
 
-  Array Loss(const py::object& points, const py::object& losses_out) {
+  Array Loss(const py::object& points, const py::object& losses_out, const py::object& counter) {
     const Array read = ReadPoints(points);
     Array losses = WritableArray(losses_out, "losses", {read.shape(0)}, &read);
-    Evaluate(read, MutableView(losses), {});
+    Evaluate(read, MutableView(losses), {}, counter);
     return losses;
   }
 
@@ -81,11 +83,12 @@ class PointsOfScene {
     return ReadNumbers(any.attr("reshape")(count, num_variables()), "points", {count, num_variables()});
   }
 
-  void Evaluate(const Array& points, std::span<double> losses, std::span<double> gradients) {
+  void Evaluate(const Array& points, std::span<double> losses, std::span<double> gradients, const py::object& counter) {
     Computation computation;
+    WorkCount count(&computation, counter, std::ssize(losses));
     computation.RunOrThrow([&] {
       const OneUser::Use use(&user_, &computation);
-      EvaluateFinite(NearVariables(scene_, near_, View(points), &moved_, losses.size()), losses, gradients);
+      EvaluateFinite(NearVariables(scene_, near_, View(points), &moved_, losses.size()), losses, gradients, &count);
     });
     const bool all = std::none_of(losses.begin(), losses.end(), [](double loss) { return std::isnan(loss); });
     if (!all) CheckFinite(points, "points");
@@ -94,11 +97,24 @@ class PointsOfScene {
 
   // Evaluates as Batch::Evaluate(), with NaN for points that are not finite. Each point is checked just before its use,
   // as a pass over all points would cost a tenth of the gradients. In lanes their motions are not finite either.
-  void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients) {
+  void EvaluateFinite(std::span<const double> points, std::span<double> losses, std::span<double> gradients,
+                      WorkCount* count) {
     const size_t size = batch_->num_variables(), columns = num_variables_;
     const bool torques = HasTorques(scene_);
-    if (batch_->num_lanes() > 1 && !torques) return batch_->Evaluate(points, losses, gradients);
+    if (batch_->num_lanes() > 1 && !torques) {
+      constexpr size_t kAtOnce = 4096;  // points, of which lanes are whole
+      const size_t at_once = count->shows() ? kAtOnce : losses.size();
+      for (size_t first = 0; first < losses.size(); first += at_once) {
+        const size_t some = std::min(at_once, losses.size() - first);
+        batch_->Evaluate(points.subspan(first * size, some * size),
+                         losses.subspan(first, some),
+                         gradients.empty() ? gradients : gradients.subspan(first * columns, some * columns));
+        count->Add(static_cast<std::int64_t>(some));
+      }
+      return;
+    }
     batch_->ForEach(static_cast<int>(losses.size()), [&](SingleShooting* shooting, int i) {
+      if (count->shows()) count->Add(1);
       const std::span<const double> point = points.subspan(i * size, size);
       const std::span<double> gradient = gradients.empty() ? gradients : gradients.subspan(i * columns, columns);
       std::vector<double> own(torques && !gradient.empty() ? size : 0);
@@ -134,12 +150,17 @@ void BindBatch(py::module_* module) {
       .def_property_readonly("threads", &PointsOfScene::num_threads)
       .def_property_readonly("num_variables", &PointsOfScene::num_variables)
       .def("remarks", &PointsOfScene::Remarks, py::arg("points"))
-      .def("loss", &PointsOfScene::Loss, py::arg("points"), py::arg("losses") = py::none())
+      .def("loss",
+           &PointsOfScene::Loss,
+           py::arg("points"),
+           py::arg("losses") = py::none(),
+           py::arg("counter") = py::none())
       .def("loss_and_gradient",
            &PointsOfScene::LossAndGradient,
            py::arg("points"),
            py::arg("losses") = py::none(),
-           py::arg("gradients") = py::none());
+           py::arg("gradients") = py::none(),
+           py::arg("counter") = py::none());
 }
 
 }  // namespace saltus::python

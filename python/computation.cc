@@ -51,6 +51,15 @@ bool Computation::Stopped() {
   return stopped_;
 }
 
+void WorkCount::Add(std::int64_t work) {
+  done_ += work;
+  const std::unique_lock lock(mutex_, std::try_to_lock);
+  const auto now = std::chrono::steady_clock::now();
+  if (!shows() || !lock || now < next_) return;
+  next_ = now + std::chrono::milliseconds(200);
+  computation_->WithPython([&] { counter_(std::chrono::duration<double>(now - begin_).count(), done_.load(), all_); });
+}
+
 void Computation::StopFor(std::exception_ptr error) {
   const std::lock_guard lock(mutex_);
   if (!error_) error_ = std::move(error);

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <cstdint>
 #include <exception>
 #include <mutex>
 #include <stdexcept>
@@ -100,6 +101,26 @@ class Computation {
   std::atomic<bool> stopped_{false};
   std::mutex mutex_;
   std::exception_ptr error_;  // the first; none if the time was over
+};
+
+// Counts work that is done, and shows it from two seconds on, a few times a second, by `counter`(seconds, done, all),
+// unless that is None.
+class WorkCount {
+ public:
+  WorkCount(Computation* computation, const py::object& counter, std::int64_t all)
+      : computation_(computation), counter_(counter), all_(all) {}
+  bool shows() const { return !counter_.is_none(); }
+  // Adds work, from any thread.
+  void Add(std::int64_t work);
+
+ private:
+  Computation* const computation_;
+  const py::object& counter_;
+  const std::int64_t all_;
+  std::atomic<std::int64_t> done_{0};
+  const std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
+  std::mutex mutex_;  // of the time from which on it is shown next
+  std::chrono::steady_clock::time_point next_ = begin_ + std::chrono::seconds(2);
 };
 
 // Lets one thread at a time use a simulator, and tells that one, all its life, when its user is asked to stop.

@@ -124,15 +124,15 @@ py::tuple Propagate(const PlannedMotion& planned, const std::array<Eigen::Matrix
   return py::make_tuple(found.nodes, found.event_times, risks, found.change_probability, warning, planned.remark);
 }
 
-// Mean and covariance of the final state, the planned final state, and how many runs count, fail and go otherwise, the
-// remark.
+// Mean and covariance of the final state, the planned final state, and how many runs count, fail and go otherwise,
+// remarks.
 py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::MatrixXd, 4>& covariances,
-                    const Matrices& gains, int samples, std::uint64_t seed, int threads) {
+                    const Matrices& gains, int samples, std::uint64_t seed, int threads, double seconds) {
   const Noise noise = CheckedNoise(planned, covariances, gains);
   if (samples < 1) throw py::value_error("samples: expected a number of at least 1");
   const int used = ReadThreads(threads);
   MonteCarlo runs;
-  Computation computation;
+  Computation computation(seconds);
   computation.RunOrThrow([&] {
     runs = RunMonteCarlo(planned.plan,
                          gains,
@@ -140,13 +140,18 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
                          planned.make_plant,
                          {.samples = samples, .seed = seed, .threads = used, .stop = computation.stop()});
   });
-  return py::make_tuple(runs.mean,
-                        runs.covariance,
-                        planned.plan.states.back(),
-                        runs.counted,
-                        runs.failed,
-                        runs.otherwise,
-                        planned.remark);
+  std::vector<std::string> remarks;
+  if (!planned.remark.empty()) remarks.push_back(planned.remark);
+  if (runs.simulated < samples) {
+    remarks.push_back(std::to_string(runs.simulated) + " of " + std::to_string(samples) +
+                      " runs were simulated: " + computation.WhyTimedOut());
+  }
+  if (runs.counted < 2) {
+    remarks.push_back("there is no covariance: found " + std::to_string(runs.counted) +
+                      " runs that count, expected at least 2; raise samples");
+  }
+  return py::make_tuple(
+      runs.mean, runs.covariance, planned.plan.states.back(), runs.counted, runs.failed, runs.otherwise, remarks);
 }
 
 Eigen::VectorXd ReadVector(const py::handle& value, const std::string& name, Eigen::Index size) {
@@ -311,7 +316,8 @@ void BindFeedback(py::module_* module) {
            py::arg("gains"),
            py::arg("samples"),
            py::arg("seed"),
-           py::arg("threads"));
+           py::arg("threads"),
+           py::arg("seconds"));
   py::class_<Filter> filter(*module, "SaltedKalmanFilter");
   const auto define_with = [&]<typename System>(const System*) {
     filter.def(py::init<const System&, const py::object&, double, int, const py::object&, const py::object&>(),

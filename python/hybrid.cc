@@ -28,6 +28,7 @@
 #include "programs/hybrid_document.h"
 #include "programs/remarks.h"
 #include "saltus/control/scene_problem.h"
+#include "saltus/identify/hybrid_fit.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "scene/yaml_value.h"
 
@@ -520,7 +521,7 @@ class Problem {
   // the first time. NaN where there is none, and the reasons by the numbers of the points.
   py::tuple Losses(const Guess& guess, bool control, const std::vector<int>& initial,
                    const std::vector<int>& parameters, bool duration, const py::object& points, bool with_gradients,
-                   int threads) const {
+                   int threads, const py::object& counter) const {
     Computation computation;
     HybridProblem problem = At(guess, computation.stop());
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
@@ -538,8 +539,10 @@ class Problem {
     std::vector<std::map<int, HybridShooting>> shootings(ReadThreads(threads));  // of each thread, by the first mode
     const double* from = read.data();
     double *loss = losses.mutable_data(), *gradient = with_gradients ? gradients.mutable_data() : nullptr;
+    WorkCount work(&computation, counter, count);
     computation.RunOrThrow([&] {
       ParallelFor(static_cast<int>(shootings.size()), static_cast<int>(count), [&](int thread, int i) {
+        if (work.shows()) work.Add(1);
         const std::span<const double> point(from + i * size, static_cast<std::size_t>(size));
         double* const row = gradient == nullptr ? nullptr : gradient + i * size;
         HybridInput input = first.InputAt(point);
@@ -713,15 +716,32 @@ class Problem {
     return RegulatorToPython(regulator, remark);
   }
 
+  // Returns the motion from the guess with what was measured of it, for identification: (quantity, time, value, sigma,
+  // whether this is stated) of each residual of its terms.
+  HybridExperiment Experiment(const Guess& guess, const std::string& name,
+                              const std::vector<std::tuple<std::string, double, double, double, bool>>& data) const {
+    HybridExperiment experiment{.name = name, .problem = At(guess), .data = {}};
+    for (const auto& [quantity, time, value, sigma, is_stated] : data) {
+      experiment.data.push_back({quantity, time, value, sigma, is_stated});
+    }
+    if (!mechanical_) return experiment;
+    experiment.begin = [system = *mechanical_, mode = std::get<0>(guess)](HybridInput* input) {
+      input->mode = mode;
+      return WhyNoStart(system, input);
+    };
+    return experiment;
+  }
+
   // Audits a scheme in Python, or if `command` is not empty that command.
   py::dict Audit(const Guess& guess, const std::string& name, const py::object& step, const py::object& jacobian,
-                 const std::string& command, int steps, bool width_sweep, double budget, double seconds) const {
+                 const std::string& command, int steps, bool width_sweep, double budget, double audit_seconds,
+                 double seconds) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
-    Computation computation;
+    Computation computation(seconds);
     const HybridProblem problem = At(guess, StopAfterGrace(&computation));
     HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
-    options.refinement.seconds = seconds;
+    options.refinement.seconds = audit_seconds;
     HybridAudit audit;
     std::shared_ptr<HybridScheme> scheme;
     if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);
@@ -730,7 +750,9 @@ class Problem {
         scheme = std::make_shared<CommandScheme>(problem.system, CommandOptions{.name = name, .command = command});
       audit = AuditScheme(problem, scheme.get(), options);
     });
-    return ToPython(HybridAuditToJson(problem, audit));
+    Json document = HybridAuditToJson(problem, audit);
+    if (audit.interrupted) document["reason"] = computation.WhyTimedOut();
+    return ToPython(document);
   }
 
  private:
@@ -743,6 +765,7 @@ class Problem {
 }  // namespace
 
 void BindHybrid(py::module_* module) {
+  const py::class_<HybridExperiment> experiment(*module, "HybridExperiment");
   py::class_<HybridSystem>(*module, "HybridSystem")
       .def(py::init(&MakeSystem), py::arg("modes"), py::arg("controls"), py::arg("parameters"), py::arg("slides"));
   py::class_<HybridTerm>(*module, "HybridTerm")
@@ -812,9 +835,11 @@ void BindHybrid(py::module_* module) {
            py::arg("duration"),
            py::arg("points"),
            py::arg("with_gradients"),
-           py::arg("threads"))
+           py::arg("threads"),
+           py::arg("counter"))
       .def("end_state", &Problem::EndState, py::arg("guess"), py::arg("cotangent"));
-  problem.def("page_document", &Problem::PageDocument, py::arg("guess"));
+  problem.def("page_document", &Problem::PageDocument, py::arg("guess"))
+      .def("experiment", &Problem::Experiment, py::arg("guess"), py::arg("name"), py::arg("data"));
   module->def(
       "render_page",
       [](const std::string& document) { return RenderPage(Json::parse(document)); },
@@ -836,6 +861,7 @@ void BindHybrid(py::module_* module) {
               py::arg("steps"),
               py::arg("width_sweep"),
               py::arg("budget"),
+              py::arg("audit_seconds"),
               py::arg("seconds"));
   module->def("hybrid_solvers", [] { return SummariesOf(HybridSolvers()); });
 }

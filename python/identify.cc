@@ -9,6 +9,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "programs/identification.h"
+#include "saltus/identify/hybrid_fit.h"
 
 namespace saltus::python {
 namespace {
@@ -52,22 +53,37 @@ Recording ReadRecording(const py::handle& given, const std::string& name, const 
   return std::get<Recording>(std::move(read));
 }
 
-struct FitKeywords {
-  std::string law, events, loss;
-  double loss_scale, segment, seconds;
-  bool known_start;
+// Keywords that fits of scenes and of hybrid systems have in common.
+struct CommonKeywords {
+  std::string loss;
+  double loss_scale, seconds;
   int starts, threads;
 };
+struct FitKeywords {
+  CommonKeywords common;
+  std::string law, events;
+  double segment;
+  bool known_start;
+};
 
-IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) {
+IdentifyOptions ReadCommonOptions(const CommonKeywords& keywords) {
   IdentifyOptions options;
   const std::optional<RobustLoss> loss = ParseRobustLoss(keywords.loss);
   if (!loss) throw py::value_error("loss: found '" + keywords.loss + "', expected none, huber or cauchy");
   if (!(keywords.loss_scale > 0) || !std::isfinite(keywords.loss_scale)) {
     throw py::value_error("loss_scale: expected a finite number > 0");
   }
-  if (!(keywords.segment >= 0)) throw py::value_error("segment: expected a time of at least 0 s");
   if (keywords.starts < 1) throw py::value_error("starts: expected a number of at least 1");
+  options.loss = *loss;
+  options.loss_scale = keywords.loss_scale;
+  options.starts = keywords.starts;
+  options.threads = ReadThreads(keywords.threads);
+  return options;
+}
+
+IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) {
+  IdentifyOptions options = ReadCommonOptions(keywords.common);
+  if (!(keywords.segment >= 0)) throw py::value_error("segment: expected a time of at least 0 s");
   if (!keywords.law.empty()) {
     auto law = ParseLaw(keywords.law, scene);
     if (const auto* wrong = std::get_if<std::string>(&law)) {
@@ -82,20 +98,31 @@ IdentifyOptions ReadFitOptions(const Scene& scene, const FitKeywords& keywords) 
     }
     options.events = std::get<EventFunctions>(std::move(events));
   }
-  options.loss = *loss;
-  options.loss_scale = keywords.loss_scale;
   options.segment = keywords.segment;
   options.initial_states = !keywords.known_start;
-  options.starts = keywords.starts;
-  options.threads = ReadThreads(keywords.threads);
   return options;
+}
+
+// Runs a fit, `fit`(options), until it is stopped, and returns its report. Throws ValueError if it is not applicable.
+template <typename Fit>
+IdentifyReport RunFit(IdentifyOptions options, const py::object& status, const std::string& prefix,
+                      Computation* computation, const Fit& fit) {
+  IdentifyReport report;
+  options.stop = computation->stop();
+  if (!status.is_none()) {
+    options.status = [&](const std::string& text) { computation->WithPython([&] { status(text); }); };
+  }
+  computation->Run([&] { report = fit(options); });
+  if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(prefix + report.reason);
+  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation->WhyTimedOut();
+  return report;
 }
 
 // A fit, the function that writes its page to a folder, and what has stopped it: an exception or None.
 py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const std::string& unknown,
                         const py::object& contact_name, const py::object& status, const FitKeywords& keywords) {
   const Contact contact = ReadContact(contact_name);
-  IdentifyOptions options = ReadFitOptions(scene, keywords);
+  const IdentifyOptions options = ReadFitOptions(scene, keywords);
   const bool learns = options.law || options.events;
   auto unknowns = learns && unknown.empty() ? std::vector<Unknown>() : ParseUnknowns(unknown, scene);
   if (const auto* wrong = std::get_if<std::string>(&unknowns)) throw py::value_error("unknown: " + *wrong);
@@ -104,18 +131,11 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     const std::string name = "recordings[" + std::to_string(i) + "]";
     identified.recordings.push_back(ReadRecording(recordings[i], name, scene));
   }
-  Computation computation(keywords.seconds);
-  options.stop = computation.stop();
-  if (!status.is_none()) {
-    options.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
-  }
-  computation.Run([&] {
-    identified.reports.push_back(
-        Identify(contact, scene, identified.recordings, std::get<std::vector<Unknown>>(unknowns), options));
-  });
-  IdentifyReport& report = identified.reports[0];
-  if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(contact.name() + ": " + report.reason);
-  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation.WhyTimedOut();
+  Computation computation(keywords.common.seconds);
+  identified.reports.push_back(
+      RunFit(options, status, contact.name() + ": ", &computation, [&](const IdentifyOptions& running) {
+        return Identify(contact, scene, identified.recordings, std::get<std::vector<Unknown>>(unknowns), running);
+      }));
   const Json document = IdentifiedToJson(scene, identified);
   const py::object result = ToPython(document["fits"][0]);
   const py::cpp_function page([scene, identified = std::move(identified), document](const std::string& folder) {
@@ -123,6 +143,31 @@ py::tuple IdentifyScene(const Scene& scene, const py::list& recordings, const st
     request.scene = scene;
     request.output_dir = folder;
     Computation().RunOrThrow([&] { WriteIdentifyReport(request, identified, document); });
+  });
+  return py::make_tuple(result, page, computation.StoppedBy());
+}
+
+// Name, whether it is a component of the initial state, its index, the only experiment that has it or -1, and bounds.
+using UnknownTuple = std::tuple<std::string, bool, int, int, double, double>;
+
+// Fits experiments with a system of that kind, and returns what IdentifyScene() returns.
+py::tuple IdentifyHybrid(const std::string& kind, const std::vector<HybridExperiment>& experiments,
+                         const std::vector<UnknownTuple>& given, const py::object& status,
+                         const CommonKeywords& keywords) {
+  std::vector<HybridUnknown> unknowns;
+  for (const auto& [name, is_initial, index, experiment, min, max] : given) {
+    unknowns.push_back({name, is_initial, index, experiment, min, max});
+  }
+  Identified identified{.recordings = {}, .contacts = {kind}, .reports = {}, .by = "system"};
+  Computation computation(keywords.seconds);
+  identified.reports.push_back(
+      RunFit(ReadCommonOptions(keywords), status, "", &computation, [&](const IdentifyOptions& options) {
+        return Identify(experiments, unknowns, options);
+      }));
+  const Json document = HybridFitToJson(identified);
+  const py::object result = ToPython(document["fits"][0]);
+  const py::cpp_function page([identified = std::move(identified), document](const std::string& folder) {
+    Computation().RunOrThrow([&] { WriteHybridFitPage(identified, document, folder + "/report.html"); });
   });
   return py::make_tuple(result, page, computation.StoppedBy());
 }
@@ -151,7 +196,7 @@ void BindIdentify(py::module_* module) {
                              unknown,
                              contact,
                              status,
-                             {law, events, loss, loss_scale, segment, seconds, known_start, starts, threads});
+                             {{loss, loss_scale, seconds, starts, threads}, law, events, segment, known_start});
       },
       py::arg("scene"),
       py::arg("recordings"),
@@ -165,6 +210,29 @@ void BindIdentify(py::module_* module) {
       py::arg("segment"),
       py::arg("seconds"),
       py::arg("known_start"),
+      py::arg("starts"),
+      py::arg("threads"),
+      py::arg("status"));
+  module->def(
+      "identify_hybrid",
+      [](const std::string& kind,
+         const std::vector<HybridExperiment>& experiments,
+         const std::vector<UnknownTuple>& unknowns,
+         const std::string& loss,
+         double loss_scale,
+         double seconds,
+         int starts,
+         int threads,
+         const py::object& status) {
+        return IdentifyHybrid(kind, experiments, unknowns, status, {loss, loss_scale, seconds, starts, threads});
+      },
+      py::arg("kind"),
+      py::arg("experiments"),
+      py::arg("unknowns"),
+      py::kw_only(),
+      py::arg("loss"),
+      py::arg("loss_scale"),
+      py::arg("seconds"),
       py::arg("starts"),
       py::arg("threads"),
       py::arg("status"));

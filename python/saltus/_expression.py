@@ -391,6 +391,11 @@ def _table(name: str, x: Any, xs: Any, ys: Any, piece: Callable[[Any, Any], Call
     name: of the function, points and values, for messages."""
     name, *kinds = name.split()
     symbols, points, values = _as_array(x), _as_array(xs), _as_array(ys)
+    for kind, numbers in zip(["x", *kinds], (symbols, points, values)):
+        for entry in numbers.flat:
+            if not isinstance(entry, (Expression, int, float, np.integer, np.floating)):
+                raise TypeError(f"{name}: found {entry!r} in {kind}, expected numbers, or symbols of a function that is recorded, such as x[0]; "
+                                f"call {name}({', '.join(['x', *kinds])}) in a flow, guard, reset or cost")
     for kind, numbers in zip(kinds, (points, values)):
         if not all(isinstance(entry, Expression) or math.isfinite(entry) for entry in numbers.flat):
             raise ValueError(f"{name}: found {kind} with a number that is not finite, expected finite numbers")
@@ -410,8 +415,6 @@ def _table(name: str, x: Any, xs: Any, ys: Any, piece: Callable[[Any, Any], Call
     for i in np.ndindex(symbols.shape):
         v = symbols[i]
         known = not isinstance(v, Expression)
-        if known and not isinstance(v, (int, float, np.integer, np.floating)):
-            raise TypeError(f"{name}: found {type(v).__name__}, expected a number or a symbol of a function that is recorded")
         if known and math.isnan(v):
             result[i] = v
             continue

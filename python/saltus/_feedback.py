@@ -35,7 +35,8 @@ class Covariance(Result):
 class NoisyRuns(Result):
     """Of simulated runs with noise: ``mean`` and ``covariance`` of the final state, ``final_error``, the root mean square of
     its difference from the plan, and the numbers of runs that are ``counted`` in these, have ``failed``, or went
-    ``otherwise`` than planned: with other events. ``remark`` as of a rollout of the plan."""
+    ``otherwise`` than planned: with other events. ``remark`` as of a rollout of the plan, and why there are fewer runs than samples or
+    no covariance, which then is NaN."""
 
     _kind = "noisy runs"
 
@@ -177,28 +178,31 @@ def noisy_runs(
     samples: int = 1000,
     seed: int = 1,
     threads: int = 0,
+    seconds: float = 0,
     progress: bool | None = None,
 ) -> NoisyRuns:
     """Simulates a plan with noise, in open loop or with a regulator, which compares states with equally many events behind
     them (reference spreading).
 
     Covariance matrices, ``regulator``, ``plan`` and ``durations`` as in propagate. ``contact``: the contact model of a scene. ``threads``:
-    0 is one for each core; results do not depend on it. ``progress``: whether a line on stderr shows the progress after two seconds;
-    default: on terminals and in notebooks.
+    0 is one for each core; results do not depend on it. ``seconds``: limit of time, s, after which the result is of the runs until
+    then, as its remark states; 0 is no limit. ``progress``: whether a line on stderr shows the progress after two seconds; default:
+    on terminals and in notebooks.
     """
     expect_int(samples=samples, threads=threads)
     expect("a whole number", seed=seed)
+    expect("a number", seconds=seconds)
     if not 0 <= seed < 2**64:
         raise ValueError(f"seed: found {seed}, expected a whole number from 0 to {2**64 - 1}")
     matrices = _covariances(initial=initial, control=control, process=process, measurement=measurement)
     with Progress("noisy runs", progress):
-        mean, covariance, planned, counted, failed, otherwise, remark = _planned(problem, plan, durations, contact).noisy_runs(
-            matrices, _gains(regulator), samples, seed, threads
+        mean, covariance, planned, counted, failed, otherwise, remarks = _planned(problem, plan, durations, contact).noisy_runs(
+            matrices, _gains(regulator), samples, seed, threads, float(seconds)
         )
-    error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2))) if counted > 1 else float("nan")
+    error = float(np.sqrt(np.trace(covariance) + np.sum((mean - planned) ** 2)))
     return NoisyRuns({
         "mean": mean, "covariance": covariance, "final_error": error, "counted": counted, "failed": failed,
-        "otherwise": otherwise, "remark": remark,
+        "otherwise": otherwise, "remark": "; ".join(remarks),
     })
 
 
@@ -237,6 +241,8 @@ class SaltedKalmanFilter(Remade):
             number = system._mode_number(first)
             self._filter = _saltus.SaltedKalmanFilter(system._system, parameters, time, number, *estimate)
         else:
+            if mode is not None or len(self._parameters) > 0:
+                raise ValueError("mode and parameters: found some with a scene, which has its own; leave them out")
             self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
 
     @property

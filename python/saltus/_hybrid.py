@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import _saltus
 from ._expression import Condition, Tape, _as_array, call, outputs
+from ._progress import CountedProgress
 from ._results import KINDS, Result, WrongGradient, on_intervals
 from ._scene import Scene, SceneLike, as_scene
 from ._types import Closed, _is_number, asked_for, expect, expect_int, parameters_of
@@ -76,6 +77,7 @@ class System(Closed):
     parameters: list[str]
     draw: Any = None
     _system: Any
+    _ranges: Mapping[str, tuple[float, float]] = {}  # of parameters that have a range by what they are
 
     def _make(self) -> Any:
         """Returns the system of C++."""
@@ -87,6 +89,18 @@ class System(Closed):
 
     def _states_of(self, mode: str | None) -> list[str]:
         raise NotImplementedError
+
+    def _all_modes(self) -> list[str]:
+        """Returns the names of the modes that a motion may have. Raises ValueError if there are too many."""
+        raise NotImplementedError
+
+    def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
+        """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
+        tape, n, parameters = Tape(), len(self._states_of(mode)), len(self.parameters)
+        symbols = {"x": tape.inputs(0, n), "t": tape.inputs(n, 1)[0], "p": tape.inputs(n + 1, parameters)}
+        if control:
+            symbols["u"] = tape.inputs(n + 1 + parameters, len(self.controls))
+        return tape, symbols
 
     def _guards_of(self, mode: str) -> list[str]:
         raise NotImplementedError
@@ -256,6 +270,9 @@ class HybridSystem(System):
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states[str(mode)]
 
+    def _all_modes(self) -> list[str]:
+        return self.modes
+
     def _guards_of(self, mode: str) -> list[str]:
         return self.guards[mode]
 
@@ -279,14 +296,6 @@ class HybridSystem(System):
             if after not in self.states or len(self.states[after]) != len(self.states[mode]):
                 raise ValueError(f"{what}: found mode {after!r}, expected one with {len(self.states[mode])} states")
         return {guard: self.modes.index(after) for guard, after in named.items()}
-
-    def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
-        """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
-        tape, n, parameters = Tape(), len(self.states[mode]), len(self.parameters)
-        symbols = {"x": tape.inputs(0, n), "t": tape.inputs(n, 1)[0], "p": tape.inputs(n + 1, parameters)}
-        if control:
-            symbols["u"] = tape.inputs(n + 1 + parameters, len(self.controls))
-        return tape, symbols
 
     def _record_flow(self, mode: str, function: Any) -> Any:
         tape, symbols = self._symbols(mode, control=True)
@@ -364,6 +373,11 @@ class Cost(Closed):
             return [recorded]
         return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
 
+    def _data(self) -> list[tuple[str, float, float, float, bool]] | None:
+        """What was measured, for each residual of its terms: quantity, time, value, sigma, and whether this is stated; None of
+        a cost that is no data."""
+        return None
+
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         """The same cost with its record in place of its function."""
         record = Record(self._recorded(problem))
@@ -373,11 +387,11 @@ class Cost(Closed):
         system = problem.system
         if isinstance(self.function, Record):
             if self.at == "always":
-                return self.function.of_cost
+                return [_in_mode(term, system._mode_number(mode)) for term, mode in zip(self.function.of_cost, self._modes(system))]
             reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
-            return self.function.of_cost
+            return _in_mode(self.function.of_cost, self._mode_in(system))
         parameters = parameters_of(self.function)
         if parameters is None:
             raise ValueError(f"{self.name}: found a function without a signature, expected a def or a lambda")
@@ -411,18 +425,22 @@ class Cost(Closed):
 
     def _recorded_always(self, system: System, names: list[str]) -> list[Any]:
         """Records the function for its mode, or for each mode, with the inputs of a flow."""
-        if not isinstance(system, HybridSystem):
-            raise ValueError(f"{self.name}: found at='always' with a MechanicalSystem, expected a HybridSystem; "
-                             "at='steps' holds at the beginnings of control intervals, which may be short")
         self._mode_in(system)
         if self.mode is None and "x" in names:
             self._state_size(system)
         terms = []
-        for mode in system.modes if self.mode is None else [self.mode]:
+        for mode in self._modes(system):
             tape, symbols = system._symbols(mode, control=True)
             found = _outputs(self.name, tape, _call(self.name, self.function, {name: symbols[name] for name in names}, ""))
             terms.append((self.name, "always", self.role, system._mode_number(mode), "", False, -1, "", [], found))
         return terms
+
+    def _modes(self, system: System) -> list[str]:
+        """Returns the modes in which a term that holds always counts."""
+        try:
+            return system._all_modes() if self.mode is None else [self.mode]
+        except ValueError as error:
+            raise _at(self.name, error) from error
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
@@ -452,6 +470,11 @@ class Cost(Closed):
         if len(sizes) > 1:
             raise ValueError(f"{self.name}: found no mode, expected one, as modes have states of different sizes")
         return sizes.pop()
+
+
+def _in_mode(recorded: Any, mode: int) -> Any:
+    """A term of C++ with its mode in the system at hand: a mechanical system numbers its modes as it meets them."""
+    return (*recorded[:3], mode, *recorded[4:])
 
 
 def _at_node(recorded: Any, node: int, intervals: int) -> Any:
@@ -586,6 +609,16 @@ def _spread(name: str, given: ArrayLike, shape: tuple[int, ...], allowed: Mappin
     return np.broadcast_to(array.reshape(shape) if array.size == np.prod(shape) else array, shape)
 
 
+def _deviations(sigma: Any, shape: tuple[int, ...], allowed: Mapping[tuple[int, ...], str]) -> Any:
+    """Standard deviations of data, None if they are not stated. Raises TypeError and ValueError."""
+    if sigma is None:
+        return None
+    deviations = _spread("sigma", sigma, shape, allowed)
+    if not np.all((deviations > 0) & np.isfinite(deviations)):
+        raise ValueError("sigma: expected finite numbers > 0")
+    return deviations
+
+
 def terminal(
     target: Any = None,
     *,
@@ -651,12 +684,18 @@ def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
 class _Measurements(Cost):
     """Values of states at given times. Each time has its own function, without the values that are missing."""
 
-    def __init__(self, times: tuple[float, ...], values: Any, states: Any, sigma: Any):
+    def __init__(self, times: tuple[float, ...], values: Any, states: Any, sigma: Any, quantities: list[str]):
         super().__init__("measurements", states, times, "cost", None, None, False, None)
-        self._values, self._sigma = values, sigma
+        self._values, self._quantities, self._given_sigma = values, quantities, sigma
+        self._sigma = np.ones(values.shape) if sigma is None else sigma
 
     def __reduce__(self) -> Any:
-        return (_Measurements, (self._times, self._values, self.function, self._sigma))
+        return (_Measurements, (self._times, self._values, self.function, self._given_sigma, self._quantities))
+
+    def _data(self) -> list[tuple[str, float, float, float, bool]]:
+        return [(name, time, float(value), float(sigma), self._given_sigma is not None)
+                for time, values, sigmas in zip(self._times, self._values, self._sigma)
+                for name, value, sigma in zip(self._quantities, values, sigmas) if not np.isnan(value)]
 
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         if not callable(self.function):
@@ -697,13 +736,14 @@ class _Measurements(Cost):
 
 
 def measurements(
-    times: ArrayLike, values: ArrayLike, states: Sequence[str] | Callable[..., Any], *, sigma: ArrayLike = 1.0
+    times: ArrayLike, values: ArrayLike, states: Sequence[str] | Callable[..., Any], *, sigma: ArrayLike | None = None
 ) -> Cost:
     """A term that compares a motion with data: the sum of ((state - value) / sigma)^2 over all values.
 
     times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
     values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
-    returns S numbers. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value.
+    returns S numbers, which `identify` calls by its name and their place. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value;
+    left out, `solve` takes 1, and `identify` estimates it.
     """
     at = _read_times("times", times)
     array = np.array(values, dtype=float)
@@ -722,10 +762,9 @@ def measurements(
         allowed = {(rows,): f"({rows},), one for each value"}
     else:
         allowed = {array.shape: f"({rows}, {columns}), one for each value", (columns,): f"({columns},), one for each state"}
-    deviations = _spread("sigma", sigma, array.shape, allowed)
-    if not np.all((deviations > 0) & np.isfinite(deviations)):
-        raise ValueError("sigma: expected finite numbers > 0")
-    return _Measurements(at, array, states, deviations)
+    label = getattr(states, "__name__", "measurement").replace("<lambda>", "measurement")
+    names = [f"{label} {i + 1}" for i in range(columns)] if callable(states) else states
+    return _Measurements(at, array, states, _deviations(sigma, array.shape, allowed), names)
 
 
 class _EventTimes(Cost):
@@ -733,17 +772,22 @@ class _EventTimes(Cost):
 
     def __init__(self, guard: str, mode: str | None, times: Any, sigma: Any):
         super().__init__(f"times of '{guard}'", lambda t: t, "event", "cost", mode, guard, False, None)
-        self._data, self._sigma = times, sigma
+        self._seen, self._given_sigma = times, sigma
+        self._sigma = np.ones(times.shape) if sigma is None else sigma
 
     def __reduce__(self) -> Any:
-        return (_EventTimes, (self.guard, self.mode, self._data, self._sigma))
+        return (_EventTimes, (self.guard, self.mode, self._seen, self._given_sigma))
+
+    def _data(self) -> list[tuple[str, float, float, float, bool]]:
+        return [(self.name, float(time), float(time), float(sigma), self._given_sigma is not None)
+                for time, sigma in zip(self._seen, self._sigma) if not np.isnan(time)]
 
     def _as_recorded(self, problem: HybridProblem) -> Cost:
         return self
 
     def _terms(self, problem: HybridProblem) -> list[Any]:
         terms = []
-        for number, (time, sigma) in enumerate(zip(self._data, self._sigma)):
+        for number, (time, sigma) in enumerate(zip(self._seen, self._sigma)):
             if np.isnan(time):
                 continue
             miss = Cost(self.name, lambda t, time=time, sigma=sigma: (t - float(time)) / float(sigma), "event", "cost", self.mode,
@@ -753,12 +797,13 @@ class _EventTimes(Cost):
         return terms
 
 
-def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: str | None = None) -> Cost:
+def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike | None = None, mode: str | None = None) -> Cost:
     """A term that compares the times of events with data: the sum of ((time - value) / sigma)^2.
 
     guard: the name of the events, such as "ground", or "tip hit" of a MechanicalSystem. times: (N,), of the first N such
     events of the motion; NaN is one that was not seen. A motion with fewer events has no loss, and further ones do not count.
-    sigma: the standard deviation of a time: one number, or one for each time. mode: counts events from this mode only.
+    sigma: the standard deviation of a time: one number, or one for each time; left out, `solve` takes 1, and `identify`
+    estimates it. mode: counts events from this mode only.
     """
     expect("text", guard=guard)
     try:
@@ -770,9 +815,7 @@ def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike = 1.0, mode: s
     seen = values[~np.isnan(values)]
     if np.any(np.diff(seen) < 0):
         raise ValueError(f"times: found {seen[1:][np.diff(seen) < 0][0]:g} behind a later one, expected rising times")
-    deviations = _spread("sigma", sigma, values.shape, {values.shape: f"({len(values)},), one for each time"})
-    if not np.all((deviations > 0) & np.isfinite(deviations)):
-        raise ValueError("sigma: expected finite numbers > 0")
+    deviations = _deviations(sigma, values.shape, {values.shape: f"({len(values)},), one for each time"})
     return _EventTimes(guard, mode, values, deviations)
 
 
@@ -1256,6 +1299,7 @@ class HybridBatch(Closed):
         optimize: what a point consists of, as in ``solve``: some of "control", "initial", "parameters", "duration" and the
             names of initial states and parameters; default: that of the problem.
         threads: number of threads; 0 is one per core.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Attributes:
         variables: the names of the n numbers of a point, in order: the control interval by interval, as "u[3]" of the
@@ -1264,15 +1308,17 @@ class HybridBatch(Closed):
         failures: the reasons why points of the last call have no loss or gradient, by their numbers.
     """
 
-    _attributes = ("problem", "optimize", "threads", "variables", "num_variables", "failures")
+    _attributes = ("problem", "optimize", "threads", "progress", "variables", "num_variables", "failures")
 
-    def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0):
+    def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0,
+                 progress: bool | None = None):
         if not isinstance(problem, HybridProblem):
             raise TypeError(f"problem: found {type(problem).__name__}, expected a saltus.HybridProblem")
         expect_int(threads=threads)
         if threads < 0:
             raise ValueError(f"threads: found {threads}, expected at least 0 (0 is one per core)")
-        self.problem, self.threads = copy.copy(problem), threads
+        CountedProgress("batch", progress)
+        self.problem, self.threads, self.progress = copy.copy(problem), threads, progress
         self.optimize = problem.optimize if optimize is None else optimize
         control, initial, parameters, duration = problem._free(self.optimize)
         system, states = problem.system, problem.system._states_of(problem.mode)
@@ -1284,7 +1330,8 @@ class HybridBatch(Closed):
 
     def _losses(self, points: ArrayLike, with_gradients: bool) -> tuple[Any, Any]:
         free = self.problem._free(self.optimize)
-        losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads)
+        with CountedProgress("batch", self.progress) as shown:
+            losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads, shown.counter)
         return losses, gradients
 
     def loss(self, points: ArrayLike) -> Any:
@@ -1336,7 +1383,11 @@ class HybridEndState(Closed):
     def _at(self, initial: Any, control: Any, parameters: Any, cotangent: Any) -> Any:
         problem = copy.copy(self.problem)
         problem.initial, problem.parameters = initial, parameters
-        problem.control = np.reshape(control, self.control.shape)
+        shape = self.control.shape
+        if np.size(control) != np.prod(shape):
+            raise ValueError(f"control: found shape {np.shape(control)}, expected {shape}, as the problem of this HybridEndState has; make "
+                             "another one for other intervals")
+        problem.control = np.reshape(control, shape)
         return problem._call("end_state", cotangent)
 
     def __call__(self, initial: ArrayLike, control: ArrayLike, parameters: ArrayLike) -> Any:
@@ -1448,10 +1499,10 @@ _BUDGET = 2e4
 
 def audit(
     problem: HybridProblem, step: Any, jacobian: Any, simulate: Any, steps: int, width_sweep: bool, name: str,
-    seconds: float
+    audit_seconds: float, seconds: float
 ) -> HybridAudit:
     expect_int(steps=steps)
-    if not 0 <= seconds < np.inf:
+    if not 0 <= audit_seconds < np.inf:
         raise ValueError("audit_seconds: expected seconds, or 0 for no limit")
     if simulate is not None and (step is not None or not isinstance(simulate, str)):
         raise ValueError("simulate: expected a command, and no step with it, of a HybridProblem")
@@ -1484,7 +1535,7 @@ def audit(
 
     found = problem._call(
         "audit", name, of_step("step", step), of_step("jacobian", jacobian), simulate or "", steps, width_sweep, _BUDGET,
-        float(seconds)
+        float(audit_seconds), float(seconds)
     )
     return HybridAudit(found)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import os
 from typing import Any, Callable, Mapping, Sequence
 
@@ -12,11 +14,13 @@ from . import _saltus
 from ._expression import Tape, _as_array
 from ._hybrid import HybridProblem, System, _call, _named, _names, _outputs, problem_of
 from ._scene import _plain
-from ._types import Closed, expect
+from ._types import Closed, expect, expect_path
 
 _LAWS = ("newton", "poisson")
 _EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, behind the name of a contact
 _REST_SPEED = 1e-5  # that of C++
+_LETTERS = "ons+-"  # of what a contact does, in names of modes
+_MOST_MODES = 1000  # for which a term is recorded
 
 
 class Contact(Closed):
@@ -132,6 +136,11 @@ class MechanicalSystem(System):
         self.parameters = _names("parameters", parameters)
         given = _named("contacts", contacts or {})
         self.contacts = _names("contacts", given)
+        restitutions = {contact.restitution: (0.0, 1.0) for contact in given.values() if isinstance(contact, Contact)
+                        and isinstance(contact.restitution, str)}
+        frictions = {contact.friction: (0.0, np.inf) for contact in given.values() if isinstance(contact, Contact)
+                     and isinstance(contact.friction, str)}
+        self._ranges = {**frictions, **restitutions}
         n = len(self.coordinates)
         self._record = (
             self._of_positions("mass", mass, (n, n)),
@@ -199,10 +208,31 @@ class MechanicalSystem(System):
         return {"mode": mode, "t": t, "x": x, "q": x[:n], "v": x[n:]}
 
     def _mode_number(self, mode: str | None) -> int:
-        return -1 if mode is None else self._system.mode(mode)
+        if mode is None:
+            return -1
+        if not isinstance(mode, str):
+            raise ValueError(f"mode: found {mode!r}, expected a letter for each of {len(self.contacts)} contacts, such as "
+                             f"{'o' * len(self.contacts)!r}; leave it out to have it found")
+        return self._system.mode(mode)
 
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states
+
+    def _all_modes(self) -> list[str]:
+        """All combinations of what contacts may do: open, closed, or sticking and sliding to either side."""
+        count = len(self.contacts)
+        letters = [[letter for letter in _LETTERS if self._has_status("o" * i + letter + "o" * (count - 1 - i))] for i in range(count)]
+        if math.prod(map(len, letters)) > _MOST_MODES:
+            raise ValueError(f"found {count} contacts, which may be in more than {_MOST_MODES} modes together, and no mode; expected mode= "
+                             f"with the only one in which the term counts, such as {'o' * count!r}")
+        return list(map("".join, itertools.product(*letters)))
+
+    def _has_status(self, status: str) -> bool:
+        try:
+            self._system.mode(status)
+        except ValueError:
+            return False
+        return True
 
     def _guards_of(self, mode: str) -> list[str]:
         return self._system.guards(self._system.mode(mode))
@@ -266,6 +296,7 @@ def load_bodies(source: str | os.PathLike[str] | Mapping[str, Any]) -> HybridPro
     if isinstance(source, Mapping):
         bodies = _Bodies(json.dumps(dict(source), default=_plain, ensure_ascii=False), "scene")
     else:
-        with open(os.fspath(source), "rb") as file:
-            bodies = _Bodies(file.read(), os.fspath(source))
+        path = expect_path("load_bodies", source, ", or a dict with the keys of one")
+        with open(path, "rb") as file:
+            bodies = _Bodies(file.read(), path)
     return problem_of(bodies)

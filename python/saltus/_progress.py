@@ -93,13 +93,41 @@ class Progress:
         if self._end.wait(self._delay):
             return
         while True:
-            done = bar(self._done, self._total) if self._total else ""
-            parts = [part for part in (done, f"{time.monotonic() - begin:.0f} s", self._text) if part]
-            line = f"{self._name}: {', '.join(parts)}"[:_WIDTH]
-            self._out.write("\r" + line.ljust(self._width))
-            self._out.flush()
-            self._width = len(line)
+            self._write_line(time.monotonic() - begin)
             if self._end.wait(_INTERVAL):
                 break
+        self._clear_line()
+
+    def _write_line(self, seconds: float) -> None:
+        done = bar(self._done, self._total) if self._total else ""
+        parts = [part for part in (done, f"{seconds:.0f} s", self._text) if part]
+        line = f"{self._name}: {', '.join(parts)}"[:_WIDTH]
+        self._out.write("\r" + line.ljust(self._width))
+        self._out.flush()
+        self._width = len(line)
+
+    def _clear_line(self) -> None:
         self._out.write("\r" + " " * self._width + "\r")
         self._out.flush()
+
+
+class CountedProgress(Progress):
+    """The progress of a call that may be much shorter than the start of a thread: what computes writes the line itself, with
+    ``counter``, a function of seconds and of the numbers of units that are done and of all; None if no line is wanted."""
+
+    @property
+    def counter(self) -> Callable[[float, int, int], None] | None:
+        return self._count if self.shown else None
+
+    def _count(self, seconds: float, done: int, total: int) -> None:
+        if self._width or _line.acquire(blocking=False):
+            self._done, self._total = done, total
+            self._write_line(seconds)
+
+    def __enter__(self) -> CountedProgress:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._width:
+            self._clear_line()
+            _line.release()

@@ -9,7 +9,7 @@ from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 
-from ._types import Floats
+from ._types import Floats, expect_path
 
 
 def _plain(value: Any) -> Any:
@@ -258,6 +258,8 @@ class Audit(Result):
     def raise_if_wrong(self, accept: tuple[str, ...] = ("right", "consistent")) -> None:
         """Raises WrongGradient unless every verdict is one of `accept`: for test suites."""
         wrong = [item for item in self._data["audits"] if item.get("verdict") not in accept]
+        if not wrong and "interrupted" in self._data:
+            raise WrongGradient(f"the audit was interrupted before all were judged: {self._data.get('reason', '')}")
         if wrong:
             raise WrongGradient("; ".join(_why_wrong(item) for item in wrong))
 
@@ -267,7 +269,7 @@ class Audit(Result):
             error = f", relative error {item['relative_error']:.3g}" if item.get("relative_error") is not None else ""
             rows.append((item["contact"], f"{item.get('verdict', item.get('termination', ''))}{error}{_why(item)}"))
             rows += [("remark", finding) for finding in item.get("findings", [])]
-        return rows
+        return rows + [("interrupted", self._data.get("reason", ""))] if "interrupted" in self._data else rows
 
 
 def _why(item: Mapping[str, Any]) -> str:
@@ -289,9 +291,18 @@ def _why_wrong(item: Mapping[str, Any]) -> str:
 class Fit(_OfScene):
     """Parameters fitted to recordings: ``verdict`` ("fits", "contradicted", ...), ``parameters`` with ``value``,
     ``standard_error``, ``interval`` (95 % confidence) and ``determination``, ``misfit``, ``outliers``, ``segments``, ``law``
-    and ``events`` if they were fitted, ..."""
+    and ``events`` if they were fitted, ... A fit of hybrid problems has ``sigma`` of each quantity by its name, if it was
+    estimated, and the number of ``events``."""
 
     _kind = "fit"
+    _problems: list[Any] | None = None
+
+    @property
+    def problems(self) -> list[Any]:
+        """Of hybrid problems: copies with the fitted values; what is not determined is as it was."""
+        if self._problems is None:
+            raise AttributeError("this fit has no problems: it is of a scene, or was read from a file or a pickle")
+        return self._problems
 
     @property
     def reason(self) -> str:
@@ -314,7 +325,8 @@ class Fit(_OfScene):
 
     def _rows(self) -> list[tuple[str, str]]:
         reason = self._data.get("reason")
-        rows = [("contact", self._data["contact"]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
+        by = "contact" if "contact" in self._data else "system"
+        rows = [(by, self._data[by]), ("verdict", self._data["verdict"] + (f": {reason}" if reason else ""))]
         for item in self._parameters:
             if item["standard_error"] is None:
                 with_others = f" with {', '.join(item['with'])}" if "with" in item else ""
@@ -323,7 +335,7 @@ class Fit(_OfScene):
             else:
                 low, high = item["interval"]
                 rows.append((item["name"], f"{item['value']:.7g} +- {item['standard_error']:.3g}, {low:.6g} to {high:.6g}"))
-        keys = ("misfit", "sigma", "samples", "impacts", "seconds")
+        keys = ("misfit", "sigma", "samples", "impacts" if by == "contact" else "events", "seconds")
         rows += [(key, _brief(self._data[key])) for key in keys if key in self._data]
         if self._data.get("outliers"):
             rows.append(("outliers", str(len(self._data["outliers"]))))
@@ -341,7 +353,7 @@ KINDS: dict[str, type[Result]] = {kind._kind: kind for kind in (Rollout, Gradien
 
 def load_result(path: str | os.PathLike[str]) -> Result:
     """Reads a result that ``Result.save`` has written. Raises ValueError if the file is something else."""
-    with open(os.fspath(path), "rb") as file:
+    with open(expect_path("load_result", path), "rb") as file:
         content = file.read()
     if content.startswith(b"PK"):
         raise ValueError(f"{os.fspath(path)}: found an NPZ archive, such as programs write; read it with numpy.load")

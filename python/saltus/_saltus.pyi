@@ -78,9 +78,9 @@ class Batch:
     @property
     def num_variables(self) -> int: ...
     def remarks(self, points: ArrayLike) -> list[list[dict[str, str]]]: ...
-    def loss(self, points: ArrayLike, losses: _Array | None = ...) -> _Array: ...
+    def loss(self, points: ArrayLike, losses: _Array | None = ..., counter: Any = ...) -> _Array: ...
     def loss_and_gradient(
-        self, points: ArrayLike, losses: _Array | None = ..., gradients: _Array | None = ...
+        self, points: ArrayLike, losses: _Array | None = ..., gradients: _Array | None = ..., counter: Any = ...
     ) -> tuple[_Array, _Array]: ...
 
 class EndState:
@@ -115,6 +115,7 @@ def audit(
     surrogate: str | Mapping[str, Any] | None,
     threads: int,
     audit_seconds: float,
+    seconds: float,
 ) -> tuple[dict[str, Any], BaseException | None]: ...
 def solve(
     scene: Scene,
@@ -148,6 +149,21 @@ def identify(
     segment: float,
     seconds: float,
     known_start: bool,
+    starts: int,
+    threads: int,
+    status: Any,
+) -> tuple[dict[str, Any], Any, BaseException | None]: ...
+class HybridExperiment:
+    def __init__(self, *arguments: Any) -> None: ...
+
+def identify_hybrid(
+    kind: str,
+    experiments: Sequence[HybridExperiment],
+    unknowns: Sequence[tuple[str, bool, int, int, float, float]],
+    *,
+    loss: str,
+    loss_scale: float,
+    seconds: float,
     starts: int,
     threads: int,
     status: Any,
@@ -226,7 +242,9 @@ class HybridProblem:
         points: Any,
         with_gradients: bool,
         threads: int,
+        counter: Any,
     ) -> tuple[_Array, _Array, dict[int, str]]: ...
+    def experiment(self, guess: _Guess, name: str, data: Sequence[tuple[str, float, float, float, bool]]) -> HybridExperiment: ...
     def end_state(self, guess: _Guess, cotangent: Any) -> tuple[_Array, ...]: ...
     def page_document(self, guess: _Guess) -> dict[str, Any]: ...
     def planned(self, guess: _Guess) -> PlannedMotion: ...
@@ -243,6 +261,7 @@ class HybridProblem:
         steps: int,
         width_sweep: bool,
         budget: float,
+        audit_seconds: float,
         seconds: float,
     ) -> dict[str, Any]: ...
 
@@ -255,8 +274,9 @@ class PlannedMotion:
         self, covariances: Sequence[_Array], gains: Sequence[_Array]
     ) -> tuple[list[_Array], list[float], list[tuple[str, float, float]], float, str, str]: ...
     def noisy_runs(
-        self, covariances: Sequence[_Array], gains: Sequence[_Array], samples: int, seed: int, threads: int
-    ) -> tuple[_Array, _Array, _Array, int, int, int, str]: ...
+        self, covariances: Sequence[_Array], gains: Sequence[_Array], samples: int, seed: int, threads: int,
+        seconds: float
+    ) -> tuple[_Array, _Array, _Array, int, int, int, list[str]]: ...
 
 class SaltedKalmanFilter:
     def __init__(self, *arguments: Any) -> None: ...

@@ -10,6 +10,7 @@ import numpy as np
 
 from . import _saltus
 from ._results import number_array
+from ._types import expect_path
 
 
 class SceneError(ValueError):
@@ -120,8 +121,9 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
     Raises SceneError, which names file, line, key and what was expected, and OSError.
     """
-    with open(os.fspath(path), "rb") as file:
-        return Scene._of_text(file.read(), os.fspath(path))
+    name = expect_path("load_scene", path)
+    with open(name, "rb") as file:
+        return Scene._of_text(file.read(), name)
 
 
 def as_scene(scene: SceneLike) -> Scene:

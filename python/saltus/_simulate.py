@@ -11,6 +11,7 @@ from . import _saltus
 from . import _hybrid
 from ._hybrid import HybridProblem
 from ._own import as_contact, is_own
+from ._progress import CountedProgress
 from ._results import Gradient, Rollout
 from ._scene import Scene, SceneLike, as_scene
 from ._types import Closed, expect, expect_int, expect_none_of, Floats, Remade
@@ -83,17 +84,19 @@ class Batch(Closed, Remade, _saltus.Batch):
     Args:
         scene, contact, precision: as those of Simulation.
         threads: number of threads; 0 is one per core.
+        progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Methods:
-        loss(points, losses=None): the losses (P,) at points (P, num_variables), or (P, ...) in the shape of z.
-        loss_and_gradient(points, losses=None, gradients=None): the losses and the gradients (P, num_variables).
         remarks(points): a list of the remarks on the motion of each point, which is simulated again.
     """
 
-    def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0):
+    def __init__(self, scene: SceneLike, contact: Any = "event", *, precision: str = "double", threads: int = 0,
+                 progress: bool | None = None):
         expect("text", precision=precision)
         expect_int(threads=threads)
-        self._arguments = {"scene": as_scene(scene), "contact": contact, "precision": precision, "threads": threads}
+        CountedProgress("batch", progress)
+        self._arguments = {"scene": as_scene(scene), "contact": contact, "precision": precision, "threads": threads,
+                           "progress": progress}
         # Python's exceptions come out of the thread that called.
         super().__init__(
             self._arguments["scene"],
@@ -101,6 +104,18 @@ class Batch(Closed, Remade, _saltus.Batch):
             precision=precision,
             threads=1 if is_own(contact) else threads,
         )
+
+    def loss(self, points: ArrayLike, losses: Floats | None = None) -> Floats:  # type: ignore[override]
+        """Returns the losses (P,) at points (P, num_variables), or (P, ...) in the shape of z."""
+        with CountedProgress("batch", self._arguments["progress"]) as shown:
+            return super().loss(points, losses, shown.counter)
+
+    def loss_and_gradient(  # type: ignore[override]
+        self, points: ArrayLike, losses: Floats | None = None, gradients: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Returns the losses (P,), and the gradients (P, num_variables)."""
+        with CountedProgress("batch", self._arguments["progress"]) as shown:
+            return super().loss_and_gradient(points, losses, gradients, shown.counter)
 
 
 class EndState(Closed, Remade, _saltus.EndState):

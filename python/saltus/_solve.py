@@ -210,6 +210,7 @@ def audit(
     surrogate: str | Mapping[str, Any] | None = None,
     threads: int = 0,
     audit_seconds: float = 0,
+    seconds: float = 0,
     progress: bool | None = None,
 ) -> Any:
     """Compares the gradients of contact models, of a simulator of your own or of a time-stepping scheme with the exact one.
@@ -245,12 +246,15 @@ def audit(
         audit_seconds: time, s, within which the audit of ``simulate`` is planned, from the time that its first gradient
             takes; 0 is no limit. An audit calls ``simulate`` at most 2000 times, unless a remark states why not. For a
             HybridProblem it limits the refinement beyond its first four levels.
+        seconds: limit of time, s, after which the audit has what was judged until then, and the limit as its ``reason``; 0 is
+            no limit. A call of ``simulate`` or ``step`` that is at work is waited for.
         progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
     Of a HybridProblem with costs the function audits a time-stepping scheme. It then takes step, a function of some of
     mode, t, x, u, p and h by the names of its arguments, which returns the mode's name and the state after a step of length h; or as simulate a
     command that speaks the line protocol; jacobian, with the arguments of step, which returns the derivatives by [x u p]
-    (differences without it); steps, the number of steps at which the refinement begins; width_sweep, name, audit_seconds and progress.
+    (differences without it); steps, the number of steps at which the refinement begins; width_sweep, name, audit_seconds, seconds and
+    progress.
 
     Returns:
         An Audit, or a HybridAudit.
@@ -260,12 +264,12 @@ def audit(
     """
     if isinstance(scene, HybridProblem):
         expect("text", name=name)
-        expect("a number", audit_seconds=audit_seconds)
+        expect("a number", audit_seconds=audit_seconds, seconds=seconds)
         expect_none_of(
             audit, contact=contact, gradient=gradient, vjp=vjp, precision=precision, surrogate=surrogate, threads=threads
         )
         with Progress("audit", progress):
-            return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name, audit_seconds)
+            return _hybrid.audit(scene, step, jacobian, simulate, steps, width_sweep, name, audit_seconds, seconds)
     if isinstance(simulate, str):
         raise TypeError("simulate: found str, expected a callable; commands are for saltus_audit --simulate")
     if contact is None:
@@ -285,7 +289,7 @@ def audit(
         raise ValueError("simulate: expected a callable beside gradient, vjp, jacobian or step")
     expect("text", precision=precision, name=name)
     expect_int(threads=threads)
-    expect("a number", audit_seconds=audit_seconds)
+    expect("a number", audit_seconds=audit_seconds, seconds=seconds)
     if not names and not own:
         raise ValueError("contact: found an empty list, expected names of contact models")
     with Progress("audit", progress):
@@ -298,6 +302,7 @@ def audit(
             surrogate=surrogate,
             threads=threads,
             audit_seconds=audit_seconds,
+            seconds=float(seconds),
         )
     report = Audit(found)
     if stopped_by is not None:

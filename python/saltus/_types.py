@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from typing import Any, Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -56,13 +57,21 @@ def expect_none_of(function: Callable[..., Any], **options: Any) -> None:
         raise ValueError(f"{name}: found {found}, expected none, as a HybridProblem does not take it{remedy}")
 
 
+def expect_path(what: str, path: Any, otherwise: str = "") -> str:
+    """Returns a path as text; raises TypeError for what is no path."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"{what}: found {type(path).__name__}, expected the path of a file{otherwise}")
+    return os.fspath(path)
+
+
 def expect_names(**options: Any) -> list[str]:
     """Returns the names that an option has, one as text or several; raises TypeError for anything that is no text."""
     names = []
     for option, value in options.items():
         several = isinstance(value, Iterable) and not isinstance(value, str)
         for name in value if several else [value]:
-            expect("text", **{option: name})
+            if not isinstance(name, str):
+                raise TypeError(f"{option}: found {type(name).__name__}, expected text: a name, or a list of names")
             names.append(name)
     return names
 

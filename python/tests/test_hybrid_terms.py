@@ -738,11 +738,38 @@ class TestAlways:
         with pytest.raises((ValueError, RuntimeError), match=words):
             self.point([saltus.residuals(at="always", **arguments)])
 
-    def test_mechanical_systems_are_referred_to_steps(self):
-        disc = saltus.MechanicalSystem(coordinates=["y"], mass=lambda: [[1.0]], force=lambda: [-9.81])
-        with pytest.raises(ValueError, match="found at='always' with a MechanicalSystem, expected a HybridSystem; at='steps' holds at"):
-            saltus.HybridProblem(disc, initial=[1, 0], duration=1.0,
-                                 costs=[saltus.residuals(lambda x: x[0], at="always", role="inequality")])
+    @pytest.mark.parametrize("solver", PHASES)
+    @pytest.mark.parametrize("mode", [None, "o"])
+    def test_the_top_of_a_mechanical_system_behind_a_bounce(self, solver, mode):
+        """As of a ball above, in the mode in which nothing touches; pickled, too."""
+        disc = saltus.MechanicalSystem(coordinates=["y"], mass=lambda: [[2.0]], force=lambda: [-2 * 9.81],
+                                       contacts={"floor": saltus.Contact(gap=lambda q: q[0], restitution=0.8)})
+        limit = saltus.residuals(lambda x: x[0] - 1, at="always", role="inequality", mode=mode)
+        problem = saltus.HybridProblem(disc, initial=[0.5, -1.0], duration=1.0, control=np.zeros((8, 0)), optimize=["dy"],
+                                       bounds={"dy": (-10, 0)}, costs=[saltus.cost(lambda x0: x0[1]), limit])
+        run = saltus.solve(pickle.loads(pickle.dumps(problem)), solver=solver)
+        assert_allclose(run.initial[1], -math.sqrt(2 * 9.81 / 0.64 - 9.81), rtol=1e-8)
+        assert run.certificate["verdict"] == "stationary"
+
+    def test_modes_of_a_pickled_mechanical_system_are_those_of_their_names(self):
+        """A block on the floor, beside a wall that it never touches: modes have other numbers once they were met in another order."""
+        block = saltus.MechanicalSystem(
+            coordinates=["y", "z"], mass=lambda: np.eye(2), force=lambda: [-9.81, 0],
+            contacts={"wall": saltus.Contact(gap=lambda q: q[1] + 1, restitution=0), "floor": saltus.Contact(gap=lambda q: q[0], restitution=0)})
+        for status in ("nn", "no"):
+            block._system.mode(status)
+        problem = saltus.HybridProblem(block, initial=[0, 0, 0, 1], duration=1.0, control=np.zeros((2, 0)),
+                                       costs=[saltus.residuals(lambda x: x[1], at="steps", mode="on")])
+        assert_allclose(saltus.loss_and_gradient(problem).loss, 0.25, rtol=1e-12)
+        assert saltus.loss_and_gradient(pickle.loads(pickle.dumps(problem))).loss == saltus.loss_and_gradient(problem).loss
+
+    def test_a_term_for_too_many_modes_is_refused(self):
+        contacts = {f"wall {i}": saltus.Contact(gap=lambda q, i=i: q[0] + i, slide=lambda q: q[1], restitution=0, friction=0.1) for i in range(6)}
+        disc = saltus.MechanicalSystem(coordinates=["y", "z"], mass=lambda: np.eye(2),
+                                       force=lambda: [-9.81, 0], contacts=contacts)
+        limit = saltus.residuals(lambda x: x[0] - 2, at="always", role="inequality")
+        with pytest.raises(ValueError, match="found 6 contacts, which may be in more than 1000 modes together, and no mode; expected mode="):
+            saltus.HybridProblem(disc, initial=[1, 0, 0, 0], duration=0.1, costs=[limit])
 
 
 @pytest.mark.parametrize("at", ["steps", [0.5]])

@@ -248,13 +248,6 @@ class TestRefusals:
         with pytest.raises(ValueError, match=words):
             saltus.identify(scene, recording, **wrong)
 
-    def test_hybrid_problems_are_referred_to_solve(self, recording):
-        ball = saltus.HybridSystem(states={"m": ["y"]}, flow={"m": lambda x: [-x[0]]})
-        problem = saltus.HybridProblem(ball, mode="m", initial=[1.0], duration=1.0)
-        for given in (problem, [problem]):
-            with pytest.raises(TypeError, match="scene: found a HybridProblem, .* saltus.solve"):
-                saltus.identify(given, recording)
-
     def test_contacts_in_python(self, scene, recording):
         with pytest.raises(TypeError, match="contact: found type, expected the name of a contact model"):
             saltus.identify(scene, recording, contact=saltus.ContactModel)

@@ -193,9 +193,45 @@ class TestNames:
             with refused(TypeError, "^contact: found int, expected text"):
                 saltus.audit(two_balls, contact)
         for load in [saltus.load_scene, saltus.load_bodies, saltus.load_result]:
-            with refused(TypeError, "expected str, bytes or os.PathLike object, not int"):
+            with refused(TypeError, f"^{load.__name__}: found int, expected the path of a file"):
                 load(3)
         saltus.solve(two_balls, "event", "gd", iterations=np.int64(1), learning_rate=np.float32(1), threads=np.int32(1))
+
+    def test_what_no_function_expects(self, two_balls):
+        """Messages name the argument, what was expected, and the way on."""
+        recording = {"time": [0.1], "body": ["striker"], "position": [[0, 0]]}
+        for names in (3, [3]):
+            with refused(TypeError, "^unknown: found int, expected text: a name, or a list of names"):
+                saltus.identify(two_balls, recording, names)
+        with refused(TypeError, "^load_bodies: found NoneType, expected the path of a file, or a dict with the keys of one"):
+            saltus.load_bodies(None)
+        for name, function in (("interp", saltus.interp), ("spline", saltus.spline)):
+            for arguments, found in ((("a", [0, 1], [1, 2]), "'a' in x"), ((0.5, "ab", [1, 2]), "'ab' in xs"), ((0.5, [0, 1], ["a", 2]), "'a' in ys")):
+                with refused(TypeError, f"^{name}: found {found}, expected numbers, or symbols of a function that is recorded, such as x"):
+                    function(*arguments)
+        disc = saltus.MechanicalSystem(coordinates=["y"], mass=lambda: [[1]], force=lambda: [-9.8],
+                                       contacts={"floor": saltus.Contact(gap=lambda q: q[0], restitution=0.5)})
+        with refused(ValueError, "^mode: found 3, expected a letter for each of 1 contacts, such as 'o'; leave it out"):
+            saltus.SaltedKalmanFilter(disc, [1, 0], np.eye(2), mode=3)
+        with refused(ValueError, "^mode and parameters: found some with a scene, which has its own; leave them out"):
+            saltus.SaltedKalmanFilter(two_balls, np.zeros(8), np.eye(8), mode="m")
+
+    def test_an_end_state_of_another_control(self):
+        line = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda u: [u[0]]})
+        end = saltus.HybridEndState(saltus.HybridProblem(line, mode="m", initial=[0.0], duration=1.0, control=np.ones((4, 1))))
+        assert abs(end([0.0], np.arange(4.0), [])[0] - 1.5) < 1e-12
+        for wrong in (np.ones(3), np.ones((4, 2)), 1.0):
+            with refused(ValueError, r"^control: found shape .*, expected \(4, 1\), as the problem of this HybridEndState has; make another"):
+                end([0.0], wrong, [])
+
+    @pytest.mark.parametrize("solver", ["auto", "gd", "ceres_phases"])
+    def test_a_problem_without_costs_is_remarked(self, solver):
+        line = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda u: [u[0]]})
+        problem = saltus.HybridProblem(line, mode="m", initial=[0.0], duration=1.0, control=np.ones((4, 1)))
+        remark = {"kind": "guess", "text": "the problem has no costs and no constraints, so that any motion is optimal; add some"}
+        assert remark in saltus.solve(problem, solver=solver).remarks
+        problem.costs = [saltus.effort()]
+        assert remark not in saltus.solve(problem, solver=solver).remarks
 
     def test_a_start_that_overlaps(self, two_balls):
         with refused(ValueError, "overlap"):

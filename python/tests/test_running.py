@@ -1,6 +1,7 @@
 """Callbacks, Ctrl-C, threads and memory."""
 
 import concurrent.futures
+import functools
 import gc
 import io
 import os
@@ -274,6 +275,39 @@ class TestLimitsOfTime:
         with pytest.raises(ValueError, match="audit_seconds: expected seconds, or 0 for no limit"):
             saltus.audit(problem, step=lambda x, h: ("m", x), audit_seconds=-1)
 
+    def test_an_audit_has_the_models_that_were_judged(self, two_balls):
+        audit = saltus.audit(two_balls.replace(steps=960_000), ["event", "ncp"], seconds=0.5, threads=1)
+        assert audit["interrupted"] and "the limit of 0.5 s was reached" in audit["reason"] and "interrupted" in repr(audit)
+        with pytest.raises(saltus.WrongGradient, match="interrupted"):
+            audit.raise_if_wrong()
+        assert "interrupted" not in saltus.audit(two_balls, "toi_velocity", seconds=1000)
+        line = saltus.HybridSystem(states={"m": ["x"]}, flow={"m": lambda x: [-x[0]]})
+        problem = saltus.HybridProblem(line, mode="m", initial=[1.0], duration=1.0, costs=[saltus.terminal([0])])
+
+        def step(x, h):
+            time.sleep(0.01)
+            return "m", x - h * x
+
+        found = saltus.audit(problem, step=step, steps=100, seconds=0.3)
+        assert found.interrupted and found.reason == "the limit of 0.3 s was reached; raise seconds, or go on from what was found"
+
+    def test_noisy_runs_until_then(self):
+        ball = saltus.HybridSystem(
+            states={"m": ["y", "v"]}, controls=["f"], flow={"m": lambda x, u: [x[1], u[0] - 9.8]},
+            guards={"m": {"ground": lambda x: x[0]}}, resets={"m": {"ground": lambda x: ("m", [x[0], -0.7 * x[1]])}})
+        problem = saltus.HybridProblem(ball, mode="m", initial=[1, 0], duration=1.0, control=np.zeros((50, 1)))
+        samples, seconds = 3_000_000, 0.2  # which take a minute; the first two may take longer than the limit
+        while (runs := saltus.noisy_runs(problem, 1e-6 * np.eye(2), samples=samples, seconds=seconds)).counted < 2:
+            assert "there is no covariance" in runs.remark
+            seconds *= 2
+        assert runs.counted < samples and np.isfinite(runs.covariance).all() and runs.final_error < 0.1
+        assert f"{runs.counted} of {samples} runs were simulated: the limit of {seconds:g} s was reached" in runs.remark
+        one = saltus.noisy_runs(problem, 1e-6 * np.eye(2), samples=1)
+        assert one.remark == "there is no covariance: found 1 runs that count, expected at least 2; raise samples"
+        assert one.counted == 1 and np.isnan(one.covariance).all() and one.covariance.shape == (2, 2) and np.isnan(one.final_error)
+        assert abs(one.mean - saltus.rollout(problem).final).max() < 0.02
+        assert saltus.noisy_runs(problem, 1e-6 * np.eye(2), samples=2).remark == ""
+
     @pytest.mark.parametrize("seconds", [-1, float("inf"), float("nan")])
     def test_what_is_no_time_is_refused(self, two_balls, seconds):
         with pytest.raises(ValueError, match="seconds: found .*, expected a finite number of at least 0; 0 is no limit"):
@@ -311,6 +345,46 @@ class TestProgress:
         assert "solve" not in out.getvalue()
         with _progress.Progress("solve", True, 9, out) as later:
             assert later.shown
+
+    @pytest.mark.parametrize("kind", ["scene", "hybrid"])
+    def test_batches_count_their_points(self, two_balls, kind, capsys):
+        """More and more points, until they take more than two seconds."""
+        if kind == "hybrid":
+            line = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow={"m": lambda x, u: [x[1], u[0] - x[0] ** 3]})
+            problem = saltus.HybridProblem(line, mode="m", initial=[1, 0], duration=10.0, control=np.zeros((10, 1)),
+                                           costs=[saltus.terminal([0, 0])])
+            make, size = functools.partial(saltus.HybridBatch, problem), 10
+        else:
+            make, size = functools.partial(saltus.Batch, two_balls, "ncp"), 960
+        batch, count, shown = make(progress=True), 1000, ""
+        while not shown:
+            assert count < LONG
+            batch.loss_and_gradient(np.full((count, size), 0.5))
+            count, shown = 3 * count, capsys.readouterr().err
+        assert shown.startswith("\rbatch: [") and shown.endswith(" \r")
+        make(progress=False).loss(np.full((3, size), 0.5))
+        assert capsys.readouterr().err == "" and not _progress._line.locked()
+        with pytest.raises(TypeError, match="progress: found int, expected True, False or None"):
+            make(progress=3)
+
+    def test_a_batch_that_is_shown_has_the_same_bits(self, two_balls):
+        """Lanes of points are filled in parts then."""
+        scene = two_balls.replace(steps=20)
+        points = np.random.default_rng(1).normal(size=(5003, saltus.Batch(scene).num_variables))
+        losses, gradients = saltus.Batch(scene, progress=True).loss_and_gradient(points)
+        plain = saltus.Batch(scene).loss_and_gradient(points)
+        assert np.array_equal(losses, plain[0]) and np.array_equal(gradients, plain[1])
+
+    def test_a_counted_line(self):
+        out = io.StringIO()
+        with _progress.CountedProgress("batch", True, out=out) as shown:
+            assert out.getvalue() == ""
+            shown.counter(3.2, 5, 20)
+            with _progress.CountedProgress("inner", True, out=out) as inner:
+                inner.counter(2.0, 1, 2)
+        line = "batch: [=====               ] 5/20, 3 s"
+        assert out.getvalue() == f"\r{line}\r{' ' * len(line)}\r"
+        assert not _progress._line.locked() and _progress.CountedProgress("batch", False).counter is None
 
     def test_files_have_no_line_unless_asked_for(self, two_balls):
         assert not _progress.Progress("solve", None, out=io.StringIO()).shown

@@ -164,6 +164,36 @@ def test_bounces_that_accumulate_go_on_in_the_mode_that_is_named(e):
     assert_allclose(error.value.accumulation, math.sqrt(2 / 9.81) * (1 + e) / (1 - e), rtol=1e-9)
 
 
+def test_bounces_of_a_mechanical_system_that_accumulate_name_its_rest_speed():
+    ball = saltus.MechanicalSystem(coordinates=["y"], mass=lambda: [[1]], force=lambda: [-9.81], rest_speed=0,
+                                   contacts={"floor": saltus.Contact(gap=lambda q: q[0], restitution=0.5)})
+    with pytest.raises(RuntimeError, match="Zeno behaviour.*'floor hit'.* raise rest_speed") as error:
+        saltus.rollout(saltus.HybridProblem(ball, initial=[1, 0], duration=3.0))
+    assert "on_accumulation" not in str(error.value)
+
+
+@pytest.mark.parametrize("reads", [True, False])
+@pytest.mark.parametrize("second", [0.2, 0.5])
+def test_a_guard_that_reads_the_control_at_the_end_of_an_interval(reads, second):
+    """x = u t reaches 1 - u as the interval ends. A little later it does in the next one, whose control the guard reads then."""
+    lift = saltus.HybridSystem(
+        states={"m": ["x"], "n": ["x"]}, controls=["u"], flow={"m": lambda u: [u[0]], "n": lambda x: [0 * x[0]]},
+        guards={"m": {"lift": (lambda x, u: 1 - u[0] - x[0]) if reads else (lambda x: 0.5 - x[0])}},
+        resets={"m": {"lift": lambda x: ("n", x)}})
+
+    def final(first, then):
+        problem = saltus.HybridProblem(lift, mode="m", initial=[0], duration=2.0, control=[[first], [then]])
+        return saltus.rollout(problem)
+
+    motion = final(0.5, second)
+    assert [event[0] for event in motion.events] == [1.0]
+    step = 1e-6
+    sides = [(final(0.5 + side, second).final[0] - motion.final[0]) / side for side in (-step, step)]
+    assert (abs(sides[0] - sides[1]) > 0.5) == reads
+    where = "where the control jumps" if second != 0.5 else "where the next interval of the control begins, which it reads"
+    assert motion.remark == (f"guard 'lift' has an event at t = 1, {where}" if reads else "")
+
+
 def test_a_flow_that_points_at_its_switch_goes_on_in_the_mode_that_is_named():
     box = saltus.HybridSystem(
         states={k: ["x", "v"] for k in ("right", "left", "stick")},

@@ -456,6 +456,7 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
   double losses = 0;
   int ran = 0;
   for (const Outcome& outcome : outcomes) {
+    out.simulated += outcome.done;
     if (!outcome.ok) {
       out.failed += outcome.done;
       continue;
@@ -469,10 +470,9 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
     sum += error;
     squares += error * error.transpose();
   }
-  if (out.counted > 1) {
-    out.mean = planned + sum / out.counted;
-    out.covariance = (squares - sum * sum.transpose() / out.counted) / (out.counted - 1);
-  }
+  // Without runs these are 0 / 0.
+  out.mean = planned + sum / out.counted;
+  out.covariance = (squares - sum * sum.transpose() / out.counted) / std::max(0, out.counted - 1);
   if (ran > 1) {
     out.loss = losses / ran;
     double spread = 0;

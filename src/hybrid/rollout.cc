@@ -58,7 +58,7 @@ std::string CountGuards(const HybridFunctions& functions, const HybridTie& tie) 
   return std::to_string(all) + (switches == 0 ? " guards" : switches == all ? " switches" : " guards and switches");
 }
 
-int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin) {
+int IntervalBeginNear(const HybridInput& input, double time, double margin) {
   if (input.control.empty() || input.num_intervals == 1) return -1;
   int k = 0;
   double begin = 0, length = input.duration / input.num_intervals;
@@ -72,9 +72,13 @@ int ControlJumpNear(const HybridInput& input, int num_controls, double time, dou
     begin = times[k];
     length = k > 0 ? times[k] - times[k - 1] : length;
   }
-  if (k <= 0 || k >= input.num_intervals || std::abs(time - begin) > margin * length) return -1;
-  const double* u = input.control.data() + static_cast<std::ptrdiff_t>(k) * num_controls;
-  return std::equal(u - num_controls, u, u) ? -1 : k;
+  return k <= 0 || k >= input.num_intervals || std::abs(time - begin) > margin * length ? -1 : k;
+}
+
+int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin) {
+  const int k = IntervalBeginNear(input, time, margin);
+  const double* u = input.control.data() + static_cast<std::ptrdiff_t>(std::max(k, 0)) * num_controls;
+  return k < 0 || std::equal(u - num_controls, u, u) ? -1 : k;
 }
 
 RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
@@ -99,6 +103,11 @@ std::string RolloutRun::Named(int mode, int guard) const {
 std::string RolloutRun::WaysOn(int mode, int guard) const {
   if (functions_.IsSwitch(mode, guard)) {
     return "; if they do not end, make the change of the flow gradual, or end the motion before";
+  }
+  if (functions_.EndsAccumulations()) {
+    return "; if they do not end, raise rest_speed (in C++ MechanicalOptions), below which a contact closes at an "
+           "impact, "
+           "or end the motion before";
   }
   return "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ "
          "OnAccumulation)";
@@ -381,7 +390,7 @@ bool RolloutRun::SettleSides() {
   return true;
 }
 
-// The numbers of the input on which a guard at the start depends.
+// The numbers of the input on which a guard depends, where at_ is.
 RolloutRun::AtStart RolloutRun::DependenceOf(int guard) const {
   const int n = system_.state_size(at_.mode), num_parameters = system_.num_parameters();
   std::vector<double> gradient(n + 1 + num_parameters + system_.num_controls());
@@ -909,6 +918,9 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   }
   const double remaining = input_->begin + input_->duration - at_.t;
   coincidence.jump = ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump);
+  const bool control_jumps = coincidence.jump > 0;
+  if (!control_jumps && std::ranges::count(DependenceOf(first).control, 1) > 0)
+    coincidence.jump = IntervalBeginNear(*input_, at_.t, kAtJump);
   const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
   const bool turns = functions_.IsSwitch(at_.mode, first);
   const bool at_end = remaining <= kNear * input_->duration &&
@@ -918,7 +930,10 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
     if (!turns) Remark(name + " has an event at the final time");
     coincidence.jump = -1;
   } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
-    coincidence.remark = {name + " has an event", at_.t, ", where the control jumps"};
+    coincidence.remark = {name + " has an event",
+                          at_.t,
+                          control_jumps ? ", where the control jumps"
+                                        : ", where the next interval of the control begins, which it reads"};
   }
   const std::size_t begin = coincidence.begin, events = events_.size(), number = tape_.coincidences.size();
   const std::optional<double> accumulation = accumulation_;

@@ -10,7 +10,6 @@
 
 #include "base/number_text.h"
 #include "base/parallel_for.h"
-#include "identify/unknowns.h"
 
 namespace saltus {
 namespace {
@@ -44,34 +43,29 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(RobustLoss loss, double scale) {
   return std::make_unique<ceres::TrivialLoss>();
 }
 std::unique_ptr<ceres::LossFunction> MakeLoss(const FitProblem& problem, double scale) {
-  auto loss = MakeLoss(problem.options->loss, scale);
+  auto loss = MakeLoss(problem.options.loss, scale);
   if (!problem.drops_outliers) return loss;
-  return std::make_unique<CutLoss>(std::move(loss), problem.options->outlier);
+  return std::make_unique<CutLoss>(std::move(loss), problem.options.outlier);
 }
 
-// The parameter blocks of a fit in one array, in the order in which the problem gets them.
+// The parameter blocks of a fit in one array: each unknown, then the free initial numbers of each segment.
 class Blocks {
  public:
   Blocks(const FitProblem& problem, FitPoint* point) : problem_(problem), point_(*point), values_(point->coordinates) {
     for (const Segment& segment : point->segments) {
-      for (const int body : problem.free_bodies) {
-        const double* initial = &segment.initial[4 * body];
-        values_.insert(values_.end(), initial, initial + 4);
-      }
+      for (const auto& free : problem.free_initial) values_.push_back(segment.initial[free.number]);
     }
   }
 
   double* coordinate(std::size_t u) { return &values_[u]; }
-  // Returns the initial state of the `number`-th free disc.
-  double* initial(std::size_t segment, std::size_t number) {
-    return &values_[point_.coordinates.size() + 4 * (segment * problem_.free_bodies.size() + number)];
+  double* initial(std::size_t segment) {
+    return values_.data() + point_.coordinates.size() + segment * problem_.free_initial.size();
   }
   void CopyToPoint() {
     std::copy_n(values_.begin(), point_.coordinates.size(), point_.coordinates.begin());
     for (std::size_t s = 0; s < point_.segments.size(); ++s) {
-      for (std::size_t b = 0; b < problem_.free_bodies.size(); ++b) {
-        std::copy_n(initial(s, b), 4, &point_.segments[s].initial[4 * problem_.free_bodies[b]]);
-      }
+      const double* from = initial(s);
+      for (const auto& free : problem_.free_initial) point_.segments[s].initial[free.number] = *from++;
     }
   }
 
@@ -97,27 +91,23 @@ class Motions final : public ceres::EvaluationCallback {
     blocks_.CopyToPoint();
     has_jacobians_ = with_jacobians;
     motion_.assign(point_.segments.size(), {});
-    for (MotionAtSamples& motion : motion_) motion.reason = "a parameter diverged from its start value";
+    for (FitMotion& motion : motion_) motion.reason = "a parameter diverged from its start value";
     if (!IsNearStart()) return;
-    const Scene scene = problem_.SceneAt(point_.coordinates);
-    const std::optional<ImpactLaw> law = problem_.LawAt(point_.coordinates);
-    const std::optional<EventFunctions> events = problem_.EventsAt(point_.coordinates);
+    const std::vector<double> values = problem_.ValuesAt(point_.coordinates);
     const int count = static_cast<int>(motion_.size());
-    ParallelFor(std::min(NumThreads(problem_.options->threads), count), count, [&](int, int i) {
-      const Segment& segment = point_.segments[i];
-      motion_[i] =
-          MoveThrough(problem_.contact, scene, segment, problem_.RequestOf(segment, law, events), with_jacobians);
+    ParallelFor(std::min(NumThreads(problem_.options.threads), count), count, [&](int, int i) {
+      motion_[i] = problem_.model->Move(values, point_.segments[i], with_jacobians);
     });
   }
 
-  const std::vector<MotionAtSamples>& motion() const { return motion_; }
+  const std::vector<FitMotion>& motion() const { return motion_; }
   int evaluations() const { return evaluations_; }
 
  private:
   // Whether the unknowns are near their start. A parameter that the data do not determine could go anywhere.
   bool IsNearStart() const {
     for (std::size_t u = 0; u < start_.size(); ++u) {
-      if (HasBounds(problem_.unknowns[u]) && !(std::abs(point_.coordinates[u] - start_[u]) < kFarthest)) return false;
+      if (problem_.unknowns[u].HasBounds() && !(std::abs(point_.coordinates[u] - start_[u]) < kFarthest)) return false;
     }
     return true;
   }
@@ -126,41 +116,35 @@ class Motions final : public ceres::EvaluationCallback {
   const FitPoint& point_;
   Blocks& blocks_;
   const std::vector<double> start_;
-  std::vector<MotionAtSamples> motion_;
+  std::vector<FitMotion> motion_;
   bool has_jacobians_ = false;
   int evaluations_ = 0;
 };
 
-// One sample. Blocks: each unknown, then those of the segment's free discs.
+// One sample. Blocks: each unknown, then the free initial numbers of the segment, if there are any.
 class SampleCost final : public ceres::CostFunction {
  public:
   SampleCost(const FitProblem& problem, const Motions& motions, const Segment& segment, int s, int i)
       : problem_(problem), motions_(motions), segment_(segment), s_(s), i_(i) {
-    set_num_residuals(problem.SampleAt(segment, i).velocity ? 4 : 2);
-    for (std::size_t u = 0; u < problem.unknowns.size(); ++u) mutable_parameter_block_sizes()->push_back(1);
-    for (std::size_t b = 0; b < problem.free_bodies.size(); ++b) mutable_parameter_block_sizes()->push_back(4);
+    set_num_residuals(static_cast<int>(problem.SampleAt(segment, i).size()));
+    mutable_parameter_block_sizes()->assign(problem.unknowns.size(), 1);
+    if (!problem.free_initial.empty()) {
+      mutable_parameter_block_sizes()->push_back(static_cast<int>(problem.free_initial.size()));
+    }
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const MotionAtSamples& motion = motions_.motion()[s_];
+    const FitMotion& motion = motions_.motion()[s_];
     if (!motion.ok) return false;
-    const Sample& sample = problem_.SampleAt(segment_, i_);
-    const Eigen::VectorXd residual = ResidualOf(problem_, sample, motion.state[i_]);
-    std::copy(residual.begin(), residual.end(), residuals);
+    const Eigen::VectorXd weights = WeightsOf(problem_, problem_.SampleAt(segment_, i_));
+    Eigen::Map<Eigen::VectorXd>(residuals, weights.size()) = weights.cwiseProduct(motion.miss[i_]);
     if (jacobians == nullptr) return true;
-    const Eigen::VectorXd weights = WeightsOf(problem_, sample);
-    const int num_unknowns = static_cast<int>(problem_.unknowns.size());
-    for (std::size_t block = 0; block < parameter_block_sizes().size(); ++block) {
-      if (jacobians[block] == nullptr) continue;
-      const int b = static_cast<int>(block);
-      const bool shared = b < num_unknowns;
-      const int width = shared ? 1 : 4, column = shared ? b : num_unknowns + 4 * (b - num_unknowns);
-      const double slope = shared ? SlopeAt(problem_.unknowns[b], parameters[b][0]) : 1;
-      for (int row = 0; row < num_residuals(); ++row) {
-        for (int j = 0; j < width; ++j) {
-          jacobians[block][row * width + j] = slope * weights[row] * motion.derivative[i_](row, column + j);
-        }
-      }
+    for (std::size_t b = 0; b < parameter_block_sizes().size(); ++b) {
+      if (jacobians[b] == nullptr) continue;
+      const double slope = b < problem_.unknowns.size() ? problem_.unknowns[b].SlopeAt(parameters[b][0]) : 1;
+      ceres::MatrixRef(jacobians[b], num_residuals(), parameter_block_sizes()[b]) =
+          slope * (weights.asDiagonal() *
+                   motion.derivative[i_].middleCols(static_cast<Eigen::Index>(b), parameter_block_sizes()[b]));
     }
     return true;
   }
@@ -189,9 +173,9 @@ class IterationReport final : public ceres::IterationCallback {
 
 ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t num_segments, double gain) {
   ceres::Solver::Options options;
-  options.max_num_iterations = problem.options->max_iterations;
+  options.max_num_iterations = problem.options.max_iterations;
   // Weights of a network move along valleys in which the cost does not change.
-  options.function_tolerance = LearnedStartOf(*problem.options) ? std::max(gain, kSmallGain) : gain;
+  options.function_tolerance = problem.learned ? std::max(gain, kSmallGain) : gain;
   options.parameter_tolerance = 1e-10;
   options.gradient_tolerance = 1e-14;
   options.logging_type = ceres::SILENT;
@@ -199,73 +183,41 @@ ceres::Solver::Options SolverOptionsOf(const FitProblem& problem, std::size_t nu
   return options;
 }
 
-// Adds a prior, which keeps learned parameters near their start if the data do not determine them.
 void AddPrior(const FitProblem& problem, Blocks* blocks, ceres::Problem* ceres_problem) {
-  const std::optional<LearnedStart> learned = LearnedStartOf(*problem.options);
-  if (!learned) return;
-  const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / learned->spread);
-  for (std::size_t i = 0; i < learned->parameters.size(); ++i) {
-    const ceres::Vector start = ceres::Vector::Constant(1, learned->parameters[i]);
-    double* coordinate = blocks->coordinate(problem.num_plain + i);
-    ceres_problem->AddResidualBlock(new ceres::NormalPrior(weight, start), nullptr, coordinate);
+  if (!problem.learned) return;
+  const ceres::Matrix weight = ceres::Matrix::Constant(1, 1, 1 / problem.learned->spread);
+  double* coordinate = blocks->coordinate(problem.num_plain());
+  for (const double parameter : problem.learned->parameters) {
+    const ceres::Vector start = ceres::Vector::Constant(1, parameter);
+    ceres_problem->AddResidualBlock(new ceres::NormalPrior(weight, start), nullptr, coordinate++);
   }
 }
 
-// Returns the number of unknowns that are not held, and of initial states; at most the numbers measured of a disc.
+// Returns the number of unknowns that are not held, and of initial states; at most the numbers measured of a quantity.
 int NumFitted(const FitProblem& problem, const FitPoint& point, const std::vector<bool>& held) {
   auto count = static_cast<int>(problem.unknowns.size() - std::ranges::count(held, true));
   for (const Segment& segment : point.segments) {
-    std::map<int, int> measured;  // numbers of each disc
+    std::map<int, int> measured, free;  // numbers of each quantity
     for (int i = 0; i < segment.last - segment.first; ++i) {
-      const Sample& sample = problem.SampleAt(segment, i);
-      measured[sample.body] += sample.velocity ? 4 : 2;
+      const FitSample& sample = problem.SampleAt(segment, i);
+      measured[sample.quantity] += static_cast<int>(sample.size());
     }
-    for (const int body : problem.free_bodies) count += std::min(4, measured[body]);
+    for (const auto& one : problem.free_initial) ++free[one.quantity];
+    for (const auto& [quantity, numbers] : free) count += std::min(numbers, measured[quantity]);
   }
   return count;
 }
 
 }  // namespace
 
-Scene FitProblem::SceneAt(const std::vector<double>& coordinates) const {
-  Scene at = scene;
-  for (std::size_t u = 0; u < unknowns.size(); ++u)
-    SetValue(unknowns[u], FromCoordinate(unknowns[u], coordinates[u]), &at);
-  return at;
+std::vector<double> FitProblem::ValuesAt(const std::vector<double>& coordinates) const {
+  std::vector<double> values;
+  for (std::size_t u = 0; u < unknowns.size(); ++u) values.push_back(unknowns[u].FromCoordinate(coordinates[u]));
+  return values;
 }
 
-std::optional<ImpactLaw> FitProblem::LawAt(const std::vector<double>& coordinates) const {
-  std::optional<ImpactLaw> law = options->law;
-  if (law) law->parameters.assign(coordinates.begin() + num_plain, coordinates.end());
-  return law;
-}
-
-std::optional<EventFunctions> FitProblem::EventsAt(const std::vector<double>& coordinates) const {
-  std::optional<EventFunctions> events = options->events;
-  if (events) events->parameters.assign(coordinates.begin() + num_plain, coordinates.end());
-  return events;
-}
-
-std::optional<LearnedStart> LearnedStartOf(const IdentifyOptions& options) {
-  if (options.law) return LearnedStart{options.law->parameters, options.law->spread};
-  if (options.events) return LearnedStart{options.events->parameters, options.events->spread};
-  return std::nullopt;
-}
-
-Eigen::VectorXd WeightsOf(const FitProblem& problem, const Sample& sample) {
-  Eigen::VectorXd weights(sample.velocity ? 4 : 2);
-  weights.head(2).setConstant(1 / (sample.sigma > 0 ? sample.sigma : problem.sigma));
-  if (sample.velocity) {
-    weights.tail(2).setConstant(1 / (sample.sigma_velocity > 0 ? sample.sigma_velocity : problem.sigma_velocity));
-  }
-  return weights;
-}
-
-Eigen::VectorXd ResidualOf(const FitProblem& problem, const Sample& sample, const Eigen::Vector4d& state) {
-  Eigen::VectorXd residual = WeightsOf(problem, sample);
-  residual.head(2).array() *= (state.head<2>() - sample.position).array();
-  if (sample.velocity) residual.tail(2).array() *= (state.tail<2>() - *sample.velocity).array();
-  return residual;
+Eigen::VectorXd WeightsOf(const FitProblem& problem, const FitSample& sample) {
+  return (sample.sigma.array() > 0).select(sample.sigma, problem.sigma * sample.unit).cwiseInverse();
 }
 
 LossAt EvaluateLoss(const FitProblem& problem, double scale, double squared) {
@@ -290,7 +242,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
     const Segment& segment = point.segments[s];
     std::vector<double*> of_segment;
     for (std::size_t u = 0; u < point.coordinates.size(); ++u) of_segment.push_back(blocks.coordinate(u));
-    for (std::size_t b = 0; b < problem.free_bodies.size(); ++b) of_segment.push_back(blocks.initial(s, b));
+    if (!problem.free_initial.empty()) of_segment.push_back(blocks.initial(s));
     for (int i = 0; i < segment.last - segment.first; ++i) {
       ceres_problem.AddResidualBlock(
           new SampleCost(problem, motions, segment, static_cast<int>(s), i), loss.get(), of_segment);
@@ -301,7 +253,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
     if (held[u]) ceres_problem.SetParameterBlockConstant(blocks.coordinate(u));
   }
   ceres::Solver::Options options = SolverOptionsOf(problem, point.segments.size(), gain);
-  IterationReport report(*problem.options);
+  IterationReport report(problem.options);
   options.callbacks.push_back(&report);
   ceres::Solver::Summary summary;
   ceres::Solve(options, &ceres_problem, &summary);
@@ -313,7 +265,7 @@ FitResult MinimizeFrom(const FitProblem& problem, const FitPoint& start, double 
   result.num_fitted = NumFitted(problem, point, held);
   result.iterations = summary.num_successful_steps + summary.num_unsuccessful_steps;
   result.motion = motions.motion();
-  for (const MotionAtSamples& motion : result.motion) {
+  for (const FitMotion& motion : result.motion) {
     if (motion.ok) continue;
     result.ok = false;
     result.reason = motion.reason;

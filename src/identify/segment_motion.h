@@ -9,17 +9,9 @@
 #include <string>
 #include <vector>
 
-#include "saltus/identify/identify.h"
+#include "identify/fit.h"
 
 namespace saltus {
-
-// A stretch of one recording, with an initial state of its own.
-struct Segment {
-  int recording = 0;
-  double begin = 0;             // s, of the recording
-  int first = 0, last = 0;      // samples [first, last) of the recording
-  std::vector<double> initial;  // B x 4, of the scene or of the data
-};
 
 // The measurements, and the parameters that they depend on.
 struct MotionRequest {

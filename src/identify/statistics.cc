@@ -1,6 +1,5 @@
 #include "identify/statistics.h"
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -9,7 +8,6 @@
 
 #include "base/linear_algebra.h"
 #include "base/statistics.h"
-#include "identify/unknowns.h"
 
 namespace saltus {
 namespace {
@@ -28,18 +26,30 @@ constexpr int kNormal = 10;
 constexpr double kRank = 1e-14;
 
 // The median length of a vector of as many standard normal numbers.
-double MedianLength(int entries) { return entries == 2 ? 1.177410023 : 1.832132867; }
+double MedianLength(Eigen::Index entries) {
+  constexpr double kLengths[] = {0.674489750, 1.177410023, 1.538172254, 1.832132867};
+  return kLengths[entries - 1];
+}
+
+// Returns the changes of the unknowns that matter, at the point of a fit.
+Eigen::VectorXd ScalesOf(const FitProblem& problem, const FitResult& fit) {
+  const std::vector<double> values = problem.ValuesAt(fit.point.coordinates);
+  Eigen::VectorXd scales(values.size());
+  for (std::size_t u = 0; u < values.size(); ++u) {
+    scales[static_cast<Eigen::Index>(u)] = problem.unknowns[u].ScaleAt(values[u]);
+  }
+  return scales;
+}
 
 // Derivatives of a sample's standardised residual, those by unknowns per change that matters, with the residual itself
 // behind those by unknowns that are not of a law.
-Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Scene& scene, const Sample& sample,
+Eigen::MatrixXd ScaledJacobian(const FitProblem& problem, const Eigen::VectorXd& scales, const FitSample& sample,
                                const Eigen::MatrixXd& derivative, const Eigen::VectorXd& residual) {
-  const Eigen::VectorXd weights = WeightsOf(problem, sample);
-  Eigen::MatrixXd jacobian = weights.asDiagonal() * derivative.topRows(weights.size());
-  for (std::size_t u = 0; u < problem.unknowns.size(); ++u) jacobian.col(u) *= ScaleOf(problem.unknowns[u], scene);
-  const Eigen::Index others = jacobian.cols() - problem.num_plain;
+  Eigen::MatrixXd jacobian = WeightsOf(problem, sample).asDiagonal() * derivative;
+  jacobian.leftCols(scales.size()) *= scales.asDiagonal();
+  const Eigen::Index others = jacobian.cols() - problem.num_plain();
   Eigen::MatrixXd all(jacobian.rows(), jacobian.cols() + 1);
-  all << jacobian.leftCols(problem.num_plain), residual, jacobian.rightCols(others);
+  all << jacobian.leftCols(problem.num_plain()), residual, jacobian.rightCols(others);
   return all;
 }
 
@@ -51,17 +61,17 @@ struct Information {
 };
 Information InformationOnUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
   const auto num_unknowns = static_cast<Eigen::Index>(problem.unknowns.size());
-  const Scene scene = problem.SceneAt(fit.point.coordinates);
-  const auto columns = num_unknowns + 1 + static_cast<Eigen::Index>(4 * problem.free_bodies.size());
+  const Eigen::VectorXd scales = ScalesOf(problem, fit);
+  const Eigen::Index columns = problem.num_columns() + 1;
   std::vector<Eigen::MatrixXd> normal(fit.point.segments.size(), Eigen::MatrixXd::Zero(columns, columns));
-  ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
+  ForEachSample(problem, fit, [&](int s, int i, const FitSample& sample, const Eigen::VectorXd& residual) {
     const double weight = EvaluateLoss(problem, loss_scale, residual.squaredNorm()).rho[1];
-    AddGram(weight, ScaledJacobian(problem, scene, sample, fit.motion[s].derivative[i], residual), &normal[s]);
+    AddGram(weight, ScaledJacobian(problem, scales, sample, fit.motion[s].derivative[i], residual), &normal[s]);
   });
-  const Eigen::Index plain = problem.num_plain;
+  const Eigen::Index plain = problem.num_plain();
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(num_unknowns + 1, num_unknowns + 1);
   for (const Eigen::MatrixXd& one : normal) all += SchurComplement(one, num_unknowns + 1);
-  if (const auto learned = LearnedStartOf(*problem.options)) {
+  if (const auto& learned = problem.learned) {
     const double weight = 1 / (learned->spread * learned->spread);
     for (Eigen::Index i = plain; i < num_unknowns; ++i) {
       all(i + 1, i + 1) += weight;
@@ -78,19 +88,9 @@ Information InformationOnUnknowns(const FitProblem& problem, const FitResult& fi
 constexpr double kAtBound = 1e-9;
 
 // Whether the samples push an unknown, which is to change by `step`, to its bound or beyond.
-bool IsAtBound(const Unknown& unknown, double value, double step, double scale) {
-  if (!HasBounds(unknown)) return false;
+bool IsAtBound(const FitUnknown& unknown, double value, double step, double scale) {
   const auto is_beyond = [&](double room, double towards) { return room < std::max(kAtBound * scale, towards); };
-  return is_beyond(value, -step) || (unknown.kind == Unknown::Kind::kRestitution && is_beyond(1 - value, step));
-}
-
-constexpr int kPoints = 25;  // of the curve
-
-// The standard error of what has these derivatives by the law's parameters.
-double ErrorOf(const FitProblem& problem, const Eigen::MatrixXd& covariance, const std::vector<double>& slope) {
-  const Eigen::Map<const Eigen::VectorXd> by(slope.data(), static_cast<Eigen::Index>(slope.size()));
-  const Eigen::MatrixXd of_law = covariance.block(problem.num_plain, problem.num_plain, by.size(), by.size());
-  return std::sqrt(std::max(0.0, by.dot(of_law * by)));
+  return is_beyond(value - unknown.low, -step) || is_beyond(unknown.high - value, step);
 }
 
 // Sums over numbers of samples: the force of the loss, which is its derivative by the residual, squared, and the
@@ -118,24 +118,22 @@ struct LossMeans {
 // The covariance of ConfidenceOf(), for means of `inner` samples and of outliers.
 Eigen::MatrixXd CovarianceOf(const FitProblem& problem, const FitResult& fit, const std::vector<bool>& held,
                              const LossMeans& inner, const LossMeans& outer) {
-  const Scene scene = problem.SceneAt(fit.point.coordinates);
+  const Eigen::VectorXd scales = ScalesOf(problem, fit);
   std::vector<Eigen::Index> columns;  // of unknowns that are not held, per change that matters
-  Eigen::VectorXd scales(problem.unknowns.size());
-  for (std::size_t u = 0; u < problem.unknowns.size(); ++u) {
-    scales[static_cast<Eigen::Index>(u)] = ScaleOf(problem.unknowns[u], scene);
-    if (held.empty() || !held[u]) columns.push_back(static_cast<Eigen::Index>(u));
+  for (Eigen::Index u = 0; u < scales.size(); ++u) {
+    if (held.empty() || !held[u]) columns.push_back(u);
   }
   const auto count = static_cast<Eigen::Index>(columns.size()), all = scales.size();
-  const auto width = count + static_cast<Eigen::Index>(4 * problem.free_bodies.size());
+  const auto width = count + static_cast<Eigen::Index>(problem.free_initial.size());
   if (count == 0) return {};
   const auto for_each = [&](const auto& visit) {
-    ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd& residual) {
+    ForEachSample(problem, fit, [&](int s, int i, const FitSample& sample, const Eigen::VectorXd& residual) {
       const Eigen::VectorXd weights = WeightsOf(problem, sample);
-      const Eigen::MatrixXd by = weights.asDiagonal() * fit.motion[s].derivative[i].topRows(weights.size());
+      const Eigen::MatrixXd by = weights.asDiagonal() * fit.motion[s].derivative[i];
       Eigen::MatrixXd jacobian(weights.size(), width);
       jacobian.leftCols(count) = by.leftCols(all)(Eigen::all, columns) * scales(columns).asDiagonal();
       jacobian.rightCols(width - count) = by.rightCols(width - count);
-      visit(s, residual.norm() > problem.options->outlier ? outer : inner, jacobian);
+      visit(s, residual.norm() > problem.options.outlier ? outer : inner, jacobian);
     });
   };
   std::vector<Eigen::MatrixXd> normal(fit.point.segments.size(), Eigen::MatrixXd::Zero(width, width));
@@ -153,9 +151,9 @@ Eigen::MatrixXd CovarianceOf(const FitProblem& problem, const FitResult& fit, co
     AddGram(mean.square, jacobian.leftCols(count) - jacobian.rightCols(width - count) * eliminated[s], &B);
   });
   // The prior of what is learned counts as a number that was measured.
-  if (const auto learned = LearnedStartOf(*problem.options)) {
+  if (const auto& learned = problem.learned) {
     for (Eigen::Index c = 0; c < count; ++c) {
-      if (columns[c] < problem.num_plain) continue;
+      if (columns[c] < problem.num_plain()) continue;
       const double weight = std::pow(scales[columns[c]] / learned->spread, 2);
       A(c, c) += inner.slope * weight;
       B(c, c) += inner.square * weight;
@@ -231,8 +229,8 @@ Runs SumOf(const std::map<Key, RunCounter>& all) {
 double MisfitOf(const FitProblem& problem, const FitResult& fit) {
   std::vector<double> lengths;
   std::size_t numbers = 0;
-  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
-    lengths.push_back(residual.norm() / MedianLength(static_cast<int>(residual.size())));
+  ForEachSample(problem, fit, [&](int, int, const FitSample&, const Eigen::VectorXd& residual) {
+    lengths.push_back(residual.norm() / MedianLength(residual.size()));
     numbers += residual.size();
   });
   const std::size_t passed = std::min(lengths.size() * fit.num_fitted / numbers, lengths.size() - 1);
@@ -242,65 +240,74 @@ double MisfitOf(const FitProblem& problem, const FitResult& fit) {
 
 double OutlierShareOf(const FitProblem& problem, const FitResult& fit) {
   int outliers = 0, samples = 0;
-  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
-    outliers += residual.norm() > problem.options->outlier;
+  ForEachSample(problem, fit, [&](int, int, const FitSample&, const Eigen::VectorXd& residual) {
+    outliers += residual.norm() > problem.options.outlier;
     ++samples;
   });
   return static_cast<double>(outliers) / samples;
 }
 
 double ExtentOf(const FitProblem& problem, const FitResult& fit) {
-  struct Boxes {
-    Eigen::AlignedBox2d samples, motion;
+  struct Box {
+    Eigen::VectorXd low, high;
+    void Extend(const Eigen::VectorXd& point) {
+      low = low.size() == 0 ? point : low.cwiseMin(point);
+      high = high.size() == 0 ? point : high.cwiseMax(point);
+    }
+    double Diagonal() const { return (high - low).norm(); }
   };
-  std::map<std::pair<int, int>, Boxes> boxes;  // by recording and disc
-  ForEachSample(problem, fit, [&](int s, int i, const Sample& sample, const Eigen::VectorXd&) {
-    Boxes& at = boxes[{fit.point.segments[s].recording, sample.body}];
-    at.samples.extend(sample.position);
-    at.motion.extend(Vec2d(fit.motion[s].state[i].head<2>()));
+  struct Boxes {
+    Box samples, motion;
+  };
+  std::map<std::pair<int, int>, Boxes> boxes;  // by recording and quantity
+  ForEachSample(problem, fit, [&](int s, int i, const FitSample& sample, const Eigen::VectorXd&) {
+    Boxes& at = boxes[{fit.point.segments[s].recording, sample.quantity}];
+    const auto add = [&](const Eigen::VectorXd& to, Box* box) {
+      box->Extend(to.cwiseQuotient(sample.unit).head(sample.num_positions));
+    };
+    add(sample.value, &at.samples);
+    add(sample.value + fit.motion[s].miss[i], &at.motion);
   });
   double extent = 0;
   for (const auto& [key, at] : boxes) {
-    extent = std::max(extent, std::min(at.samples.diagonal().norm(), at.motion.diagonal().norm()));
+    extent = std::max(extent, std::min(at.samples.Diagonal(), at.motion.Diagonal()));
   }
   return extent;
 }
 
 Runs CountRuns(const FitProblem& problem, const FitResult& fit) {
-  std::map<std::tuple<int, int, int>, RunCounter> all;  // by segment, disc and coordinate
-  ForEachSample(problem, fit, [&](int s, int, const Sample& sample, const Eigen::VectorXd& residual) {
-    if (residual.norm() > problem.options->outlier) return;
-    for (int j = 0; j < 2; ++j) all[{s, sample.body, j}].Add(residual[j] > 0);
+  std::map<std::tuple<int, int, Eigen::Index>, RunCounter> all;  // by segment, quantity and coordinate
+  ForEachSample(problem, fit, [&](int s, int, const FitSample& sample, const Eigen::VectorXd& residual) {
+    if (residual.norm() > problem.options.outlier) return;
+    for (Eigen::Index j = 0; j < sample.num_positions; ++j) all[{s, sample.quantity, j}].Add(residual[j] > 0);
   });
   return SumOf(all);
 }
 
 OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit) {
-  std::map<int, std::vector<Vec2d>> residuals;  // by disc; zero of samples that are no outliers
-  ForEachSample(problem, fit, [&](int, int, const Sample& sample, const Eigen::VectorXd& residual) {
-    const bool is_outlier = residual.norm() > problem.options->outlier;
-    residuals[sample.body].push_back(is_outlier ? Vec2d(residual.head<2>()) : Vec2d::Zero());
+  std::map<int, std::vector<Eigen::VectorXd>> residuals;  // by quantity; zero of samples that are no outliers
+  ForEachSample(problem, fit, [&](int, int, const FitSample& sample, const Eigen::VectorXd& residual) {
+    const double counts = residual.norm() > problem.options.outlier;
+    residuals[sample.quantity].push_back(counts * residual.head(sample.num_positions));
   });
   std::size_t samples = 0, outliers = 0, runs = 0, one_sided = 0;
   double largest = 0;
-  for (const auto& [body, of_body] : residuals) {
-    samples += of_body.size();
-    for (std::size_t i = 0; i < of_body.size();) {
+  for (const auto& [quantity, all] : residuals) {
+    samples += all.size();
+    for (std::size_t i = 0; i < all.size();) {
       std::size_t end = i;
-      bool above[2] = {true, true}, below[2] = {true, true};
-      for (; end < of_body.size() && !of_body[end].isZero(0); ++end) {
-        largest = std::max(largest, of_body[end].norm());
-        for (int j = 0; j < 2; ++j) {
-          above[j] &= of_body[end][j] > 0;
-          below[j] &= of_body[end][j] < 0;
-        }
+      Eigen::VectorXd signs = Eigen::VectorXd::Zero(all[i].size());
+      for (; end < all.size() && !all[end].isZero(0); ++end) {
+        largest = std::max(largest, all[end].norm());
+        signs += all[end].cwiseSign();
       }
       const std::size_t length = end - i;
       i = end + 1;
       if (length == 0) continue;
       ++runs;
       outliers += length;
-      if (length >= kLongRun && (above[0] || below[0] || above[1] || below[1])) one_sided += length;
+      const bool has_one_sign = signs.cwiseAbs().maxCoeff() == static_cast<double>(length);
+      if (length >= kLongRun && has_one_sign) one_sided += length;
     }
   }
   if (outliers == 0) return {};
@@ -313,11 +320,11 @@ OutlierRuns FindOutlierRuns(const FitProblem& problem, const FitResult& fit) {
 Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, double loss_scale) {
   const auto count = static_cast<Eigen::Index>(problem.unknowns.size());
   Openness open{std::vector<Determination>(count, Determination::kDetermined), std::vector<std::vector<int>>(count)};
-  if (problem.num_plain == 0) return open;
+  if (problem.num_plain() == 0) return open;
   const Information information = InformationOnUnknowns(problem, fit, loss_scale);
   const SymmetricEigen eigen = EigenOf(information.matrix);
   const double scatter = ConfidenceOf(problem, fit, loss_scale).scatter;
-  const Eigen::Index plain = problem.num_plain;
+  const Eigen::Index plain = problem.num_plain();
   Eigen::MatrixXd share = Eigen::MatrixXd::Zero(plain, plain);  // the projection on what is open
   for (Eigen::Index k = 0; k < plain; ++k) {
     if (eigen.values[k] * kOpen * kOpen > scatter) continue;
@@ -331,10 +338,10 @@ Openness FindOpenUnknowns(const FitProblem& problem, const FitResult& fit, doubl
     open.determination[i] = open.with[i].empty() ? Determination::kUndetermined : Determination::kCombined;
   }
   const Eigen::VectorXd step = LeastNormSolution(information.matrix, -information.gradient);
-  const Scene scene = problem.SceneAt(fit.point.coordinates);
+  const std::vector<double> values = problem.ValuesAt(fit.point.coordinates);
   for (Eigen::Index i = 0; i < plain; ++i) {
-    const Unknown& unknown = problem.unknowns[i];
-    const double scale = ScaleOf(unknown, scene), value = ValueOf(unknown, scene);
+    const FitUnknown& unknown = problem.unknowns[i];
+    const double value = values[i], scale = unknown.ScaleAt(value);
     const bool determined = open.determination[i] == Determination::kDetermined;
     if (determined && IsAtBound(unknown, value, scale * step[i], scale)) {
       open.determination[i] = Determination::kAtBound;
@@ -347,15 +354,15 @@ Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double 
                         const std::vector<bool>& held) {
   LossSums inner, outer;
   double squares = 0;  // without outliers, and without the loss
-  ForEachSample(problem, fit, [&](int, int, const Sample&, const Eigen::VectorXd& residual) {
+  ForEachSample(problem, fit, [&](int, int, const FitSample&, const Eigen::VectorXd& residual) {
     const double squared = residual.squaredNorm();
-    const bool is_outlier = residual.norm() > problem.options->outlier;
+    const bool is_outlier = residual.norm() > problem.options.outlier;
     if (!is_outlier) squares += squared;
     (is_outlier ? outer : inner)
         .Add(EvaluateLoss(problem, loss_scale, squared), squared, static_cast<int>(residual.size()));
   });
   // Learned parameters have a prior, and so take no degrees of freedom of the samples.
-  const auto learned = static_cast<double>(problem.unknowns.size()) - problem.num_plain;
+  const auto learned = static_cast<double>(problem.unknowns.size()) - problem.num_plain();
   const int left = inner.entries - fit.num_fitted;
   Confidence confidence;
   confidence.scatter = squares / std::max(1, left);
@@ -365,7 +372,7 @@ Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double 
       confidence.degrees > 0 && confidence.scatter <= 1 + kMostMeanSquare * std::sqrt(2 / confidence.degrees);
   const double slope = inner.Slope();
   double mean = inner.squares / std::max(1, left);  // of the squared force
-  if (confidence.is_noise && (*problem.recordings)[0].samples[0].sigma > 0) {
+  if (confidence.is_noise && problem.states_sigma) {
     mean = (kStated * slope + inner.squares) / (kStated + std::max(1, left));
     confidence.interval_degrees += kStated;
   }
@@ -386,48 +393,6 @@ double StudentQuantile(double degrees) {
   const double g3 = z * (((3 * z2 + 19) * z2 + 17) * z2 - 15) / 384;
   const double g4 = z * ((((79 * z2 + 776) * z2 + 1482) * z2 - 1920) * z2 - 945) / 92160;
   return z + (g1 + (g2 + (g3 + g4 / n) / n) / n) / n;
-}
-
-LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, const Eigen::MatrixXd& covariance) {
-  LearnedLaw learned{*problem.LawAt(fit.point.coordinates), 0, {}};
-  std::vector<double> approach, sliding;
-  for (const MotionAtSamples& motion : fit.motion) {
-    for (const Vec2d& speeds : motion.impact_speeds) {
-      approach.push_back(speeds[0]);
-      sliding.push_back(speeds[1]);
-    }
-  }
-  learned.impacts = static_cast<int>(approach.size());
-  if (approach.empty() || covariance.size() == 0) return learned;
-  const auto [slowest, fastest] = std::minmax_element(approach.begin(), approach.end());
-  const double middle = Median(std::move(sliding));
-  for (int i = 0; i < kPoints; ++i) {
-    const double speed = *slowest + (*fastest - *slowest) * i / (kPoints - 1);
-    const ImpactLawAt at = EvaluateLaw(learned.law, speed, middle);
-    learned.curve.push_back({speed,
-                             middle,
-                             at.restitution,
-                             ErrorOf(problem, covariance, at.restitution_slope),
-                             at.friction,
-                             ErrorOf(problem, covariance, at.friction_slope)});
-  }
-  return learned;
-}
-
-LearnedEventFunctions LearnedEventsOf(const FitProblem& problem, const FitResult& fit) {
-  LearnedEventFunctions learned{*problem.EventsAt(fit.point.coordinates), {}};
-  for (std::size_t s = 0; s < fit.motion.size(); ++s) {
-    for (const ImpactState& impact : fit.motion[s].impacts) {
-      const int body = impact.candidate.a, number = impact.candidate.b;
-      const double radius = problem.scene.bodies[body].radius;
-      const Vec2d &position = impact.position[0], &before = impact.velocity[0];
-      const EventAt at = EvaluateEvents(learned.functions, number, position, before, radius);
-      const Plane& plane = problem.scene.planes[number];
-      const double gap = plane.normal.normalized().dot(Vec2d(position - plane.point)) - radius;
-      learned.impacts.push_back({static_cast<int>(s), body, number, position, before, at.after, at.normal, gap});
-    }
-  }
-  return learned;
 }
 
 }  // namespace saltus

@@ -1,5 +1,4 @@
-// Statistics of a fit: which parameters the data determine and how well, which samples are outliers, and what was
-// learned of the law of impact or of event functions.
+// Statistics of a fit: which parameters the data determine and how well, and which samples are outliers.
 #pragma once
 
 #include "identify/fit.h"
@@ -12,8 +11,9 @@ void ForEachSample(const FitProblem& problem, const FitResult& fit, const Visit&
   for (std::size_t s = 0; s < fit.point.segments.size(); ++s) {
     const Segment& segment = fit.point.segments[s];
     for (int i = 0; i < segment.last - segment.first; ++i) {
-      const Sample& sample = problem.SampleAt(segment, i);
-      visit(static_cast<int>(s), i, sample, ResidualOf(problem, sample, fit.motion[s].state[i]));
+      const FitSample& sample = problem.SampleAt(segment, i);
+      const Eigen::VectorXd residual = WeightsOf(problem, sample).cwiseProduct(fit.motion[s].miss[i]);
+      visit(static_cast<int>(s), i, sample, residual);
     }
   }
 }
@@ -26,8 +26,8 @@ double MisfitOf(const FitProblem& problem, const FitResult& fit);
 // Share of the samples with |r| above IdentifyOptions::outlier.
 double OutlierShareOf(const FitProblem& problem, const FitResult& fit);
 
-// The extent of the motion, m: the diagonal of the largest box around one disc in one recording, of that of its samples
-// and that of the fit the smaller one, as samples have outliers.
+// The extent of the motion, in units of sigma: the diagonal of the largest box around the positions of one quantity in
+// one recording, of that of its samples and that of the fit the smaller one, as samples have outliers.
 double ExtentOf(const FitProblem& problem, const FitResult& fit);
 
 // The standard deviations below the expected number of runs from which on errors are systematic.
@@ -81,11 +81,5 @@ Confidence ConfidenceOf(const FitProblem& problem, const FitResult& fit, double 
 // The number that a variable of Student's t distribution exceeds in magnitude with a probability of 5 %. Precondition:
 // degrees >= 3, for an error below 0.2 %.
 double StudentQuantile(double degrees);
-
-// Precondition: a law is learned, and the fit has its motion. `covariance` is that of all unknowns' values.
-LearnedLaw LearnedLawOf(const FitProblem& problem, const FitResult& fit, const Eigen::MatrixXd& covariance);
-
-// Precondition: event functions are learned, and the fit has its motion.
-LearnedEventFunctions LearnedEventsOf(const FitProblem& problem, const FitResult& fit);
 
 }  // namespace saltus

@@ -189,8 +189,13 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   HybridSimulator simulator(problem.system, problem.integration);
   const bool ok = simulator.Rollout(solution);
   item["motion"] = HybridMotionToJson(simulator, solution, ok, states);
-  item["remarks"] =
-      RemarksToJson(ok ? RemarksOn(simulator, report.integration_error, problem.integration.tolerance) : Remarks());
+  Remarks remarks;
+  if (ok) remarks = RemarksOn(simulator, report.integration_error, problem.integration.tolerance);
+  if (problem.terms.empty()) {
+    remarks.push_back(
+        {"guess", "the problem has no costs and no constraints, so that any motion is optimal; add some"});
+  }
+  item["remarks"] = RemarksToJson(remarks);
   if (!report.certificate) return item;
   const Certificate& found = *report.certificate;
   Json certificate = {{"verdict", VerdictToString(found.verdict)}};

@@ -19,6 +19,9 @@ namespace {
 
 constexpr const char* kExact = "event";  // beside which the others stand
 
+// Whether fits are of a scene under contact models, or of a hybrid system.
+bool IsOfScene(const Json& document) { return document["fits"].empty() || document["fits"][0].contains("contact"); }
+
 bool HasMinimum(const IdentifyReport& report) { return !report.residuals.empty(); }
 
 bool IsDetermined(const Estimate& estimate) { return estimate.determination == Determination::kDetermined; }
@@ -61,15 +64,38 @@ Json EstimatesToJson(const IdentifyReport& report, const IdentifyReport* exact) 
   return list;
 }
 
-Json ResidualToJson(const Scene& scene, const std::vector<Recording>& recordings, const SampleResidual& at) {
-  const Recording& recording = recordings[at.recording];
-  const Sample& sample = recording.samples[at.sample];
-  Json item = {{"recording", recording.name}};
-  if (sample.line > 0) item["line"] = sample.line;
-  item["time"] = sample.time;
-  item["body"] = scene.bodies[sample.body].name;
-  item["residual"] = at.standardised;
-  return item;
+// The fit itself. A scene's recordings and bodies are the experiments and quantities of a hybrid system.
+void AddFit(const IdentifyReport& report, const IdentifyReport* exact, bool of_scene, Json* item) {
+  (*item)["verdict"] = FitVerdictToString(report.verdict);
+  if (!report.reason.empty()) (*item)["reason"] = report.reason;
+  if (!report.remarks.empty()) (*item)["remarks"] = report.remarks;
+  if (!HasMinimum(report)) return;
+  (*item)["cost"] = report.cost;
+  if (report.misfit > 0) (*item)["misfit"] = report.misfit;
+  if (report.sigma > 0 && of_scene) (*item)["sigma"] = report.sigma;
+  for (std::size_t q = 0; q < report.sigmas.size(); ++q) (*item)["sigma"][report.quantities[q]] = report.sigmas[q];
+  (*item)["samples"] = report.residuals.size();
+  (*item)[of_scene ? "impacts" : "events"] = report.impacts;
+  (*item)["parameters"] = EstimatesToJson(report, exact);
+  (*item)["correlation"] = report.correlation;
+  Json& outliers = (*item)["outliers"] = Json::array();
+  for (const SampleResidual& at : report.residuals) {
+    if (!at.outlier) continue;
+    Json outlier = {{of_scene ? "recording" : "experiment", report.recordings[at.recording]}};
+    if (at.line > 0) outlier["line"] = at.line;
+    outlier["time"] = at.time;
+    outlier[of_scene ? "body" : "quantity"] = report.quantities[at.quantity];
+    outlier["residual"] = at.standardised;
+    outliers.push_back(std::move(outlier));
+  }
+}
+
+void AddWork(const IdentifyReport& report, Json* item) {
+  (*item)["starts"] = report.starts;
+  (*item)["sequences"] = report.sequences;
+  (*item)["iterations"] = report.iterations;
+  (*item)["evaluations"] = report.evaluations;
+  (*item)["seconds"] = report.seconds;
 }
 
 Json LawToJson(const LearnedLaw& learned) {
@@ -184,7 +210,7 @@ Table EventTable(const Scene& scene, const Identified& identified) {
       const Vec2d normal = scene.planes[at.plane].normal.normalized();
       const double closing = -at.before.dot(at.normal), parting = at.after.dot(at.normal);
       table.AddRow({scene.planes[at.plane].name,
-                    identified.recordings[report.segment_recording[at.segment]].name,
+                    report.recordings[report.segment_recording[at.segment]],
                     scene.bodies[at.body].name,
                     at.position[0],
                     at.position[1],
@@ -199,7 +225,7 @@ Table EventTable(const Scene& scene, const Identified& identified) {
 }
 
 Table EstimateTable(const Identified& identified) {
-  Table table(ColumnsOf("contact; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
+  Table table(ColumnsOf(identified.by + "; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     for (const Estimate& estimate : identified.reports[i].estimates) {
       std::string remark;
@@ -226,8 +252,9 @@ Table FitTable(const Json& document) {
   return TableOf(
       document["fits"],
       "",
-      "contact; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts; starts; sequences; iterations; "
-      "seconds:3; remark=reason");
+      std::string(IsOfScene(document) ? "contact; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts"
+                                      : "system; verdict; samples; outliers; misfit:4; cost:6; events") +
+          "; starts; sequences; iterations; seconds:3; remark=reason");
 }
 
 std::vector<std::string> FitRemarks(const Identified& identified) {
@@ -272,24 +299,23 @@ Table ComparisonTable(const Identified& identified) {
 }
 
 Table OutlierTable(const Json& document) {
-  return TableOf(document["fits"],
-                 "/outliers",
-                 "contact=^contact; recording; line; time:6; body; residual x=residual/0:3; residual y=residual/1:3",
-                 3,
-                 kMostOutliersNamed);
+  const char* columns =
+      IsOfScene(document)
+          ? "contact=^contact; recording; line; time:6; body; residual x=residual/0:3; residual y=residual/1:3"
+          : "system=^system; experiment; quantity; time:6; residual=residual/0:3";
+  return TableOf(document["fits"], "/outliers", columns, 3, kMostOutliersNamed);
 }
 
-Table ResidualTable(const Scene& scene, const Identified& identified) {
+Table ResidualTable(const Identified& identified) {
   Table residuals(ColumnsOf("contact; recording; line; time; body; x; y; residual_x; residual_y; outlier"));
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-    for (const SampleResidual& at : identified.reports[i].residuals) {
-      const Recording& recording = identified.recordings[at.recording];
-      const Sample& sample = recording.samples[at.sample];
+    const IdentifyReport& report = identified.reports[i];
+    for (const SampleResidual& at : report.residuals) {
       residuals.AddRow({identified.contacts[i],
-                        recording.name,
-                        sample.line,
-                        sample.time,
-                        scene.bodies[sample.body].name,
+                        report.recordings[at.recording],
+                        at.line,
+                        at.time,
+                        report.quantities[at.quantity],
                         at.predicted[0],
                         at.predicted[1],
                         at.standardised[0],
@@ -307,36 +333,20 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
     const IdentifyReport& report = identified.reports[i];
     interrupted |= report.verdict == FitVerdict::kInterrupted;
-    Json item = {{"contact", identified.contacts[i]}, {"verdict", FitVerdictToString(report.verdict)}};
-    if (!report.reason.empty()) item["reason"] = report.reason;
-    if (!report.remarks.empty()) item["remarks"] = report.remarks;
+    Json item = {{"contact", identified.contacts[i]}};
+    AddFit(report, exact, /*of_scene=*/true, &item);
     if (HasMinimum(report)) {
-      item["cost"] = report.cost;
-      if (report.misfit > 0) item["misfit"] = report.misfit;
-      if (report.sigma > 0) item["sigma"] = report.sigma;
-      item["samples"] = report.residuals.size();
-      item["impacts"] = report.impacts;
-      item["parameters"] = EstimatesToJson(report, exact);
-      item["correlation"] = report.correlation;
       if (report.law) item["law"] = LawToJson(*report.law);
       if (report.events) item["events"] = EventsToJson(scene, *report.events);
-      item["outliers"] = Json::array();
-      for (const SampleResidual& at : report.residuals) {
-        if (at.outlier) item["outliers"].push_back(ResidualToJson(scene, identified.recordings, at));
-      }
       item["segments"] = Json::array();
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
-        item["segments"].push_back({{"recording", identified.recordings[report.segment_recording[s]].name},
+        item["segments"].push_back({{"recording", report.recordings[report.segment_recording[s]]},
                                     {"begin", report.segment_begin[s]},
                                     {"position", VectorsToJson(scene, report.initial[s], 0)},
                                     {"velocity", VectorsToJson(scene, report.initial[s], 2)}});
       }
     }
-    item["starts"] = report.starts;
-    item["sequences"] = report.sequences;
-    item["iterations"] = report.iterations;
-    item["evaluations"] = report.evaluations;
-    item["seconds"] = report.seconds;
+    AddWork(report, &item);
     list.push_back(std::move(item));
   }
   Json document = {{"scene", scene.name}, {"fits", std::move(list)}};
@@ -360,6 +370,16 @@ std::vector<std::size_t> ShownFits(const Identified& identified) {
   return shown;
 }
 
+void AddFits(const Identified& identified, const Json& document, Page* page) {
+  page->AddHeading("Fits");
+  page->AddTableIfAny(FitTable(document), "The fit of each " + identified.by + ".");
+  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
+  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page->AddTableIfAny(
+      ComparisonTable(identified),
+      "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
+}
+
 // Draws samples as dots, and the motion of each fit as lines, which end where a segment does.
 void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
   Panel panel = ScenePanel(scene, "");
@@ -369,9 +389,8 @@ void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
     std::map<std::pair<int, int>, Series> paths;  // by recording and disc
     for (const SampleResidual& at : identified.reports[i].residuals) {
       if (static_cast<std::size_t>(at.recording) >= recordings) continue;
-      const int body = identified.recordings[at.recording].samples[at.sample].body;
-      Series& path =
-          paths.try_emplace({at.recording, body}, Series::ForModel(identified.contacts[i], {}, {})).first->second;
+      Series& path = paths.try_emplace({at.recording, at.quantity}, Series::ForModel(identified.contacts[i], {}, {}))
+                         .first->second;
       path.x.push_back(at.predicted[0]);
       path.y.push_back(at.predicted[1]);
     }
@@ -396,7 +415,7 @@ void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
                       std::string(identified.recordings.size() > recordings ? " of the first recordings." : "."));
 }
 
-void AddResiduals(const Identified& identified, Page* page) {
+void AddResidualsAndOutliers(const Identified& identified, const Json& document, Page* page) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "residual (standard deviations)"}};
   for (const std::size_t i : ShownFits(identified)) {
     const std::vector<SampleResidual>& residuals = identified.reports[i].residuals;
@@ -405,26 +424,22 @@ void AddResiduals(const Identified& identified, Page* page) {
     const std::size_t stride = residuals.size() / kMostPoints + 1;
     for (std::size_t k = 0; k < residuals.size(); k += stride) {
       const SampleResidual& at = residuals[k];
-      series.x.push_back(identified.recordings[at.recording].samples[at.sample].time);
-      series.y.push_back(at.standardised.norm());
+      series.x.push_back(at.time);
+      series.y.push_back(Eigen::Map<const Eigen::VectorXd>(at.standardised.data(), std::ssize(at.standardised)).norm());
     }
     panel.series.push_back(std::move(series));
   }
   if (panel.series.empty()) return;
   Figure figure{.panels = {panel}};
   page->AddFigure(figure, "Distance of each sample from the fitted motion, in standard deviations of the noise.");
+  page->AddTableIfAny(OutlierTable(document),
+                      "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
 }
 
 }  // namespace
 
 void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
-  page->AddHeading("Fits");
-  page->AddTableIfAny(FitTable(document), "The fit of each contact model.");
-  if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
-  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
-  page->AddTableIfAny(
-      ComparisonTable(identified),
-      "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
+  AddFits(identified, document, page);
   const Table law = LawTable(identified);
   if (!law.rows().empty()) {
     page->AddHeading("Law of impact");
@@ -442,9 +457,42 @@ void AddIdentifySections(const Scene& scene, const Identified& identified, const
   }
   page->AddHeading("Motions");
   AddMotions(scene, identified, page);
-  AddResiduals(identified, page);
-  page->AddTableIfAny(OutlierTable(document),
-                      "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
+  AddResidualsAndOutliers(identified, document, page);
+}
+
+Json HybridFitToJson(const Identified& identified) {
+  Json item = {{identified.by, identified.contacts[0]}};
+  AddFit(identified.reports[0], nullptr, /*of_scene=*/false, &item);
+  AddWork(identified.reports[0], &item);
+  return {{"fits", Json::array({std::move(item)})}};
+}
+
+void WriteHybridFitPage(const Identified& identified, const Json& document, const std::string& path) {
+  const IdentifyReport& report = identified.reports[0];
+  Page page("Fit", std::to_string(report.recordings.size()) + " experiments");
+  AddFits(identified, document, &page);
+  page.AddHeading("Motions");
+  for (std::size_t q = 0; q < report.quantities.size(); ++q) {
+    Panel panel{.x = {.label = "time (s)"}, .y = {.label = report.quantities[q]}};
+    Series measured{.label = "measured", .colour = "#000000"};
+    measured.line = false;
+    measured.marker = Marker::kCross;
+    std::map<int, Series> fitted;  // by experiment
+    for (const SampleResidual& at : report.residuals) {
+      if (at.quantity != static_cast<int>(q)) continue;
+      Series& motion = fitted.try_emplace(at.recording, Series{.label = "fitted", .colour = "#D55E00"}).first->second;
+      motion.x.push_back(at.time);
+      motion.y.push_back(at.predicted[0]);
+      measured.x.push_back(at.time);
+      measured.y.push_back(at.measured[0]);
+    }
+    for (auto& [experiment, motion] : fitted) panel.series.push_back(std::move(motion));
+    panel.series.push_back(std::move(measured));
+    page.AddFigure({.panels = {panel}}, "What was measured, and the fitted motion of each experiment at these times.");
+  }
+  AddResidualsAndOutliers(identified, document, &page);
+  page.SetResults(document);
+  OrOutputError(page.Write(path));
 }
 
 namespace {

@@ -52,6 +52,7 @@ struct Identified {
   std::vector<Recording> recordings;
   std::vector<std::string> contacts;
   std::vector<IdentifyReport> reports;  // of each contact model that was begun
+  std::string by = "contact";           // what `contacts` are
   std::optional<KnownLaw> known_law = std::nullopt;
 };
 
@@ -77,10 +78,14 @@ Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known
 Table EventTable(const Scene& scene, const Identified& identified);
 // The first outliers, for a person; and all residuals.
 Table OutlierTable(const Json& document);
-Table ResidualTable(const Scene& scene, const Identified& identified);
+Table ResidualTable(const Identified& identified);
 
 // Adds fits, tables and figures.
 void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page);
+// The fit of a hybrid system, the only one of `identified`, as JSON and as a page. WriteHybridFitPage() throws
+// OutputError.
+Json HybridFitToJson(const Identified& identified);
+void WriteHybridFitPage(const Identified& identified, const Json& document, const std::string& path);
 // Writes the report of fits into the output folder, if there is one. Throws OutputError.
 void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document);
 

@@ -109,7 +109,7 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   if (directory.empty()) return;
   const std::string path = directory + "/" + scene.name;
   WriteTextFile(path + "_parameters.csv", EstimateTable(identified).ToCsv());
-  WriteTextFile(path + "_residuals.csv", ResidualTable(scene, identified).ToCsv());
+  WriteTextFile(path + "_residuals.csv", ResidualTable(identified).ToCsv());
   const auto write_if_any = [&](const std::string& suffix, const Table& table) {
     if (!table.rows().empty()) WriteTextFile(path + suffix, table.ToCsv());
   };

@@ -275,6 +275,34 @@ def of_hybrid_problem(rng):
     return (use if rng.random() < 0.5 else lambda **given: function(saltus.HybridProblem(**given))), dict(PROBLEM)
 
 
+def of_hybrid_batch(rng):
+    """Points of a batch, or what makes it; with one and with two threads, progress and given steps."""
+    optimize, size = pick(rng, [(["control"], 4), (["y", "g"], 2), (["duration", "control", "initial", "parameters"], 9)])
+
+    def use(points, optimize, threads, progress, with_gradient, **given):
+        batch = saltus.HybridBatch(saltus.HybridProblem(**given), optimize=optimize, threads=threads, progress=progress)
+        return batch.loss_and_gradient(points) if with_gradient else batch.loss(points)
+
+    points = np.tile(np.array([0.1, 0.3, 9.8, 0.7, 0.1, 0.2, 0.3, 0.4, 0.8])[:size], (3, 1))
+    given = {**PROBLEM, "steps_per_interval": pick(rng, [0, 10])}
+    return use, {"points": points, "optimize": optimize, "threads": pick(rng, [1, 2]), "progress": False, "with_gradient": True, **given}
+
+
+def of_hybrid_fit(rng):
+    times = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+
+    def use(times, values, sigma, durations, gravity, unknown, own, bounds, starts, **given):
+        data = [saltus.measurements(times, values, ["y"], sigma=sigma)]
+        problem = saltus.HybridProblem(**given, parameters=gravity, costs=data, durations=durations)
+        fit = saltus.identify([problem, problem], parameters=unknown, own=own, bounds=bounds, starts=starts, threads=1)
+        repr(fit)
+        return [saltus.rollout(fitted) for fitted in fit.problems]
+
+    return use, {"times": times, "values": 1 - 5 * times**2, "sigma": pick(rng, [None, 0.01]), "durations": np.diff([0, *times]),
+                 "unknown": ["g"], "own": pick(rng, [[], ["v"], ["y", "v"]]), "bounds": pick(rng, [None, {"g": (1, 20)}]), "starts": 2,
+                 "system": FLAT, "mode": "m", "initial": [1.0, 0.3], "gravity": [9.8], "control": np.zeros((6, 1))}
+
+
 def of_hybrid_solve(rng):
     problem = saltus.HybridProblem(**PROBLEM)
     return saltus.solve, {
@@ -390,7 +418,7 @@ ENTRIES = {
     "simulation": (10, of_simulation), "batch": (6, of_batch), "end_state": (6, of_end_state), "constructors": (3, of_constructors),
     "scene": (8, of_scene_data), "solve": (3, of_solve), "identify": (2, of_identify), "audit": (0.2, of_audit),
     "hybrid_system": (10, of_hybrid_system), "hybrid_problem": (14, of_hybrid_problem), "hybrid_solve": (4, of_hybrid_solve),
-    "hybrid_audit": (1, of_hybrid_audit), "costs": (5, of_costs), "feedback": (14, of_feedback), "filter": (14, of_filter),
+    "hybrid_batch": (8, of_hybrid_batch), "hybrid_fit": (1, of_hybrid_fit), "hybrid_audit": (1, of_hybrid_audit), "costs": (5, of_costs), "feedback": (14, of_feedback), "filter": (14, of_filter),
     "results": (1, of_results), "where": (1, of_where),
 }
 

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "identify/generated_problem.h"
@@ -625,14 +626,31 @@ TEST(Unknowns, AreFoundByNameAndRefused) {
   for (const char* wrong : {"", "bounce", "mass.c", "gravity.z", "force.a.z", "restitution,restitution"}) {
     EXPECT_TRUE(std::holds_alternative<std::string>(ParseUnknowns(wrong, scene))) << wrong;
   }
-  for (const Unknown& unknown : all) {
+}
+
+// The coordinate of a number between two bounds, above one, below one, and without any.
+TEST(Unknowns, KeepTheirBounds) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  for (const auto& [low, high] :
+       {std::pair{0.0, 1.0}, {-2.0, 3.0}, {0.1, infinity}, {-infinity, 0.9}, {-infinity, infinity}}) {
+    FitUnknown unknown;
+    unknown.low = low;
+    unknown.high = high;
     for (const double value : {0.2, 0.7}) {
-      const double at = ToCoordinate(unknown, value), width = 1e-6;
-      EXPECT_NEAR(FromCoordinate(unknown, at), value, 1e-12);
-      EXPECT_NEAR((FromCoordinate(unknown, at + width) - FromCoordinate(unknown, at - width)) / (2 * width),
-                  SlopeAt(unknown, at),
+      const double at = unknown.ToCoordinate(value), width = 1e-6;
+      EXPECT_NEAR(unknown.FromCoordinate(at), value, 1e-12);
+      EXPECT_NEAR((unknown.FromCoordinate(at + width) - unknown.FromCoordinate(at - width)) / (2 * width),
+                  unknown.SlopeAt(at),
                   1e-8);
     }
+    for (const double far : {-30.0, 30.0}) {
+      EXPECT_GE(unknown.FromCoordinate(far), low);
+      EXPECT_LE(unknown.FromCoordinate(far), high);
+    }
+    if (!unknown.HasBounds()) continue;
+    unknown.scale = high - low < 10 ? high - low : 1e-6;  // of a small number
+    const double at_bound = unknown.FromCoordinate(unknown.CoordinateAtBoundNear(unknown.ToCoordinate(0.2)));
+    EXPECT_NEAR(at_bound, unknown.BoundNear(at_bound), 2e-10 * unknown.scale);
   }
 }
 

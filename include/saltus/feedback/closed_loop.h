@@ -136,11 +136,13 @@ struct MonteCarloOptions {
   StopRequest stop = nullptr;  // ends the study; the result has the runs until then
 };
 struct MonteCarlo {
-  int failed = 0;                   // runs without a motion, which do not count below
-  int otherwise = 0;                // runs whose events are not those of the plan
-  int counted = 0;                  // runs whose final state has the planned size, which mean and covariance are of
-  Eigen::VectorXd mean = {};        // of the final state
-  Eigen::MatrixXd covariance = {};  // of the final state, about the mean
+  int simulated = 0;  // all runs, of which fewer than samples if the study was ended
+  int failed = 0;     // runs without a motion, which do not count below
+  int otherwise = 0;  // runs whose events are not those of the plan
+  int counted = 0;    // runs whose final state has the planned size, which mean and covariance are of
+  // The mean of the final state and its covariance; NaN where no run counts, or fewer than two.
+  Eigen::VectorXd mean = {};
+  Eigen::MatrixXd covariance = {};
   double loss = 0, loss_error = 0;  // mean over the runs with a motion, and its standard error
 };
 // Simulates noisy runs. `loss`, which returns the loss of a run, is called from several threads.

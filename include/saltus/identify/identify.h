@@ -64,7 +64,7 @@ enum class Determination {
 const char* DeterminationToString(Determination determination);
 
 struct Estimate {
-  Unknown unknown;
+  Unknown unknown;  // of a scene
   std::string name;
   double start = 0;  // value in the scene
   // These have no meaning if the parameter is not determined.
@@ -76,9 +76,13 @@ struct Estimate {
 };
 
 struct SampleResidual {
-  int recording = 0, sample = 0;
-  Vec2d predicted = Vec2d::Zero();     // m
-  Vec2d standardised = Vec2d::Zero();  // (predicted - measured) / sigma
+  int recording = 0, sample = 0;          // indices
+  int quantity = 0;                       // into IdentifyReport::quantities
+  int line = 0;                           // of the recording's file, from 1; 0: of none
+  double time = 0;                        // s
+  std::vector<double> measured = {};      // of a scene the position, m
+  std::vector<double> predicted = {};     // by the motion
+  std::vector<double> standardised = {};  // (predicted - measured) / sigma
   bool outlier = false;
 };
 
@@ -136,10 +140,13 @@ struct IdentifyReport {
   std::vector<double> segment_begin;             // s, of each segment
   std::vector<int> segment_recording;            // of each segment
   std::vector<SampleResidual> residuals;         // of all samples, in order
+  std::vector<std::string> recordings;           // their names
+  std::vector<std::string> quantities;           // names of what was measured; in a scene of its bodies
   std::optional<LearnedLaw> law;                 // the fitted law, if IdentifyOptions::law is set
   std::optional<LearnedEventFunctions> events;   // the fitted event functions, if IdentifyOptions::events is set
   double cost = 0;                               // the minimum, with rho and the prior of a law
-  double sigma = 0;  // m, estimated from the residuals if the samples have none; otherwise 0
+  double sigma = 0;            // m, estimated from the residuals if the samples have none; otherwise 0
+  std::vector<double> sigmas;  // of a hybrid system: that of each quantity, in its unit; none if they are stated
   // Typical |r| relative to its value for noise of the stated sigma; about 1 if the model is right. 0 without sigma.
   double misfit = 0;
   int impacts = 0;                      // number of contacts in the motion at the minimum, of all segments
