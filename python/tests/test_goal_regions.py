@@ -55,7 +55,7 @@ def in_python():
         no_contact=[["puck", "post"], ["striker", "post"]], optimize="control")
 
 
-def as_a_hybrid_system():
+def as_a_hybrid_system(duration=0.9, force=(1, 0.5)):
     m, n, e = 0.3, 0.1, 0.9
 
     def strike(x):
@@ -69,7 +69,7 @@ def as_a_hybrid_system():
         guards={"play": {"strike": lambda x: (x[4] - x[0])**2 + (x[5] - x[1])**2 - 0.13**2, "top": lambda x: 0.45 - x[5]}},
         resets={"play": {"strike": strike, "top": lambda x: ("play", [*(x[i] for i in range(7)), -e * x[7]])}})
     return saltus.HybridProblem(
-        system, mode="play", initial=[0.3, -0.2, 0, 0, 0.9, 0.1, -0.3, -0.1], duration=0.9, control=np.tile([1, 0.5], (40, 1)),
+        system, mode="play", initial=[0.3, -0.2, 0, 0, 0.9, 0.1, -0.3, -0.1], duration=duration, control=np.tile(force, (40, 1)),
         costs=[saltus.effort(0.01), saltus.final_time(1.0),
                saltus.terminal(min=[None] * 4 + [2, -0.15, None, None], max=[None] * 5 + [0.15, None, None]),
                saltus.residuals(lambda xT: [xT[2]**2 + xT[3]**2 - 0.3**2], role="inequality")],
@@ -96,6 +96,13 @@ def test_the_game_has_one_optimum_however_it_is_stated(solver, tmp_path):
         striker, puck = np.asarray(run.final_state)[:2]
         assert_allclose(puck[:2], [2, 0.15], atol=1e-7)
         assert_allclose(np.hypot(*striker[2:4]), 0.3, atol=1e-7)
+
+
+@pytest.mark.parametrize("duration, force", [(0.5, (3, 1)), (1.5, (1, 0.5))])
+def test_a_hybrid_system_reaches_its_goal_from_other_guesses(duration, force):
+    run = saltus.solve(as_a_hybrid_system(duration, force), sequence=["strike", "top"])
+    assert run.termination == "converged", run.reason
+    assert_allclose([run.loss, run.duration], [LOSS, DURATION], rtol=1e-5)
 
 
 @pytest.mark.parametrize("arguments, term", [
