@@ -138,7 +138,9 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
     return gradient;
   };
   if (constraints.size() > NumConstraints(scene.objective)) {
-    return refuse("the derivatives by parameters are not computed where a limit is active before the end");
+    return refuse(
+        "the derivatives by parameters are not computed where a limit is active before the end: give the parameters "
+        "values, or the limit at: end");
   }
   if (constraints.size() != NumConstraints(scene.objective)) {
     return refuse("the derivatives by parameters of a loss with constraints need the multipliers of these");

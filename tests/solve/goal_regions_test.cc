@@ -229,6 +229,31 @@ TEST(SpeedLimit, HasMultipliersUpToAnImpact) {
   EXPECT_NEAR(sum, -slope, 1e-4 * std::abs(slope));
 }
 
+// A mass is chosen along with the control: given masses beside the best one lead to greater losses.
+TEST(GoalRegion, LeavesAMassToBeChosen) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 60;
+  scene.objective.terminal = {GoalOf({0, -kNone}, {0.5, 0.5})};
+  scene.objective.terminal[0].body = 1;
+  scene.objective.limits = {{.body = 1, .max = 2.5, .at = SpeedLimit::At::kEnd}};
+  Scene designed = scene;
+  designed.design = {{.parameter = {.kind = SceneParameter::Kind::kMass, .body = 1}, .min = 0.5, .max = 2}};
+  const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+  EXPECT_GT(report.certificate->constraints.at(1).multiplier[0], 0.1);
+  for (const double beside : {-0.01, 0.01}) {
+    scene.bodies[1].mass = report.parameters.at(0) + beside;
+    const SolveReport other = Solve("ceres_phases", {scene, "event"}, {});
+    ASSERT_EQ(other.termination, Termination::kConverged) << other.reason;
+    EXPECT_GT(other.final_loss, report.final_loss + 1e-5);
+  }
+
+  designed.objective.limits = {{.body = 0, .max = 2.6, .at = SpeedLimit::At::kAlways}};
+  EXPECT_THAT(Solve("ceres_phases", {designed, "event"}, {}).reason, HasSubstr("active before the end"));
+}
+
 // A game of air hockey: the puck ends anywhere in its goal, and the striker at 0.3 m/s or less, as soon as possible.
 Scene AirHockey(double duration, int steps, const Vec2d& force) {
   Scene scene;
