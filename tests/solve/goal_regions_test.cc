@@ -102,6 +102,24 @@ TEST_P(GoalRegions, HoldOneComponentAlone) {
   EXPECT_NEAR(run.end[1], 0.2 * kDuration, 1e-6);
 }
 
+// The least torque that leads to an angular velocity is constant; the effort counts it as a force at the rim.
+TEST_P(GoalRegions, BoundAnAngularVelocity) {
+  Scene scene = PushedDisc();
+  scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
+  scene.control.turned = {0};
+  scene.control.initial_torque = {0.01};
+  scene.objective.terminal = {GoalOf({3, -kNone}, {5, kNone})};
+  scene.objective.terminal[0].quantity = TerminalTerm::Quantity::kAngularVelocity;
+  const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  const double radius = 0.1, rim = 0.5 * kMass * radius * 3 / kDuration;  // N, I w / (T r)
+  EXPECT_NEAR(report.final_loss, kEffort * kDuration * rim * rim, 1e-8 * report.final_loss);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+  ASSERT_EQ(report.certificate->constraints.size(), 1u);
+  EXPECT_NEAR(report.certificate->constraints[0].multiplier[0], -2 * report.final_loss / 3, 1e-6);
+}
+
 TEST_P(GoalRegions, ChangeNothingAroundAFreeOptimum) {
   Scene scene = PushedDisc();
   scene.objective.terminal = {{.target = {1, 0.5}, .weight = 2}};
