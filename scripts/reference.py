@@ -74,6 +74,8 @@ DESIGN = ("optimize", [{"parameter": "mass.b"}, "control"])
 TERM = "objective.terminal.0"
 RUNNING = ("objective.running", [{"body": "a", "quantity": "position", "target": [[0, 0, 0]], "weight": 0.1}])
 VIA = ("objective.via", [{"body": "a", "time": 0.2, "quantity": "position", "target": [0, 0], "weight": 0.1}])
+REGION = ((f"{TERM}.target", None), (f"{TERM}.min", [1, None]), (f"{TERM}.max", [2, 0.3]))
+LIMIT = ("objective.limits", [{"body": "a", "speed": {"max": 3}, "at": "end"}])
 FREE = ("objective.duration", {"free": True, "min": 0.5, "max": 2, "weight": 0.1})
 PLANE = ("planes", [{"name": "wall", "point": [3, 0], "normal": [-1, 0]}])
 SEGMENT = ("segments", [{"name": "gate", "from": [2, -1], "to": [2, 1]}])
@@ -106,6 +108,8 @@ SOLVER_FEATURES = {
     "linear term": scene((f"{TERM}.target", None), (f"{TERM}.component", "x")),
     "bounds": scene(("control.max", 5)),
     "terminal equality constraint": scene((f"{TERM}.hard", True)),
+    "goal region": scene(*REGION),
+    "limit of the speed": scene(LIMIT),
     "running cost": scene(RUNNING),
     "waypoint cost": scene(VIA),
     "free duration": scene(FREE),
@@ -204,11 +208,17 @@ KEYS = [
      "what the term is about", scene()),
     ("objective.terminal[].target", "[x, y], or number", "as `quantity`", REQUIRED,
      "the term is weight * |q(T) - target|^2; a number for rotations", scene()),
-    ("objective.terminal[].component", "`x` or `y`", "", None, "in place of `target`: the term is weight * q_component(T)",
+    ("objective.terminal[].component", "`x` or `y`", "", None,
+     "in place of `target`: the term is weight * q_component(T); with `hard: true`, `min` or `max`, a number there is a constraint of "
+     "this component alone",
      scene((f"{TERM}.target", None), (f"{TERM}.component", "x"))),
     ("objective.terminal[].weight", NUMBER, "1/`quantity`^2", 1.0, "weight", scene((f"{TERM}.weight", 2))),
     ("objective.terminal[].hard", "true or false", "", False,
      "`true`: q(T) = target is a constraint, without a weight", scene((f"{TERM}.hard", True))),
+    ("objective.terminal[].min", "[x, y], or number", "as `quantity`", None,
+     "in place of `target`: min <= q(T) is a constraint; `null` is no bound of a component", scene(*REGION)),
+    ("objective.terminal[].max", "[x, y], or number", "as `quantity`", None,
+     "in place of `target`: q(T) <= max is a constraint", scene(*REGION)),
     ("objective.effort", NUMBER, "1/(N^2 s)", 0, "adds effort * integral of |u|^2 dt; with a control", scene()),
     ("objective.running", "list", "", None, "adds weight * integral of |q - target(t)|^2 dt", scene(RUNNING)),
     ("objective.running[].body", NAME, "", REQUIRED, "the disc", scene(RUNNING)),
@@ -224,6 +234,11 @@ KEYS = [
     ("objective.via[].weight", NUMBER, "1/`quantity`^2", 1.0, "weight", scene(VIA)),
     ("objective.via[].hard", "true or false", "", False, "`true`: q(t) = target is a constraint, without a weight",
      scene(VIA, ("objective.via.0.weight", None), ("objective.via.0.hard", True))),
+    ("objective.limits", "list", "", None, "bounds of the speed, which are constraints", scene(LIMIT)),
+    ("objective.limits[].body", NAME, "", REQUIRED, "the disc", scene(LIMIT)),
+    ("objective.limits[].speed", "map", "", REQUIRED, "the bounds", scene(LIMIT)),
+    ("objective.limits[].speed.max", NUMBER, "m/s", REQUIRED, "the greatest speed, > 0", scene(LIMIT)),
+    ("objective.limits[].at", "`end` or `always`", "", "always", "when the bound holds", scene(LIMIT)),
     ("objective.duration", "map", "", None, "a free duration", scene(FREE)),
     ("objective.duration.free", "`true`", "", REQUIRED, "states that the duration is free", scene(FREE)),
     ("objective.duration.min", NUMBER, "s", REQUIRED, "shortest duration; equal to `max`, the duration is fixed", scene(FREE)),

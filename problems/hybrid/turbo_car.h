@@ -45,7 +45,7 @@ struct TurboCar {
   }
 };
 
-struct SpeedLimit {
+struct LargestSpeed {
   double limit;  // m/s
   template <typename T>
   bool operator()(const T* x, T* residual) const {
@@ -70,7 +70,7 @@ inline HybridProblem TurboCarProblem(const TurboCar& car = {}, double goal = 200
        .at = HybridTerm::At::kEachInterval,
        .role = HybridTerm::Role::kInequality,
        .with_state = true,
-       .function = std::make_shared<ceres::AutoDiffCostFunction<SpeedLimit, 1, 2>>(new SpeedLimit{limit})});
+       .function = std::make_shared<ceres::AutoDiffCostFunction<LargestSpeed, 1, 2>>(new LargestSpeed{limit})});
   problem.free = {.control = true, .control_min = {-5}, .control_max = {5}, .duration = true};
   problem.free.duration_min = 5;
   problem.free.duration_max = 30;

@@ -6,7 +6,7 @@ import copy
 import functools
 import json
 import os
-from typing import Any, Callable, Iterable, Mapping, Sequence
+from typing import Any, Callable, Iterable, Mapping, Sequence, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -619,6 +619,12 @@ def _deviations(sigma: Any, shape: tuple[int, ...], allowed: Mapping[tuple[int, 
     return deviations
 
 
+@overload
+def terminal(target: Any = None, *, weight: ArrayLike = 1.0, mode: str | None = None, min: Any = None, max: Any = None,
+             hard: bool = False, body: None = None, quantity: None = None) -> Cost: ...
+@overload
+def terminal(target: Any = None, *, weight: ArrayLike = 1.0, mode: str | None = None, min: Any = None, max: Any = None,
+             hard: bool = False, body: str, quantity: str | None = None) -> dict[str, Any]: ...
 def terminal(
     target: Any = None,
     *,
@@ -627,14 +633,23 @@ def terminal(
     min: Any = None,
     max: Any = None,
     hard: bool = False,
-) -> Cost:
+    body: str | None = None,
+    quantity: str | None = None,
+) -> Cost | dict[str, Any]:
     """weight * |x_i - target_i|^2 at the end. NaN or None leaves a component out; weight: a number, or one for each.
 
     hard: the state must be the target there, in place of a cost.
     min, max: a goal region in place of a target: the least and the greatest value of each component, or None.
     mode: in which the motion must end; without one the number of targets must be that of its states.
+    body: a disc of a scene, or a body of a box file. The result is then an entry of ``terminal`` in the ``objective`` of the
+        scene: ``saltus.terminal(min=[2, -0.1], max=[None, 0.1], body="puck")``.
+    quantity: of the body, "position" (the default), "velocity", "angle" or "angular_velocity".
     """
     expect("True or False", hard=hard)
+    if body is not None:
+        return _scene_term(target, weight, mode, min, max, hard, body, quantity or "position")
+    if quantity is not None:
+        raise ValueError(f"quantity: found {quantity!r} without a body, expected none: a state has components")
     if min is not None or max is not None:
         if target is not None or hard or np.ndim(weight) > 0 or weight != 1:
             raise ValueError("min and max: found them beside a target, hard or a weight, expected a region alone")
@@ -656,6 +671,34 @@ def terminal(
 
     name, role = ("terminal condition", "equality") if hard else ("terminal cost", "cost")
     return Cost(name, misses, "end", role, mode, None, False, len(targets))
+
+
+def _scene_term(target: Any, weight: Any, mode: str | None, least: Any, greatest: Any, hard: bool, body: str,
+                quantity: str) -> dict[str, Any]:
+    """Returns a terminal term of a scene, with the keys of a scene file."""
+    expect("text", body=body, quantity=quantity)
+    if mode is not None:
+        raise ValueError(f"mode: found {mode!r} beside a body, expected none: scenes have no modes")
+
+    def numbers(name: str, given: Any) -> Any:
+        components = [None if np.isnan(value) else float(value) for value in _components(name, given)]
+        return components[0] if np.ndim(given) == 0 else components
+
+    term: dict[str, Any] = {"body": body, "quantity": quantity}
+    if least is not None or greatest is not None:
+        if target is not None or hard or np.ndim(weight) > 0 or weight != 1:
+            raise ValueError("min and max: found them beside a target, hard or a weight, expected a region alone")
+        bounds = {"min": least, "max": greatest}
+        return term | {name: numbers(name, given) for name, given in bounds.items() if given is not None}
+    if hard and (np.ndim(weight) > 0 or weight != 1):
+        raise ValueError("weight: found one of a hard target, expected none")
+    goal = numbers("target", target)
+    left_out = isinstance(goal, list) and None in goal
+    if hard and left_out:  # bounds that are equal
+        return term | {"min": goal, "max": goal}
+    if left_out:
+        raise ValueError("target: found None, expected numbers: only a hard target of a scene leaves a component out")
+    return term | {"target": goal} | ({"hard": True} if hard else {"weight": weight})
 
 
 def _region(least: Any, greatest: Any, mode: str | None) -> Cost:
@@ -1609,6 +1652,7 @@ def hybrid_problem(scene: SceneLike) -> HybridProblem:
 
     Raises:
         SceneError: the scene is wrong.
-        ValueError: the scene has walls that end, pockets, a table that slows discs, or design parameters.
+        ValueError: the scene has walls that end, pockets, a table that slows discs, limits of the speed that hold always,
+            or design parameters.
     """
     return problem_of(_SceneSystem(as_scene(scene)))

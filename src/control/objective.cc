@@ -2,6 +2,7 @@
 
 #include <glog/logging.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "saltus/contact/step_input.h"
@@ -28,6 +29,13 @@ std::string BeyondTerminalLoss(const Objective& objective) {
   if (!objective.running.empty()) return "running costs";
   if (!objective.via.empty()) return "waypoint costs";
   if (objective.duration) return "a free duration";
+  return ConstraintsOf(objective);
+}
+
+std::string ConstraintsOf(const Objective& objective) {
+  const auto has_region = [](const TerminalTerm& term) { return term.region.has_value(); };
+  if (std::ranges::any_of(objective.terminal, has_region)) return "goal regions";
+  if (!objective.limits.empty()) return "limits of the speed";
   return objective.HasConstraints() ? "terminal equality constraints" : "";
 }
 

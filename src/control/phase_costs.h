@@ -114,7 +114,7 @@ struct TurnedStep {
   }
 };
 
-// The row scale (q - target), with q an angle or angular velocity; a cost or an equality. Block: rotation.
+// The row scale (q - target), a cost, with q an angle or angular velocity. Block: rotation.
 struct RotationTarget {
   TerminalTerm::Quantity quantity;
   double target, scale, radius;
@@ -269,7 +269,7 @@ struct LengthBound {
   }
 };
 
-// scale (q - target) with q the position or velocity of a node. Rows: 2, costs or equalities.
+// scale (q - target), costs, with q the position or velocity of a node. Rows: 2.
 struct NodeTarget {
   TerminalTerm::Quantity quantity;
   Vec2d target;
@@ -279,6 +279,50 @@ struct NodeTarget {
   bool operator()(const T* x, T* rows) const {
     const T* q = quantity == TerminalTerm::Quantity::kPosition ? x : x + 2;
     for (int j = 0; j < 2; ++j) rows[j] = scale * (q[j] - target[j]);
+    return true;
+  }
+};
+
+// That q is in a region, with q the position or velocity of a node, or the angle or angular velocity of a rotation.
+// Block: node or rotation. Rows: equalities q = bound of components whose bounds are equal, then inequalities.
+struct GoalRows {
+  TerminalTerm::Quantity quantity;
+  TerminalTerm::Region region;
+  double radius = 1;  // by which a rotation is multiplied
+
+  bool IsGiven(int j) const { return region.min[j] == region.max[j]; }
+  int num_equalities() const { return IsGiven(0) + IsGiven(1); }
+  int num_inequalities() const {
+    int count = 0;
+    for (int j = 0; j < 2; ++j) count += IsGiven(j) ? 0 : std::isfinite(region.min[j]) + std::isfinite(region.max[j]);
+    return count;
+  }
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* rows) const {
+    constexpr int kFirst[] = {0, 2, 0, 1};  // by quantity
+    const T* q = blocks[0] + kFirst[static_cast<int>(quantity)];
+    for (int j = 0; j < 2; ++j) {
+      if (IsGiven(j)) *rows++ = q[j] / radius - region.min[j];
+    }
+    for (int j = 0; j < 2; ++j) {
+      if (IsGiven(j)) continue;
+      if (std::isfinite(region.max[j])) *rows++ = q[j] / radius - region.max[j];
+      if (std::isfinite(region.min[j])) *rows++ = region.min[j] - q[j] / radius;
+    }
+    return true;
+  }
+};
+
+// That the speed of a node is at most `most`. Block: node. Row: an inequality, smooth where the disc is at rest, of
+// slope one at the bound, and linear far beyond it.
+struct SpeedBound {
+  double most;
+  static constexpr int kRows = 1;
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    using std::sqrt;
+    rows[0] = sqrt(2.0 * (x[2] * x[2] + x[3] * x[3] + most * most)) - 2 * most;
     return true;
   }
 };

@@ -392,7 +392,7 @@ struct Misses {
   }
 };
 
-// The residual |u|^2 / most^2 - 1 of a force.
+// The residual |v|^2 / most^2 - 1 of two successive components, of a force or a velocity.
 struct NormExcess {
   int first;
   double most;
@@ -417,6 +417,8 @@ std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, int block, i
 
 std::string WhyNoHybridProblem(const Scene& scene) {
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) return beyond;
+  const auto always = [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; };
+  if (std::ranges::any_of(scene.objective.limits, always)) return "limits of the speed that hold always";
   return scene.design.empty() ? "" : "design parameters";
 }
 
@@ -450,8 +452,32 @@ HybridProblem HybridProblemOf(const Scene& scene) {
                              .with_state = true,
                              .function = MakeFunction(Misses{component, weight, {0.0}}, at.size(), 1)});
   };
+  const auto add_bound = [&](const std::string& name, HybridTerm::Role role, auto function) {
+    problem.terms.push_back(
+        {.name = name, .role = role, .with_state = true, .function = MakeFunction(std::move(function), at.size(), 1)});
+  };
+  const auto add_region = [&](const TerminalTerm& term) {
+    const std::string name = "goal region of " + scene.bodies[term.body].name;
+    for (int j = 0; j < (term.IsOfSpin() ? 1 : 2); ++j) {
+      const int i = at.IndexOf(term.body, term.quantity) + j;
+      const double min = term.region->min[j], max = term.region->max[j];
+      if (min == max) {
+        add_bound(name, HybridTerm::Role::kEquality, Misses{i, 1, {min}});
+        continue;
+      }
+      if (std::isfinite(max)) add_bound(name, HybridTerm::Role::kInequality, Misses{i, 1, {max}});
+      if (std::isfinite(min)) add_bound(name, HybridTerm::Role::kInequality, Misses{i, -1, {min}});
+    }
+  };
+  for (const SpeedLimit& limit : objective.limits) {
+    add_bound("limit of the speed of " + scene.bodies[limit.body].name,
+              HybridTerm::Role::kInequality,
+              NormExcess{at.VelocityOf(limit.body), limit.max});
+  }
   for (const TerminalTerm& term : objective.terminal) {
-    if (term.component) {
+    if (term.region) {
+      add_region(term);
+    } else if (term.component) {
       add_value("terminal term of " + scene.bodies[term.body].name,
                 at.IndexOf(term.body, term.quantity) + *term.component,
                 term.weight);

@@ -27,6 +27,18 @@ struct Miss {
   }
 };
 
+std::string Number(int number) { return std::to_string(number); }
+
+HybridTerm TermOfMiss(const std::string& name, const Miss& miss, int state_size, int mode) {
+  auto function = std::make_shared<ceres::DynamicAutoDiffCostFunction<Miss, 4>>(new Miss(miss));
+  function->AddParameterBlock(state_size);
+  function->SetNumResiduals(1);
+  return {.name = name + " of component " + Number(miss.component),
+          .mode = mode,
+          .with_state = true,
+          .function = std::move(function)};
+}
+
 // The residual sqrt(weight h) u.
 struct Effort {
   int size;
@@ -51,8 +63,6 @@ struct Price {
     return true;
   }
 };
-
-std::string Number(int number) { return std::to_string(number); }
 
 // The sizes of the function's blocks, of a term that reads states of `state_size` numbers.
 std::vector<int> BlocksOf(const HybridTerm& term, const HybridProblem& problem, int state_size) {
@@ -161,14 +171,13 @@ bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int gua
 }
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
-  auto function =
-      std::make_shared<ceres::DynamicAutoDiffCostFunction<Miss, 4>>(new Miss{component, target, std::sqrt(weight)});
-  function->AddParameterBlock(state_size);
-  function->SetNumResiduals(1);
-  return {.name = "terminal cost of component " + Number(component),
-          .mode = mode,
-          .with_state = true,
-          .function = std::move(function)};
+  return TermOfMiss("terminal cost", {component, target, std::sqrt(weight)}, state_size, mode);
+}
+
+HybridTerm MakeTerminalBound(int component, double bound, bool lower, int state_size, int mode) {
+  HybridTerm term = TermOfMiss("terminal bound", {component, bound, lower ? -1.0 : 1.0}, state_size, mode);
+  term.role = HybridTerm::Role::kInequality;
+  return term;
 }
 
 HybridTerm MakeEffortCost(double weight, int num_controls) {

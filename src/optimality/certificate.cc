@@ -119,6 +119,8 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
   }
   for (ConstraintCertificate& constraint : certificate.constraints) {
     constraint.multiplier *= by.loss / by.of(constraint.quantity);
+    if (constraint.speed_limit) *constraint.speed_limit *= by.speed;
+    if (constraint.time) *constraint.time *= by.time;
   }
   for (ParameterCertificate& entry : certificate.parameters) {
     entry.value = ConvertParameter(entry.parameter, entry.value, from, to);

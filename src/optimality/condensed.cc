@@ -22,13 +22,8 @@ CondensedLoss::CondensedLoss(const Scene& scene, const Flight& flight, std::span
       restrictions_(std::move(restrictions)),
       soft_(scene.objective),
       width_(scene.control_width()) {
-  const auto is_hard = [](const TerminalTerm& term) { return term.hard; };
-  std::erase_if(soft_.terminal, is_hard);
-  num_held_ = 2 * static_cast<int>(restrictions_.hard.size());
-  int hard = static_cast<int>(std::ranges::count_if(scene.objective.terminal, is_hard));
-  for (const ViaTerm& term : scene.objective.via) {
-    hard_via_.push_back(term.hard && !restrictions_.hard.empty() ? hard++ : -1);
-  }
+  std::erase_if(soft_.terminal, [](const TerminalTerm& term) { return term.hard; });
+  num_held_ = static_cast<int>(restrictions_.rows.size());
   const std::vector<Flight::Hit>& hits = flight.hits();
   theta_.resize(hits.size());
   pushed_.assign(scene.num_bodies(), -1);
@@ -218,6 +213,22 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
   const auto turning = [&](int body, const Push& push) {
     return push.turn < 0 ? T(0.0) : T(RateOfTurn(body) * s[push.turn]);
   };
+  using Quantity = TerminalTerm::Quantity;
+  const auto value_of = [](const ConstraintRow& row, const Motion& x) -> T {
+    if (row.quantity == Quantity::kAngle) return T(row.normal[0] * x.angle);
+    if (row.quantity == Quantity::kAngularVelocity) return T(row.normal[0] * x.spin);
+    return Dot(Vec2<T>(row.normal.cast<T>()), row.quantity == Quantity::kPosition ? x.p : x.v);
+  };
+  const auto add_row = [](const ConstraintRow& row, const Motion& x, Costate<T>* costate) {
+    if (row.quantity == Quantity::kAngle || row.quantity == Quantity::kAngularVelocity) {
+      costate->CostateOfSpin(row.quantity) += row.multiplier * row.normal[0];
+    } else if (row.bend > 0) {
+      costate->velocity += Scale(row.multiplier * row.bend, x.v);
+    } else {
+      (row.quantity == Quantity::kPosition ? costate->position : costate->velocity) +=
+          (row.multiplier * row.normal).template cast<T>();
+    }
+  };
   const bool spins = scene_.Spins();
   std::vector<Motion> at_leg(legs_.size()), at_via(scene_.objective.via.size());
   const auto fly = [&](const Arc& arc, Motion* x) {
@@ -238,9 +249,9 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       }
       if (leg.via < 0) continue;
       at_via[leg.via] = *x;
-      if (hard_via_[leg.via] < 0 || gaps == nullptr) continue;
-      const Vec2<T>& held = scene_.objective.via[leg.via].quantity == TerminalTerm::Quantity::kPosition ? x->p : x->v;
-      for (int axis = 0; axis < 2; ++axis) *gaps++ = held[axis];
+      for (const ConstraintRow& row : restrictions_.rows) {
+        if (row.via == leg.via && gaps != nullptr) *gaps++ = value_of(row, *x);
+      }
     }
   };
   // Derivatives of the rate of the running terms by position and velocity; the rate, and its part from velocities.
@@ -333,21 +344,10 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
     }
     costates.push_back(TerminalCostate<T>(soft_, i, end, x.p, x.v, x.angle, x.spin));
   }
-  size_t hard = 0;
-  for (const TerminalTerm& term : scene_.objective.terminal) {
-    if (!term.hard || restrictions_.hard.empty()) continue;
-    const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
-    Costate<T>& costate = costates[term.body];
-    if (term.IsOfSpin()) {
-      const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
-      costate.CostateOfSpin(term.quantity) += restrictions_.hard[hard++][0];
-      if (gaps != nullptr) *gaps++ = angle ? now[term.body].angle : now[term.body].spin;
-      if (gaps != nullptr) *gaps++ = T(0.0);
-      continue;
-    }
-    (of_position ? costate.position : costate.velocity) += restrictions_.hard[hard++].template cast<T>();
-    const Vec2<T>& held = of_position ? now[term.body].p : now[term.body].v;
-    for (int axis = 0; axis < 2 && gaps != nullptr; ++axis) *gaps++ = held[axis];
+  for (const ConstraintRow& row : restrictions_.rows) {
+    if (!row.IsAtEnd()) continue;
+    add_row(row, now[row.body], &costates[row.body]);
+    if (gaps != nullptr) *gaps++ = value_of(row, now[row.body]);
   }
   const double effort = scene_.objective.effort;
   const auto fly_back = [&](const Arc& arc) {
@@ -356,13 +356,14 @@ void CondensedLoss::Sweep(const T* s, T* gradient, T* gaps) const {
       Costate<T>& costate = costates[leg.body];
       if (leg.via >= 0) {
         const ViaTerm& term = scene_.objective.via[leg.via];
-        const bool of_position = term.quantity == TerminalTerm::Quantity::kPosition;
-        Vec2<T>& part = of_position ? costate.position : costate.velocity;
-        if (hard_via_[leg.via] >= 0) {
-          part += restrictions_.hard[hard_via_[leg.via]].template cast<T>();
-        } else if (!term.hard) {
+        for (const ConstraintRow& row : restrictions_.rows) {
+          if (row.via == leg.via) add_row(row, at_via[leg.via], &costate);
+        }
+        if (!term.hard) {
+          const bool of_position = term.quantity == Quantity::kPosition;
           const Vec2<T>& q = of_position ? at_via[leg.via].p : at_via[leg.via].v;
-          part += Scale(2 * term.weight, Vec2<T>(q - term.target.template cast<T>()));
+          (of_position ? costate.position : costate.velocity) +=
+              Scale(2 * term.weight, Vec2<T>(q - term.target.template cast<T>()));
         }
       }
       if (leg.gain.force >= 0) {

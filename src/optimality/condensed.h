@@ -24,8 +24,9 @@
 // of the two one-sided gradients. Held impacts restrict directions to those along which they stay on their nodes, to
 // first order.
 //
-// Active bounds on forces and hard terminal terms restrict directions as well. L is then the Lagrangian: multipliers of
-// hard terms add to the costates at the end, and a bound on the norm, which is curved itself, adds to M.
+// Active bounds on forces and constraints on states restrict directions as well. L is then the Lagrangian: multipliers
+// of constraints add to the costates, a bound on the norm of a force, which is curved itself, adds to M, and a limit of
+// the speed to G''.
 #pragma once
 
 #include <Eigen/Core>
@@ -36,20 +37,21 @@
 #include <vector>
 
 #include "saltus/scene/scene.h"
+#include "simulate/costate_sweep.h"
 #include "simulate/flight.h"
 
 namespace saltus {
 
-// Active bounds on the forces and hard terms, with their multipliers.
+// Active bounds on the forces and constraints on states, with their multipliers.
 struct Restrictions {
   struct Force {
     Eigen::Matrix2d free = Eigen::Matrix2d::Identity();  // projects on the directions along its bounds
     double bend = 0;  // second derivative of its bounds, times their multiplier, as a part of that of the effort
   };
-  std::vector<Force> forces = {};  // K x C; empty: all are free
-  std::vector<char> turns = {};    // K x number of torques: whether it is free; empty: all are
-  std::vector<Vec2d> hard = {};    // multipliers of hard terms: terminal ones, then waypoints
-  bool duration = true;            // the final time may vary, if the scene has it free
+  std::vector<Force> forces = {};        // K x C; empty: all are free
+  std::vector<char> turns = {};          // K x number of torques: whether it is free; empty: all are
+  std::vector<ConstraintRow> rows = {};  // at waypoints and at the final time
+  bool duration = true;                  // the final time may vary, if the scene has it free
 };
 
 // The least curvature of M + F^T G F, with M positive definite, along directions d that keep what is held: F d is in
@@ -79,7 +81,7 @@ class CondensedLoss {
   // Returns the number of rows of F.
   int num_functionals() const { return static_cast<int>(values_.size()); }
 
-  // Returns the gradient by the control, in its layout, 1/N. With held impacts or hard terms it is that of the
+  // Returns the gradient by the control, in its layout, 1/N. With held impacts or constraints it is that of the
   // Lagrangian; bounds are left out.
   Eigen::VectorXd Gradient() const;
 
@@ -133,7 +135,7 @@ class CondensedLoss {
   double RateOfTurn(int body) const;  // angular acceleration per torque / radius, 1/(kg m)
   bool IsTracked(int body) const;
   // Computes the derivatives of G by F u at F u = s and, unless null, the values that are held: the gaps at impacts (in
-  // order), then those of hard terms.
+  // order), then those of constraints.
   template <typename T>
   void Sweep(const T* s, T* gradient, T* gaps) const;
   // Computes G'', and the derivatives of what is held, one row each.
@@ -168,7 +170,6 @@ class CondensedLoss {
   std::vector<std::array<Side, 2>> sides_;
   std::vector<Push> last_;     // by body: the forces of the last interval, if the final time varies
   int by_duration_ = -1;       // the functional that is the change of the final time
-  std::vector<int> hard_via_;  // by waypoint: where its multiplier is, or -1
   std::map<int, int> forces_;  // functionals that are one component of a control: by its index
   std::vector<Functional> functionals_;
   std::vector<double> values_;  // F u

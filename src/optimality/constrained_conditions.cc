@@ -1,12 +1,13 @@
 // The conditions of optimality with bounds on the forces, hard terms, running and via terms and a free final time.
 //
-// Along a given motion the costates are affine in the multipliers of impacts and of hard terms, theta, and so are what
-// is left of the conditions:
+// Along a given motion the costates are affine in the multipliers of impacts and of active constraints on states,
+// theta, and so are what is left of the conditions:
 //
 //   force          2 effort m u + lambda_v, in the mean over an interval, is opposite to a normal of the bounds at u;
 //                  so is, of a torque with f = torque / radius, 2 effort (I/r^2) f + lambda_w / r
 //   impact time    moving an impact, and the intervals on both sides with it, does not change the loss
-//   final time     nor does moving that; at its bounds the loss may fall towards outside.
+//   final time     nor does moving that; at its bounds the loss may fall towards outside
+//   constraints    multipliers of inequalities are not negative.
 //
 // ConeConditions finds the theta that meets them best. On a grid that does not move, the impacts on nodes
 // have multipliers between those of the two one-sided gradients instead, and the other impacts those that keep the
@@ -27,8 +28,9 @@
 namespace saltus {
 namespace {
 
-constexpr double kAtBound = 1e-6;     // of a bound: a force so near is at it
-constexpr double kNoInterval = 1e-9;  // of the horizon: of an interval so short nothing is asked
+constexpr double kAtBound = 1e-6;       // of a bound: a force so near is at it
+constexpr double kNoMultiplier = 1e-7;  // of the largest costate, below which a multiplier is zero
+constexpr double kNoInterval = 1e-9;    // of the horizon: of an interval so short nothing is asked
 
 // Relative to the contact distance: pairs that must not touch and are further apart are inactive constraints.
 constexpr double kApart = 2e-4;
@@ -42,10 +44,17 @@ class ConstrainedCertifier {
     boundaries_.insert(boundaries_.end(), {0, num_segments()});
     std::sort(boundaries_.begin(), boundaries_.end());
     boundaries_.erase(std::unique(boundaries_.begin(), boundaries_.end()), boundaries_.end());
+    AddConstraints();
   }
 
   Certificate Run() {
     Certificate result = WithImpactsOf(motion_);
+    if (limit_inside_interval_) {
+      result.reason =
+          "a limit of the speed is active at an impact inside a control interval, and the conditions have "
+          "no multiplier for it";
+      return result;
+    }
     StationarityOnMovingGrid(&result);
     Judge(&result);
     if (result.verdict != Certificate::Verdict::kStationary) {
@@ -86,8 +95,125 @@ class ConstrainedCertifier {
   const Body& Turned(int t) const { return scene_.bodies[scene_.control.turned[t]]; }
   double Turn(int interval, int t) const { return motion_.control[scene_.TurnIndex(interval, t)]; }
 
-  // Returns the sweep of the objective alone, then of each unknown: of impacts k for which `unknown[k]`, then of hard
-  // terms, two each. The multipliers of other impacts keep the Hamiltonian continuous.
+  // Adds the constraints on states, and the rows of those that are active.
+  void AddConstraints() {
+    rows_ = RowsOfHardTerms(scene_);
+    const auto add = [&](const auto& term) {
+      if (term.hard) constraints_.push_back({scene_.bodies[term.body].name, term.quantity});
+    };
+    for (const TerminalTerm& term : scene_.objective.terminal) {
+      if (!term.region) add(term);
+    }
+    for (const ViaTerm& term : scene_.objective.via) add(term);
+    for (const TerminalTerm& term : scene_.objective.terminal) {
+      if (!term.region) continue;
+      add(term);
+      AddRegion(term);
+    }
+    for (const SpeedLimit& limit : scene_.objective.limits) {
+      if (limit.at == SpeedLimit::At::kEnd) AddLimit(limit, motion_.flight.end().v[limit.body], {});
+    }
+    for (const SpeedLimit& limit : scene_.objective.limits) {
+      if (limit.at == SpeedLimit::At::kAlways) AddLimitOfMotion(limit);
+    }
+  }
+
+  // Adds the rows of the bounds of a goal region that the final state is at.
+  void AddRegion(const TerminalTerm& term) {
+    const TerminalTerm::Region& region = *term.region;
+    const DiscStates& end = motion_.flight.end();
+    Vec2d q(0, 0);
+    if (term.quantity == TerminalTerm::Quantity::kPosition) q = end.p[term.body];
+    if (term.quantity == TerminalTerm::Quantity::kVelocity) q = end.v[term.body];
+    if (term.quantity == TerminalTerm::Quantity::kAngle) q[0] = end.angle[term.body];
+    if (term.quantity == TerminalTerm::Quantity::kAngularVelocity) q[0] = end.spin[term.body];
+    for (int j = 0; j < 2; ++j) {
+      const auto push = [&](double sign) {
+        rows_.push_back({.owner = static_cast<int>(constraints_.size()) - 1,
+                         .body = term.body,
+                         .quantity = term.quantity,
+                         .normal = sign * Vec2d::Unit(j),
+                         .inequality = region.min[j] < region.max[j]});
+      };
+      if (q[j] >= region.max[j] - kAtBound) {
+        push(1);
+      } else if (q[j] <= region.min[j] + kAtBound) {
+        push(-1);
+      }
+    }
+  }
+
+  // Adds a limit of the speed, and its row if it is active; one that always holds, only then. `place` has its time.
+  void AddLimit(const SpeedLimit& limit, const Vec2d& velocity, ConstraintRow place, std::optional<double> time = {}) {
+    const bool active = velocity.norm() >= (1 - kAtBound) * limit.max;
+    if (!active && time) return;
+    constraints_.push_back({.body = scene_.bodies[limit.body].name,
+                            .quantity = TerminalTerm::Quantity::kVelocity,
+                            .speed_limit = limit.max,
+                            .time = time});
+    if (!active) return;
+    place.owner = static_cast<int>(constraints_.size()) - 1;
+    place.body = limit.body;
+    place.quantity = TerminalTerm::Quantity::kVelocity;
+    place.bend = 1 / limit.max;
+    place.normal = place.bend * velocity;
+    place.inequality = true;
+    rows_.push_back(place);
+  }
+
+  // Adds a limit that always holds where the motion is at it. Under a constant force the speed is largest at the ends
+  // of the interval, and impacts, which cut intervals, change it.
+  void AddLimitOfMotion(const SpeedLimit& limit) {
+    const std::vector<Flight::Piece>& pieces = motion_.flight.pieces();
+    int segment = 0;
+    for (size_t i = 0; i < pieces.size(); ++i) {
+      while (segment < num_segments() && sweep_.segments()[segment].original <= static_cast<int>(i)) ++segment;
+      const bool last = i + 1 == pieces.size();
+      const double time = pieces[i].start + pieces[i].duration;
+      const Vec2d before = pieces[i].After(limit.body, pieces[i].duration).v;
+      const Vec2d after = last ? motion_.flight.end().v[limit.body] : pieces[i + 1].at_start.v[limit.body];
+      const size_t rows = rows_.size();
+      if ((after - before).norm() > kAtBound * limit.max) {
+        AddLimit(limit, before, {.segment = segment, .before = true}, time);
+      }
+      AddLimit(limit, after, {.segment = segment}, time);
+      for (const Flight::Hit& hit : motion_.flight.hits()) {
+        const bool here = hit.next_piece == static_cast<int>(i) + 1 && !hit.on_node && !last;
+        limit_inside_interval_ = limit_inside_interval_ || (here && rows_.size() > rows);
+      }
+    }
+  }
+
+  // Returns the rows with the multipliers in theta, which has them last.
+  std::vector<ConstraintRow> RowsAt(const Eigen::VectorXd& theta) const {
+    std::vector<ConstraintRow> rows = rows_;
+    const Eigen::Index first = theta.size() - static_cast<Eigen::Index>(rows.size());
+    for (size_t i = 0; i < rows.size(); ++i) rows[i].multiplier = theta[first + static_cast<Eigen::Index>(i)];
+    return rows;
+  }
+
+  // Adds the condition that multipliers of inequalities are not negative.
+  void AddSigns(const std::vector<Result>& sweeps, ConeConditions* conditions) const {
+    const auto unknowns = static_cast<Eigen::Index>(sweeps.size()) - 1;
+    const Eigen::Index first = unknowns - static_cast<Eigen::Index>(rows_.size());
+    for (size_t i = 0; i < rows_.size(); ++i) {
+      if (!rows_[i].inequality) continue;
+      conditions->AddNumber(0, Eigen::RowVectorXd::Unit(unknowns, first + static_cast<Eigen::Index>(i)), 1);
+    }
+  }
+
+  // Returns the largest multiplier of a wrong sign, relative to the largest costate.
+  double WrongSign(const std::vector<ConstraintRow>& rows) const {
+    double largest = 0;
+    for (const ConstraintRow& row : rows) {
+      const double time = row.quantity == TerminalTerm::Quantity::kVelocity ? scene_.duration : 1.0;
+      if (row.inequality) largest = std::max(largest, -row.multiplier / time);
+    }
+    return largest == 0 ? 0.0 : largest / position_scale_;
+  }
+
+  // Returns the sweep of the objective alone, then of each unknown: of impacts k for which `unknown[k]`, then of rows
+  // of constraints. The multipliers of other impacts keep the Hamiltonian continuous.
   std::vector<Result> Sweeps(const std::vector<bool>& unknown) const {
     std::vector<Result> sweeps;
     const auto add = [&](const CostateSweep::Source& source, int impact) {
@@ -99,12 +225,7 @@ class ConstrainedCertifier {
     for (int k = 0; k < num_hits(); ++k) {
       if (unknown[k]) add({.objective = false}, k);
     }
-    for (int i = 0; i < 2 * sweep_.num_hard(); ++i) {
-      CostateSweep::Source source{.objective = false};
-      source.hard.assign(sweep_.num_hard(), Vec2d(0, 0));
-      source.hard[i / 2][i % 2] = 1;
-      add(source, -1);
-    }
+    for (const ConstraintRow& row : rows_) add({.objective = false, .constraints = {&row, 1}}, -1);
     return sweeps;
   }
 
@@ -115,9 +236,8 @@ class ConstrainedCertifier {
     for (int k = 0; k < num_hits(); ++k) {
       if (unknown[k]) nu[k] = theta[next++];
     }
-    CostateSweep::Source source;
-    for (; next + 1 < theta.size(); next += 2) source.hard.emplace_back(theta[next], theta[next + 1]);
-    return sweep_.Sweep(source, [&](int k, const ImpactJump& jump, double gain) {
+    const std::vector<ConstraintRow> rows = RowsAt(theta);
+    return sweep_.Sweep({.constraints = rows}, [&](int k, const ImpactJump& jump, double gain) {
       return unknown[k] ? nu[k] : sweep_.Late(k, jump, gain);
     });
   }
@@ -294,6 +414,7 @@ class ConstrainedCertifier {
       const auto by_end = [&](const Result& sweep, bool whole) { return MovedBy(last, true, sweep, whole); };
       Add(sweeps, by_end, scene_.objective.duration->weight, SignByDuration(), &conditions);
     }
+    AddSigns(sweeps, &conditions);
     conditions.Solve();
     const Result found = Combined(unknown, conditions.theta());
     SetSizes(found);
@@ -308,7 +429,13 @@ class ConstrainedCertifier {
       result->final_time = RelativeHamiltonian(conditions.Number(num_hits()));
       result->hamiltonian = std::max(result->hamiltonian, std::abs(*result->final_time));
     }
-    SetConstraints(conditions.theta().tail(2 * sweep_.num_hard()), result);
+    const std::vector<ConstraintRow> rows = RowsAt(conditions.theta());
+    result->transversality = WrongSign(rows);
+    result->constraints = constraints_;
+    for (const ConstraintRow& row : rows) {
+      ConstraintCertificate& constraint = result->constraints[row.owner];
+      constraint.multiplier += row.bend > 0 ? Vec2d(row.multiplier, 0) : Vec2d(row.multiplier * row.normal);
+    }
   }
 
   void StationarityOnFixedGrid(Certificate* result) {
@@ -323,23 +450,24 @@ class ConstrainedCertifier {
       };
       Add(sweeps, by_scale, scene_.objective.duration->weight, SignByDuration(), &conditions);
     }
+    AddSigns(sweeps, &conditions);
     conditions.Solve();
     const Result found = Combined(unknown, conditions.theta());
     SetSizes(found);
-    result->gradient = RelativeForce(conditions);
+    const std::vector<ConstraintRow> rows = RowsAt(conditions.theta());
+    result->gradient = std::max(RelativeForce(conditions), WrongSign(rows));
     SetRestrictions(conditions);
     if (scene_.objective.duration) {
       result->gradient = std::max(*result->gradient, std::abs(RelativeHamiltonian(conditions.Number(0))));
     }
     // Finds where the multipliers of impacts on nodes are between the one-sided ones.
-    sweep_.Sweep({.objective = true, .hard = HardOf(conditions.theta())},
-                 [&](int k, const ImpactJump& jump, double gain) {
-                   const double late = sweep_.Late(k, jump, gain);
-                   if (!unknown[k]) return late;
-                   const double early = sweep_.Early(k, jump, gain);
-                   SetTheta(early, late, found.multipliers[k], position_scale_ * scene_.duration, &result->impacts[k]);
-                   return found.multipliers[k];
-                 });
+    sweep_.Sweep({.constraints = rows}, [&](int k, const ImpactJump& jump, double gain) {
+      const double late = sweep_.Late(k, jump, gain);
+      if (!unknown[k]) return late;
+      const double early = sweep_.Early(k, jump, gain);
+      SetTheta(early, late, found.multipliers[k], position_scale_ * scene_.duration, &result->impacts[k]);
+      return found.multipliers[k];
+    });
   }
 
   std::string WhyNoCurvature(const Certificate& result) const {
@@ -350,6 +478,12 @@ class ConstrainedCertifier {
     }
     for (int k = 0; k < num_hits(); ++k) {
       if (IsAtEnd(k)) return "an impact is at the final time, where the loss has a kink and no second derivative";
+    }
+    for (const ConstraintRow& row : restrictions_.rows) {
+      if (row.segment >= 0) return "its second derivative is not computed where a limit is active before the end";
+      if (row.inequality && !(row.multiplier > kNoMultiplier * position_scale_)) {
+        return "a bound is active with a multiplier of zero, where the second derivative differs from side to side";
+      }
     }
     if (IsDurationFree() && result.verdict == Certificate::Verdict::kStationaryOnGrid) {
       return "its second derivative is not computed where all intervals scale with the final time";
@@ -369,7 +503,7 @@ class ConstrainedCertifier {
 
   // Sets the restrictions of the second-order condition, at the multipliers found.
   void SetRestrictions(const ConeConditions& conditions) {
-    restrictions_.hard = HardOf(conditions.theta());
+    restrictions_.rows = RowsAt(conditions.theta());
     restrictions_.duration = IsDurationFree();
     restrictions_.turns.clear();
     for (int k = 0; k < num_intervals(); ++k) {
@@ -393,28 +527,12 @@ class ConstrainedCertifier {
     }
   }
 
-  std::vector<Vec2d> HardOf(const Eigen::VectorXd& theta) const {
-    std::vector<Vec2d> hard;
-    for (Eigen::Index i = theta.size() - 2 * sweep_.num_hard(); i < theta.size(); i += 2) {
-      hard.emplace_back(theta[i], theta[i + 1]);
-    }
-    return hard;
-  }
-
-  void SetConstraints(const Eigen::VectorXd& theta, Certificate* result) const {
-    Eigen::Index next = 0;
-    const auto add = [&](const auto& term) {
-      if (!term.hard) return;
-      result->constraints.push_back({scene_.bodies[term.body].name, term.quantity, {theta[next], theta[next + 1]}});
-      next += 2;
-    };
-    for (const TerminalTerm& term : scene_.objective.terminal) add(term);
-    for (const ViaTerm& term : scene_.objective.via) add(term);
-  }
-
   const ControlledMotion& motion_;
   const Scene& scene_;
   CostateSweep sweep_;
+  std::vector<ConstraintCertificate> constraints_;  // without multipliers
+  std::vector<ConstraintRow> rows_;                 // of active constraints
+  bool limit_inside_interval_ = false;
   std::vector<int> boundaries_;  // of phases: segments, 0 and their number included
   double position_scale_ = 0, hamiltonian_scale_ = 0;
   Restrictions restrictions_;

@@ -94,6 +94,10 @@ std::string CostateShooting::ReasonNotSupported(const Scene& scene) {
     return "without a cost of effort the optimal forces are at their bounds and do not follow from the costates";
   }
   if (!scene.no_contact.empty()) return "pairs that must not touch (no_contact) are not supported; use ceres_phases";
+  if (std::ranges::any_of(scene.objective.terminal, [](const TerminalTerm& term) { return term.region.has_value(); })) {
+    return "goal regions are not supported; use ceres_phases";
+  }
+  if (!scene.objective.limits.empty()) return "limits of the speed are not supported; use ceres_phases";
   const bool bounded = scene.control.IsBounded();
   for (const RunningTerm& term : scene.objective.running) {
     const auto& pushed = scene.control.bodies;

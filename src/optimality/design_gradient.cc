@@ -84,7 +84,6 @@ class FollowingRuns {
     std::size_t next = 0;
     const auto add = [&](const auto& term, const DiscStates& at) {
       using Quantity = TerminalTerm::Quantity;
-      if (!term.hard) return;
       Vec2d quantity(0, 0);
       if (term.quantity == Quantity::kPosition) quantity = at.p[term.body];
       if (term.quantity == Quantity::kVelocity) quantity = at.v[term.body];
@@ -92,8 +91,18 @@ class FollowingRuns {
       if (term.quantity == Quantity::kAngularVelocity) quantity[0] = at.spin[term.body];
       sum += Dot(constraints_[next++].multiplier, quantity);
     };
-    for (const TerminalTerm& term : designed.objective.terminal) add(term, flight.end());
-    for (const ViaTerm& term : designed.objective.via) add(term, flight.Before(term.time));
+    for (const bool region : {false, true}) {
+      for (const TerminalTerm& term : designed.objective.terminal) {
+        if (term.hard && term.region.has_value() == region) add(term, flight.end());
+      }
+      for (const ViaTerm& term : designed.objective.via) {
+        if (term.hard && !region) add(term, flight.Before(term.time));
+      }
+    }
+    for (const SpeedLimit& limit : designed.objective.limits) {
+      if (limit.at != SpeedLimit::At::kEnd) continue;
+      sum += constraints_[next++].multiplier[0] * flight.end().v[limit.body].squaredNorm() / (2 * limit.max);
+    }
     return sum;
   }
 
@@ -110,9 +119,12 @@ bool HasPathCosts(const Objective& objective) {
   return objective.duration || !objective.running.empty() || !objective.via.empty();
 }
 
-std::size_t NumHardTerms(const Objective& objective) {
+// Returns the number of constraints but those by limits that always hold.
+std::size_t NumConstraints(const Objective& objective) {
   const auto hard = [](const auto& term) { return term.hard; };
-  return std::ranges::count_if(objective.terminal, hard) + std::ranges::count_if(objective.via, hard);
+  const auto at_end = [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kEnd; };
+  return std::ranges::count_if(objective.terminal, hard) + std::ranges::count_if(objective.via, hard) +
+         std::ranges::count_if(objective.limits, at_end);
 }
 
 }  // namespace
@@ -125,8 +137,13 @@ DesignGradient GradientByDesign(const Scene& scene, const std::vector<double>& i
     gradient.reason = why;
     return gradient;
   };
-  if (constraints.size() != NumHardTerms(scene.objective)) {
-    return refuse("the derivatives by parameters of a loss with equality constraints need the multipliers of these");
+  if (constraints.size() > NumConstraints(scene.objective)) {
+    return refuse(
+        "the derivatives by parameters are not computed where a limit is active before the end: give the parameters "
+        "values, or the limit at: end");
+  }
+  if (constraints.size() != NumConstraints(scene.objective)) {
+    return refuse("the derivatives by parameters of a loss with constraints need the multipliers of these");
   }
   const ExactRun run = SimulateExactly(scene, initial, control, durations, stop);
   if (!run.ok) return refuse(run.reason);

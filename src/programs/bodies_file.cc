@@ -188,13 +188,24 @@ class BodiesReader final : internal::SceneReader {
         term.quantity == TerminalTerm::Quantity::kVelocity || term.quantity == TerminalTerm::Quantity::kAngularVelocity;
     const std::vector<int> coordinates =
         term.IsOfSpin() ? CoordinatesOf(term.body, {2}) : CoordinatesOf(term.body, {0, 1});
+    const TerminalTerm::Region goal = term.Goal();
+    if ((goal.min.array() > goal.max.array()).any()) Fail(value, "found min above max, expected at most that");
+    if (!goal.min.array().isFinite().any() && !goal.max.array().isFinite().any()) {
+      Fail(value, "found no bound, expected at least one number in min or max");
+    }
     for (std::size_t i = 0; i < coordinates.size(); ++i) {
-      if (coordinates[i] < 0)
+      const int j = static_cast<int>(i), state = coordinates[i] + (of_rate ? n : 0);
+      const bool has_min = std::isfinite(goal.min[j]), has_max = std::isfinite(goal.max[j]);
+      if (coordinates[i] < 0 && (has_min || has_max)) {
         Fail(value, "the joint of " + rigid_.bodies[term.body].name + " leaves no such coordinate");
-      const double weight = term.hard ? 1 : term.weight;
-      HybridTerm& added = problem->terms.emplace_back(
-          MakeTerminalCost(coordinates[i] + (of_rate ? n : 0), term.target[static_cast<int>(i)], weight, 2 * n));
-      if (term.hard) added.role = HybridTerm::Role::kEquality;
+      }
+      if (!term.hard || goal.min[j] == goal.max[j]) {
+        problem->terms.push_back(MakeTerminalCost(state, goal.min[j], term.hard ? 1 : term.weight, 2 * n));
+        if (term.hard) problem->terms.back().role = HybridTerm::Role::kEquality;
+        continue;
+      }
+      if (has_min) problem->terms.push_back(MakeTerminalBound(state, goal.min[j], true, 2 * n));
+      if (has_max) problem->terms.push_back(MakeTerminalBound(state, goal.max[j], false, 2 * n));
     }
   }
 

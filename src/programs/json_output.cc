@@ -175,9 +175,13 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate, const
     const Vec2d& nu = constraint.multiplier;
     const bool of_spin = constraint.quantity == TerminalTerm::Quantity::kAngle ||
                          constraint.quantity == TerminalTerm::Quantity::kAngularVelocity;
-    item["constraints"].push_back({{"body", constraint.body},
-                                   {"quantity", kQuantities[static_cast<int>(constraint.quantity)]},
-                                   {"multiplier", of_spin ? Json(nu[0]) : Json(nu)}});
+    const bool is_number = of_spin || constraint.speed_limit;
+    const char* quantity = constraint.speed_limit ? "speed" : kQuantities[static_cast<int>(constraint.quantity)];
+    Json entry = {
+        {"body", constraint.body}, {"quantity", quantity}, {"multiplier", is_number ? Json(nu[0]) : Json(nu)}};
+    if (constraint.speed_limit) entry["max"] = *constraint.speed_limit;
+    if (constraint.time) entry["time"] = *constraint.time;
+    item["constraints"].push_back(std::move(entry));
   }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {

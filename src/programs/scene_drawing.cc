@@ -64,7 +64,7 @@ Panel ScenePanel(const Scene& scene, const std::string& title) {
   }
   panel.outlines = OutlinesOf(scene);
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.component || term.quantity != TerminalTerm::Quantity::kPosition) continue;
+    if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;
     panel.circles.push_back({Pair(term.target), 0.03, "#000000", 1.0});
   }
   return panel;
@@ -293,7 +293,8 @@ Json ReplayToJson(const Replay& replay) {
         {{"name", outline.name}, {"solid", SolidName(outline.solid)}, {"points", outline.points}});
   }
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (!term.component && term.quantity == TerminalTerm::Quantity::kPosition) data["targets"].push_back(term.target);
+    if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;
+    data["targets"].push_back(term.target);
   }
   const double size = SizeOf(replay);
   double speed = 0;

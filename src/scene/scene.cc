@@ -451,6 +451,45 @@ class Rules {
     }
   }
 
+  void CheckRegion(std::size_t i, const TerminalTerm& term) {
+    const TerminalTerm::Region& region = *term.region;
+    Expect(term.hard, At("objective.terminal", i, "hard"), "found false, expected true: a goal region is a constraint");
+    const TerminalTerm::Region none;
+    bool any = false;
+    for (int j = 0; j < 2 && !error_; ++j) {
+      const auto bound = [&](const char* name, double given, double unbounded) {
+        if (given == unbounded) return;
+        Number({"objective.terminal", i, name, j}, given, in_.any);
+        any = true;
+      };
+      bound("min", region.min[j], none.min[j]);
+      bound("max", region.max[j], none.max[j]);
+      Expect(region.min[j] <= region.max[j], At("objective.terminal", i, "min"), [&] {
+        return "found " + ToText(region.min[j]) + " above max, " + ToText(region.max[j]) + ", expected at most that";
+      });
+    }
+    Expect(any, At("objective.terminal", i, "min"), "found no bound, expected at least one number in min or max");
+    if (error_) return;
+    Expect(!scene_.bodies[term.body].fixed, At("objective.terminal", i, "body"), [&] {
+      return "found " + scene_.bodies[term.body].name + ", which is fixed; expected a body that moves";
+    });
+    Expect(!term.IsOfSpin() || (std::isinf(region.min[1]) && std::isinf(region.max[1])),
+           At("objective.terminal", i, "min"),
+           "expected one number: it is of spin");
+  }
+
+  void CheckLimits() {
+    for (std::size_t i = 0; i < scene_.objective.limits.size(); ++i) {
+      const SpeedLimit& limit = scene_.objective.limits[i];
+      BodyIndex(At("objective.limits", i, "body"), limit.body);
+      Number(At("objective.limits", i, "speed"), limit.max, in_.positive);
+      if (error_) return;
+      Expect(!scene_.bodies[limit.body].fixed, At("objective.limits", i, "body"), [&] {
+        return "found " + scene_.bodies[limit.body].name + ", which is fixed; expected a body that moves";
+      });
+    }
+  }
+
   void CheckObjective() {
     const std::vector<TerminalTerm>& terms = scene_.objective.terminal;
     for (std::size_t i = 0; i < terms.size(); ++i) {
@@ -475,10 +514,12 @@ class Rules {
              At("objective.terminal", i, "hard"),
              "found a terminal equality constraint (hard) with a component, expected a target: a linear term is no "
              "constraint");
+      if (term.region) CheckRegion(i, term);
     }
     Number({"objective.effort"}, scene_.objective.effort, in_.not_negative);
     CheckRunning();
     CheckVia();
+    CheckLimits();
     CheckFreeDuration();
     if (!all_) return;
     Expect((scene_.optimize == Optimize::kNone && scene_.design.empty()) || !terms.empty(),
@@ -605,7 +646,7 @@ std::optional<SceneError> ValidateStructure(const Scene& scene) {
 
 bool Objective::HasConstraints() const {
   const auto hard = [](const auto& term) { return term.hard; };
-  return std::any_of(terminal.begin(), terminal.end(), hard) || std::any_of(via.begin(), via.end(), hard);
+  return std::ranges::any_of(terminal, hard) || std::ranges::any_of(via, hard) || !limits.empty();
 }
 
 bool Objective::IsSumOfSquares() const {

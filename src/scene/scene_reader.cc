@@ -292,20 +292,72 @@ void SceneReader::ReadWeight(const Fields& fields, Term* term) {
   }
 }
 
+// Reads the bounds of the components of a quantity: numbers, and null where there is none.
+Vec2d SceneReader::ReadBoundsOf(const Fields& fields, const char* key, bool of_spin, double unbounded) {
+  Vec2d bounds = Vec2d::Constant(unbounded);
+  const Value* value = fields.Find(key);
+  if (value == nullptr) return bounds;
+  if (of_spin) {
+    bounds[0] = ReadNumber(*value);
+    return bounds;
+  }
+  const std::vector<Value> entries = ReadTuple(*value, 2, "[x, y], with null where there is no bound");
+  for (int j = 0; j < 2; ++j) {
+    if (!entries[j].node.IsNull()) bounds[j] = ReadNumber(entries[j], "a number, or null where there is no bound");
+  }
+  return bounds;
+}
+
+// Reads the goal region of a term: that of the keys min and max, or of a target in one component. Returns std::nullopt
+// if the term has none of them.
+std::optional<TerminalTerm::Region> SceneReader::ReadRegion(const Fields& fields, const TerminalTerm& term) {
+  const Value *target = fields.Find("target"), *component = fields.Find("component");
+  const Value *min = fields.Find("min"), *max = fields.Find("max"), *hard = fields.Find("hard");
+  const bool has_bounds = min != nullptr || max != nullptr;
+  if (!has_bounds && !(component != nullptr && term.hard)) return std::nullopt;
+  if (hard != nullptr && !term.hard)
+    Fail(*hard, "found false, expected true or no such key: min and max are constraints");
+  if (target != nullptr && has_bounds) Fail(*target, "found a target beside min or max, expected one of them");
+  if (const Value* weight = fields.Find("weight")) {
+    Fail(*weight, "found a weight, expected none: min and max are constraints");
+  }
+  TerminalTerm::Region region;
+  if (component == nullptr) {
+    region.min = ReadBoundsOf(fields, "min", term.IsOfSpin(), region.min[0]);
+    region.max = ReadBoundsOf(fields, "max", term.IsOfSpin(), region.max[0]);
+    return region;
+  }
+  if (term.IsOfSpin()) Fail(*component, "found a component, expected none: the quantity is one number");
+  const int j = ReadChoice(*component, {"x", "y"});
+  if (!has_bounds) {
+    region.min[j] = region.max[j] = ReadNumber(fields.Require("target", "the target of the component, or min or max"));
+  }
+  if (min != nullptr) region.min[j] = ReadNumber(*min);
+  if (max != nullptr) region.max[j] = ReadNumber(*max);
+  return region;
+}
+
 TerminalTerm SceneReader::ReadTerm(const Value& value) {
-  const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight", "hard"});
+  const Fields fields = ReadFields(value, {"body", "quantity", "target", "component", "weight", "hard", "min", "max"});
   TerminalTerm term;
   term.body = ReadBodyName(fields.Require("body", "the name of a body"));
   term.quantity = ReadQuantity(fields);
+  if (const Value* hard = fields.Find("hard")) term.hard = ReadBool(*hard);
+  term.region = ReadRegion(fields, term);
+  if (term.region) {
+    term.hard = true;
+    return term;
+  }
   if (const Value* component = fields.Find("component")) {
     term.component = ReadChoice(*component, {"x", "y"});
     if (const Value* target = fields.Find("target")) {
-      Fail(*target, "found a target, expected none: with a component the term is linear");
+      Fail(*target,
+           "found a target, expected none: with a component the term is linear, or with hard: true a constraint");
     }
   } else if (term.IsOfSpin()) {
-    term.target = {ReadNumber(fields.Require("target", "the target in rad or rad/s")), 0};
+    term.target = {ReadNumber(fields.Require("target", "the target in rad or rad/s, or min or max")), 0};
   } else {
-    term.target = ReadVector(fields.Require("target", "the target [x, y], or component: x or y"));
+    term.target = ReadVector(fields.Require("target", "the target [x, y], component: x or y, or min or max"));
   }
   ReadWeight(fields, &term);
   return term;
@@ -336,6 +388,16 @@ ViaTerm SceneReader::ReadVia(const Value& value) {
   return term;
 }
 
+SpeedLimit SceneReader::ReadLimit(const Value& value) {
+  const Fields fields = ReadFields(value, {"body", "speed", "at"});
+  SpeedLimit limit;
+  limit.body = ReadBodyName(fields.Require("body", "the name of a body"));
+  const Fields speed = ReadFields(fields.Require("speed", "a map with the key max"), {"max"});
+  limit.max = ReadNumber(speed.Require("max", "the greatest speed in m/s"));
+  if (const Value* at = fields.Find("at")) limit.at = static_cast<SpeedLimit::At>(ReadChoice(*at, {"end", "always"}));
+  return limit;
+}
+
 FreeDuration SceneReader::ReadFreeDuration(const Value& value) {
   const Fields fields = ReadFields(value, {"free", "min", "max", "weight"});
   if (const Value& free = fields.Require("free", "free: true"); !ReadBool(free)) {
@@ -363,7 +425,7 @@ NoContact SceneReader::ReadNoContact(const Value& value) {
 }
 
 Objective SceneReader::ReadObjective(const Value& value) {
-  const Fields fields = ReadFields(value, {"terminal", "effort", "running", "via", "duration"});
+  const Fields fields = ReadFields(value, {"terminal", "effort", "running", "via", "limits", "duration"});
   Objective objective;
   for (const Value& term : ReadList(fields.Require("terminal", "a list of terms"), "a list of terms")) {
     objective.terminal.push_back(ReadTerm(term));
@@ -371,6 +433,7 @@ Objective SceneReader::ReadObjective(const Value& value) {
   if (const Value* effort = fields.Find("effort")) objective.effort = ReadNumber(*effort);
   ReadEach(fields, "running", "a list of terms", &SceneReader::ReadRunning, &objective.running);
   ReadEach(fields, "via", "a list of terms", &SceneReader::ReadVia, &objective.via);
+  ReadEach(fields, "limits", "a list of limits", &SceneReader::ReadLimit, &objective.limits);
   if (const Value* duration = fields.Find("duration")) objective.duration = ReadFreeDuration(*duration);
   return objective;
 }

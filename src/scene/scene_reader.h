@@ -1,6 +1,7 @@
 // The reader of scenes from the YAML trees of scene files.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -58,9 +59,12 @@ class SceneReader {
   TerminalTerm::Quantity ReadQuantity(const Fields& fields);
   template <typename Term>
   void ReadWeight(const Fields& fields, Term* term);
+  Vec2d ReadBoundsOf(const Fields& fields, const char* key, bool of_spin, double unbounded);
+  std::optional<TerminalTerm::Region> ReadRegion(const Fields& fields, const TerminalTerm& term);
   TerminalTerm ReadTerm(const Value& value);
   RunningTerm ReadRunning(const Value& value);
   ViaTerm ReadVia(const Value& value);
+  SpeedLimit ReadLimit(const Value& value);
   FreeDuration ReadFreeDuration(const Value& value);
   NoContact ReadNoContact(const Value& value);
   Objective ReadObjective(const Value& value);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cmath>
 #include <string>
 #include <vector>
 
@@ -210,11 +211,29 @@ void WriteWeight(YAML::Emitter* out, double weight, bool hard) {
   }
 }
 
+// Writes the bounds of the components of a quantity; null where there is none.
+void WriteBoundsOf(YAML::Emitter* out, const char* key, const TerminalTerm& term, const Vec2d& bounds) {
+  if (!std::isfinite(bounds[0]) && !std::isfinite(bounds[1])) return;
+  if (term.IsOfSpin()) return WriteField(out, key, bounds[0]);
+  *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
+  for (const double bound : bounds) {
+    if (std::isfinite(bound)) {
+      *out << ToText(bound);
+    } else {
+      *out << YAML::Null;
+    }
+  }
+  *out << YAML::EndSeq;
+}
+
 void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "body", scene.bodies[term.body].name);
   WriteQuantity(out, term.quantity);
-  if (term.component) {
+  if (term.region) {
+    WriteBoundsOf(out, "min", term, term.region->min);
+    WriteBoundsOf(out, "max", term, term.region->max);
+  } else if (term.component) {
     WriteField(out, "component", *term.component == 0 ? "x" : "y");
   } else if (term.IsOfSpin()) {
     WriteField(out, "target", term.target[0]);
@@ -246,6 +265,16 @@ void WriteVia(YAML::Emitter* out, const Scene& scene, const ViaTerm& term) {
   WriteQuantity(out, term.quantity);
   WriteField(out, "target", term.target);
   WriteWeight(out, term.weight, term.hard);
+  *out << YAML::EndMap;
+}
+
+void WriteLimit(YAML::Emitter* out, const Scene& scene, const SpeedLimit& limit) {
+  *out << YAML::Flow << YAML::BeginMap;
+  WriteName(out, "body", scene.bodies[limit.body].name);
+  *out << YAML::Key << "speed" << YAML::Value << YAML::BeginMap;
+  WriteField(out, "max", limit.max);
+  *out << YAML::EndMap;
+  WriteField(out, "at", limit.at == SpeedLimit::At::kEnd ? "end" : "always");
   *out << YAML::EndMap;
 }
 
@@ -290,6 +319,7 @@ void WriteObjective(YAML::Emitter* out, const Scene& scene) {
   WriteField(out, "effort", scene.objective.effort);
   WriteTerms(out, "running", scene, scene.objective.running, WriteRunning);
   WriteTerms(out, "via", scene, scene.objective.via, WriteVia);
+  WriteTerms(out, "limits", scene, scene.objective.limits, WriteLimit);
   if (scene.objective.duration) WriteFreeDuration(out, *scene.objective.duration);
   *out << YAML::EndMap;
 }

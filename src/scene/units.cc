@@ -64,7 +64,11 @@ Extent ExtentOf(const Scene& scene, int axis) {
     extent.Include(body.position[axis] - body.radius, body.position[axis] + body.radius);
   }
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (IsPositionTarget(term)) extent.Include(term.target[axis], term.target[axis]);
+    if (!IsPositionTarget(term)) continue;
+    const TerminalTerm::Region goal = term.Goal();
+    for (const double bound : {goal.min[axis], goal.max[axis]}) {
+      if (std::isfinite(bound)) extent.Include(bound, bound);
+    }
   }
   VisitEdges(scene, [&](const Vec2d& point) { extent.Include(point[axis], point[axis]); });
   return extent;
@@ -300,6 +304,8 @@ Scene InUnits(const Scene& scene, const Units& units) {
   };
   for (TerminalTerm& term : out.objective.terminal) {
     if (!term.component) convert_target(term, &term.target);
+    if (term.region) convert_target(term, &term.region->min);
+    if (term.region) convert_target(term, &term.region->max);
     term.weight *= by.loss / (term.component ? size_of(term) : size_of(term) * size_of(term));
   }
   for (ViaTerm& term : out.objective.via) {
@@ -307,6 +313,7 @@ Scene InUnits(const Scene& scene, const Units& units) {
     term.time *= by.time;
     term.weight *= by.loss / (size_of(term) * size_of(term));
   }
+  for (SpeedLimit& limit : out.objective.limits) limit.max *= by.speed;
   for (RunningTerm& term : out.objective.running) {
     for (Vec2d& target : term.targets) convert_target(term, &target);
     term.times = Multiplied(std::move(term.times), by.time);

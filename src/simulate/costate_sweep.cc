@@ -78,6 +78,25 @@ ImpactJump MakeImpactJump(const Scene& scene, const Flight::Hit& hit, const std:
   return jump;
 }
 
+std::vector<ConstraintRow> RowsOfHardTerms(const Scene& scene) {
+  std::vector<ConstraintRow> rows;
+  int owner = 0;
+  const auto add = [&](const auto& term, int components, int via) {
+    for (int j = 0; j < components; ++j) {
+      rows.push_back(
+          {.owner = owner, .body = term.body, .quantity = term.quantity, .normal = Vec2d::Unit(j), .via = via});
+    }
+    ++owner;
+  };
+  for (const TerminalTerm& term : scene.objective.terminal) {
+    if (term.hard && !term.region) add(term, term.IsOfSpin() ? 1 : 2, -1);
+  }
+  for (size_t v = 0; v < scene.objective.via.size(); ++v) {
+    if (scene.objective.via[v].hard) add(scene.objective.via[v], 2, static_cast<int>(v));
+  }
+  return rows;
+}
+
 CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
     : scene_(scene), flight_(flight), place_(scene.bodies.size(), -1) {
   for (int c = 0; c < scene.num_controlled(); ++c) place_[scene.control.bodies[c]] = c;
@@ -111,9 +130,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
     const auto starts = [&](const Segment& s) { return s.piece.start < term.time - kNodeMargin * s.piece.duration; };
     const auto after = std::partition_point(segments_.begin(), segments_.end(), starts);
     via_after_.push_back(std::max(1, static_cast<int>(after - segments_.begin())));
-    num_hard_ += term.hard;
   }
-  for (const TerminalTerm& term : scene.objective.terminal) num_hard_ += term.hard;
 }
 
 double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
@@ -236,19 +253,19 @@ std::vector<Costate<double>> CostateSweep::AtEnd(const Source& source) const {
     costates.push_back({scene_.duration, Vec2d(0, 0), Vec2d(0, 0)});
     if (source.objective && !scene_.bodies[i].fixed) costates.back() = FinalCostate(scene_, flight_.end(), i);
   }
-  size_t hard = 0;
-  for (const TerminalTerm& term : scene_.objective.terminal) {
-    if (!term.hard || source.hard.empty()) continue;
-    const Vec2d& multiplier = source.hard[hard++];
-    if (term.quantity == Quantity::kAngle) {
-      costates[term.body].angle += multiplier[0];
-    } else if (term.quantity == Quantity::kAngularVelocity) {
-      costates[term.body].angular_velocity += multiplier[0];
-    } else {
-      Part(&costates[term.body], term.quantity) += multiplier;
-    }
+  for (const ConstraintRow& row : source.constraints) {
+    if (row.IsAtEnd()) AddRow(row, &costates);
   }
   return costates;
+}
+
+void CostateSweep::AddRow(const ConstraintRow& row, std::vector<Costate<double>>* now) {
+  Costate<double>& costate = (*now)[row.body];
+  if (row.quantity == Quantity::kAngle || row.quantity == Quantity::kAngularVelocity) {
+    costate.CostateOfSpin(row.quantity) += row.multiplier * row.normal[0];
+  } else {
+    Part(&costate, row.quantity) += row.multiplier * row.normal;
+  }
 }
 
 CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierOf& multiplier) const {
@@ -278,19 +295,25 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   for (int i = count;; --i) {
     note();
+    const auto add_limits = [&](bool before) {
+      for (const ConstraintRow& row : source.constraints) {
+        if (row.segment == i && row.before == before) AddRow(row, &now);
+      }
+    };
+    add_limits(/*before=*/false);
     for (; hit >= 0 && segment_after_[hit] == i; --hit) {
       result.after_impact[hit] = now;
       result.multipliers[hit] = CrossImpact(hit, terms, multiplier, &now);
       note();
     }
-    size_t hard = num_hard_;
+    add_limits(/*before=*/true);
     for (size_t v = scene_.objective.via.size(); v-- > 0;) {
       const ViaTerm& term = scene_.objective.via[v];
-      hard -= term.hard;
       if (via_after_[v] != i) continue;
-      if (term.hard && !source.hard.empty()) {
-        CrossVia(v, source.hard[hard], &now, &result);
-      } else if (!term.hard && source.objective) {
+      for (const ConstraintRow& row : source.constraints) {
+        if (row.via == static_cast<int>(v)) CrossVia(v, row.multiplier * row.normal, &now, &result);
+      }
+      if (!term.hard && source.objective) {
         const DiscStates x = flight_.Before(term.time);
         const Vec2d& q = term.quantity == Quantity::kPosition ? x.p[term.body] : x.v[term.body];
         CrossVia(v, 2 * term.weight * (q - term.target), &now, &result);

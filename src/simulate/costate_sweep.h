@@ -66,6 +66,27 @@ Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, 
   return costate;
 }
 
+// An active constraint on the state of a disc at one time, linearised: it changes by normal . dq, with q its quantity.
+// The costate of q jumps there by multiplier * normal.
+struct ConstraintRow {
+  int owner = 0;  // the constraint that it is a row of
+  int body = 0;
+  TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
+  Vec2d normal = Vec2d::Zero();  // of an angle or angular velocity the first entry
+  bool inequality = false;       // the multiplier is >= 0
+  double bend = 0;               // of a limit of the speed, whose normal is bend * v
+  // Its time: that of a waypoint, if `via` >= 0; or that at which a segment begins, if `segment` >= 0, before or after
+  // the impacts there; or the final time.
+  int via = -1, segment = -1;
+  bool before = false;
+  double multiplier = 1;
+
+  bool IsAtEnd() const { return via < 0 && segment < 0; }
+};
+
+// Returns the rows of the terminal terms and then of the waypoints of a scene that are hard and have no region.
+std::vector<ConstraintRow> RowsOfHardTerms(const Scene& scene);
+
 // The costates of both bodies just after and just before an impact, before without the contribution of the multiplier.
 struct ImpactJump {
   std::array<int, 2> body = {-1, -1};  // -1: a plane or a fixed disc
@@ -101,9 +122,6 @@ class CostateSweep {
   // The number of via terms, and the segment that starts at the time of one of them.
   int num_via() const { return static_cast<int>(via_after_.size()); }
   int SegmentAfterVia(int term) const { return via_after_[term]; }
-  // The number of terminal and via terms that are hard.
-  int num_hard() const { return num_hard_; }
-
   // Returns the multiplier of impact k; `gain` as in ImpactJump.
   using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
   // The multiplier with which the Hamiltonian does not jump if the force after (before) the impact acts on both sides
@@ -113,9 +131,8 @@ class CostateSweep {
 
   // The function that the costates are derivatives of.
   struct Source {
-    bool objective = true;  // terms that are not hard
-    // Multipliers of hard terms: terminal ones, then via terms; empty: none. For spin only the first entry counts.
-    std::vector<Vec2d> hard = {};
+    bool objective = true;                            // terms that are not hard
+    std::span<const ConstraintRow> constraints = {};  // times their multipliers
   };
   struct Result {
     std::vector<Costate<double>> start;    // of each disc, at time 0
@@ -171,6 +188,7 @@ class CostateSweep {
   Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
                        std::span<double> gradient) const;
   std::vector<Costate<double>> AtEnd(const Source& source) const;
+  static void AddRow(const ConstraintRow& row, std::vector<Costate<double>>* now);
   const OfDiscs<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
 
   const Scene& scene_;
@@ -179,7 +197,6 @@ class CostateSweep {
   std::vector<Segment> segments_;
   std::vector<int> segment_after_;
   std::vector<int> via_after_;  // of each via term: the segment that starts at its time
-  int num_hard_ = 0;
 };
 
 }  // namespace saltus

@@ -314,22 +314,26 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
   const Certificate certificate = Certify(scene, start.initial_state, start.control, start.durations);
   if (!certificate.IsStationary() && certificate.impacts.size() != exact.contacts.size()) return std::nullopt;
   const Flight flight(whole, start.initial_state, start.control, start.durations, exact);
-  CostateSweep::Source source;
-  for (const ConstraintCertificate& constraint : certificate.constraints) source.hard.push_back(constraint.multiplier);
+  std::vector<Vec2d> hard;
+  for (const ConstraintCertificate& constraint : certificate.constraints) hard.push_back(constraint.multiplier);
+  std::vector<ConstraintRow> rows = RowsOfHardTerms(scene);
+  for (ConstraintRow& row : rows) row.multiplier = hard[row.owner].dot(row.normal);
   std::vector<double> times, multipliers;
   for (const ImpactCertificate& impact : certificate.impacts) {
     times.push_back(impact.time);
     multipliers.push_back(impact.multiplier);
   }
   const CostateSweep::Result costates =
-      CostateSweep(whole, flight).Sweep(source, [&](int k, const ImpactJump&, double) { return multipliers[k]; });
+      CostateSweep(whole, flight).Sweep({.constraints = rows}, [&](int k, const ImpactJump&, double) {
+        return multipliers[k];
+      });
 
   const std::optional<FreeDuration>& free = scene.objective.duration;
   const bool moving_end =
       free && whole.duration > free->min * (1 + kAtEnd) && whole.duration < free->max * (1 - kAtEnd);
   ContinuousOptimum found(CostateShooting(whole, exact.contacts, moving_end));
   const CostateShooting& shooting = found.shooting;
-  found.y = shooting.Unknowns(costates.start, costates.after_impact, times, multipliers, source.hard, whole.duration);
+  found.y = shooting.Unknowns(costates.start, costates.after_impact, times, multipliers, hard, whole.duration);
   found.jacobians = FindRoot<kCostateShootingStride>(
       ShootingConditions{&shooting}, shooting.num_unknowns(), &found.y, most_iterations);
   found.residuals.resize(shooting.num_unknowns());

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "base/number_text.h"
+#include "saltus/control/objective.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/registry.h"
@@ -170,7 +171,9 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
   const auto refuse = [](const std::string& what, const std::string& why) {
     return "the scene has " + what + ", " + why + "; ceres_phases takes them";
   };
-  if (scene.objective.HasConstraints()) return refuse("terminal equality constraints", "which take multipliers");
+  if (const std::string found = ConstraintsOf(scene.objective); !found.empty()) {
+    return refuse(found, "which take multipliers");
+  }
   if (!scene.no_contact.empty()) return refuse("pairs that must not touch", "which take multipliers");
   if (!(scene.control.max.empty() && scene.control.max_torque.empty()) && !bounds.components) {
     return refuse("bounds on the control", "which its steps would leave");

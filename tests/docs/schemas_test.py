@@ -33,6 +33,7 @@ RUNS = [
     ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=direct --surrogate=smoothed_zeroth --steps=60 --iterations=3"),
     ("solve", "saltus_solve --scene=problems/back_spin.yaml --contact=event --solver=gd,ceres_phases --states --iterations=5"),
     ("solve", "saltus_solve --scene={bounded} --contact=event --solver=gd,ceres_phases,hmp --iterations=50"),
+    ("solve", "saltus_solve --scene={limited} --contact=event --solver=ceres_phases --steps=60"),
     ("solve", "saltus_solve --scene=problems/two_balls.yaml --contact=event --solver=none --steps=60 --states --feedback "
               "--feedback_samples=20 --feedback_noise=state=0.1,force=0.1 --feedback_plant=lcp"),
     ("solve", "saltus_solve --scene=problems/ground_wall.yaml --contact=event --solver=gd --iterations=3 --steps=60 --feedback "
@@ -119,6 +120,8 @@ def main():
         scene, scenes = (SOURCE / "problems" / "two_balls.yaml").read_text(encoding="utf-8"), {}
         for name, changed in [
             ("bounded", scene.replace("initial: [[3, 3]]", "initial: [[3, 3]], max: 3.5").replace("weight: 1.0", "hard: true")),
+            ("limited", scene.replace("target: [0, 0], weight: 1.0", "min: [0, null], max: [0.5, 0.5]").replace(
+                "effort: 0.1", "effort: 0.1\n  limits: [{body: striker, speed: {max: 2.6}}, {body: target, speed: {max: 2.5}, at: end}]")),
             ("free", scene.replace("effort: 0.1", "effort: 0.1\n  duration: {free: true, min: 0.5, max: 2, weight: 0.1}")),
         ]:
             scenes[name] = pathlib.Path(folder) / f"{name}.yaml"

@@ -229,6 +229,25 @@ TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
             Certificate::Verdict::kNotStationary);
 }
 
+// A goal region, and a limit of the speed there: both are active at the optimum.
+TEST(DiscsAsHybridSystem, HaveGoalRegions) {
+  Scene scene = With(ProblemScene("two_balls"), 24);
+  constexpr double kMost = 1.2;
+  TerminalTerm goal{.body = 1, .hard = true};
+  goal.region = TerminalTerm::Region{.min = {-0.3, -0.2}, .max = {0.1, 0.1}};
+  scene.objective.terminal = {goal};
+  scene.objective.limits = {{.body = 1, .max = kMost, .at = SpeedLimit::At::kEnd}};
+  scene.duration = 1.5;
+  const SolveReport discs = Solve("ipopt", {scene, "event"}, {}), user = Solve("ipopt", HybridProblemOf(scene), {});
+  ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
+  ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
+  EXPECT_NEAR(user.final_loss, discs.final_loss, 1e-4 * discs.final_loss);  // with other shares of the intervals
+  ASSERT_TRUE(user.certificate);
+  EXPECT_TRUE(user.certificate->IsStationary()) << user.certificate->reason;
+  scene.objective.limits[0].at = SpeedLimit::At::kAlways;
+  EXPECT_EQ(WhyNoHybridProblem(scene), "limits of the speed that hold always");
+}
+
 // The guess has no impact, and the best motion without one just touches the ground: the solve goes on with an impact.
 // The reference is the solver of closed arcs along that impact.
 TEST(DiscsAsHybridSystem, GoOnThroughATouch) {

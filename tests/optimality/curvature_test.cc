@@ -211,7 +211,11 @@ TEST(Curvature, IsPositiveWhereTheMatrixIs) {
 
 // Forces that are free, at one bound, at two, and at one that is curved; and hard terms for both discs.
 Restrictions SomeRestrictions(const Scene& scene) {
-  Restrictions restrictions{.forces = {}, .hard = {{0.3, -0.2}, {0.1, 0.4}}};
+  Restrictions restrictions{.forces = {}, .rows = RowsOfHardTerms(scene)};
+  for (size_t i = 0; i < restrictions.rows.size(); ++i) {
+    constexpr double kMultipliers[] = {0.3, -0.2, 0.1, 0.4};
+    restrictions.rows[i].multiplier = kMultipliers[i];
+  }
   restrictions.forces.resize(scene.steps * scene.num_controlled());
   for (size_t i = 0; i < restrictions.forces.size(); ++i) {
     Restrictions::Force& force = restrictions.forces[i];

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <random>
 #include <string>
 #include <variant>
@@ -126,6 +127,45 @@ TEST(ParseScene, ReadsBoundsConstraintsAndCostsOnTheWay) {
   EXPECT_EQ(scene.objective.via, via);
   EXPECT_EQ(scene.objective.duration, (FreeDuration{0.5, 2, 0.25}));
   EXPECT_EQ(scene.no_contact, (std::vector<NoContact>{{0, 2, false}, {1, 0, true}}));
+  EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);
+}
+
+constexpr char kRegions[] = R"(name: regions
+duration: 1
+steps: 100
+bodies:
+  - {name: a, radius: 0.2, mass: 1, inertia: solid, position: [-2, 2]}
+  - {name: b, radius: 0.1, mass: 1, position: [-1, 1]}
+  - {name: post, radius: 0.1, fixed: true, position: [1, 1]}
+control: {bodies: [a], initial: [[3, 4]]}
+objective:
+  terminal:
+    - {body: b, quantity: position, min: [2, -0.5], max: [null, 0.5]}
+    - {body: a, quantity: velocity, component: y, target: -1, hard: true}
+    - {body: a, quantity: position, component: x, max: 3}
+    - {body: a, quantity: angle, min: 0.25, max: 0.5}
+  limits:
+    - {body: a, speed: {max: 0.5}, at: end}
+    - {body: b, speed: {max: 2}}
+optimize: control
+)";
+
+TEST(ParseScene, ReadsGoalRegionsAndLimits) {
+  const Scene scene = SceneOf(ParseScene(kRegions, "test.yaml"));
+  const double none = std::numeric_limits<double>::infinity();
+  using Region = TerminalTerm::Region;
+  const std::vector<Region> regions = {{Vec2d(2, -0.5), Vec2d(none, 0.5)},
+                                       {Vec2d(-none, -1), Vec2d(none, -1)},
+                                       {Vec2d(-none, -none), Vec2d(3, none)},
+                                       {Vec2d(0.25, -none), Vec2d(0.5, none)}};
+  ASSERT_EQ(scene.objective.terminal.size(), regions.size());
+  for (size_t i = 0; i < regions.size(); ++i) {
+    EXPECT_TRUE(scene.objective.terminal[i].hard) << i;
+    EXPECT_EQ(scene.objective.terminal[i].region, regions[i]) << i;
+  }
+  const std::vector<SpeedLimit> limits = {{0, 0.5, SpeedLimit::At::kEnd}, {1, 2, SpeedLimit::At::kAlways}};
+  EXPECT_EQ(scene.objective.limits, limits);
+  EXPECT_TRUE(scene.objective.HasConstraints());
   EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);
 }
 
@@ -341,8 +381,8 @@ TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
       {"target: [0, 0], hard",
        "component: x, hard",
        11,
-       "objective.terminal[0].hard",
-       "found a terminal equality constraint (hard) with a component"},
+       "objective.terminal[0].target",
+       "expected the target of the component, or min or max"},
       {"[0.5, 3, 4]", "[0, 3, 4]", 12, "objective.running[0].target[1]", "rise"},
       {"[0.5, 3, 4]", "[3, 4]", 12, "objective.running[0].target[1]", "a row [time, x, y]"},
       {"time: 0.5", "time: 1", 14, "objective.via[0].time", "expected a time strictly between 0 and the duration, 1"},
@@ -365,6 +405,37 @@ TEST(ParseScene, SaysWhatIsWrongWithBoundsAndConstraints) {
   for (const Case& c : cases) {
     SCOPED_TRACE(c.to);
     const SceneFileError error = ErrorOf(Replaced(kConstrained, c.from, c.to));
+    EXPECT_EQ(error.line, c.line);
+    EXPECT_EQ(error.key, c.key);
+    EXPECT_THAT(error.message, HasSubstr(c.message));
+  }
+}
+
+TEST(ParseScene, SaysWhatIsWrongWithGoalRegionsAndLimits) {
+  const Case cases[] = {
+      {"min: [2, -0.5]", "min: [2, 0.75]", 11, "objective.terminal[0].min", "found 0.75 above max, 0.5"},
+      {"min: [2, -0.5]",
+       "min: [two, 0]",
+       11,
+       "objective.terminal[0].min[0]",
+       "a number, or null where there is no bound"},
+      {"min: [2, -0.5]", "min: [2]", 11, "objective.terminal[0].min", "[x, y], with null where there is no bound"},
+      {"min: [2, -0.5], max: [null, 0.5]", "min: [null, null]", 11, "objective.terminal[0].min", "found no bound"},
+      {"min: [2, -0.5]", "min: [2, 0], target: [0, 0]", 11, "objective.terminal[0].target", "beside min or max"},
+      {"min: [2, -0.5]", "min: [2, 0], weight: 1", 11, "objective.terminal[0].weight", "min and max are constraints"},
+      {"min: [2, -0.5]", "min: [2, 0], hard: false", 11, "objective.terminal[0].hard", "min and max are constraints"},
+      {"{body: b, quantity: position", "{body: post, quantity: position", 11, "objective.terminal[0].body", "is fixed"},
+      {"target: -1, hard: true", "target: -1", 12, "objective.terminal[1].target", "with hard: true a constraint"},
+      {"min: 0.25", "component: x, min: 0.25", 14, "objective.terminal[3].component", "the quantity is one number"},
+      {"{max: 0.5}", "{max: 0}", 16, "objective.limits[0].speed", "found 0, expected a positive number"},
+      {"{max: 0.5}", "{least: 0.5}", 16, "objective.limits[0].speed.least", "expected one of max"},
+      {"{max: 0.5}", "0.5", 16, "objective.limits[0].speed", "a map"},
+      {"at: end", "at: start", 16, "objective.limits[0].at", "one of end, always"},
+      {"{body: b, speed", "{body: post, speed", 17, "objective.limits[1].body", "is fixed"},
+  };
+  for (const Case& c : cases) {
+    SCOPED_TRACE(c.to);
+    const SceneFileError error = ErrorOf(Replaced(kRegions, c.from, c.to));
     EXPECT_EQ(error.line, c.line);
     EXPECT_EQ(error.key, c.key);
     EXPECT_THAT(error.message, HasSubstr(c.message));

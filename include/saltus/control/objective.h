@@ -16,7 +16,10 @@ namespace saltus {
 // Returns in words a part of an objective besides terminal costs and effort: path costs, a free duration, constraints;
 // empty if there is none. The functions below compute terminal costs and effort only.
 std::string BeyondTerminalLoss(const Objective& objective);
-// Returns such a part of a problem, with bounds on the control and pairs that must not touch.
+// Returns in words the constraints of an objective; empty if it has none.
+std::string ConstraintsOf(const Objective& objective);
+// Returns in words a part of a problem besides terminal costs and effort, with bounds on the control and pairs that
+// must not touch.
 std::string BeyondTerminalCost(const Scene& scene);
 
 // Returns the sum of the terminal terms at state x, and its derivative with respect to x (x.size() numbers,

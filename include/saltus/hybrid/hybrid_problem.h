@@ -69,6 +69,8 @@ struct HybridTerm {
 
 // Makes the cost weight (x_i - target)^2 at the end, of a state of `state_size` numbers; mode as in HybridTerm.
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode = -1);
+// Makes the constraint x_i <= bound, or bound <= x_i if it is a `lower` one, at the end.
+HybridTerm MakeTerminalBound(int component, double bound, bool lower, int state_size, int mode = -1);
 // Makes the cost weight int |u|^2 dt, of a control of `num_controls` numbers.
 HybridTerm MakeEffortCost(double weight, int num_controls);
 // Makes the cost weight T of the final time T.

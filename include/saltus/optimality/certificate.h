@@ -17,9 +17,11 @@
 // kink, with the gradients `early` and `late` as if the impact were just before and just after the node. Each belongs
 // to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
 //
-// With bounds on forces, hard terms, path costs or a free final time, the costates do not follow from the forces. They
-// are then integrated backwards along the motion, with the multipliers of impacts and hard terms of the smallest
-// residual. Transversality and jumps hold by construction, and the remaining conditions are
+// With bounds on forces, hard terms, limits, path costs or a free final time, the costates do not follow from the
+// forces. They are then integrated backwards along the motion, with the multipliers of impacts, hard terms and active
+// limits of the smallest residual. Jumps hold by construction, and the remaining conditions are
+//
+//   transversality  multipliers of bounds have their sign: the loss does not fall into the region that they allow
 //
 //   stationarity    the force on an interval is the one within the bounds that is nearest to the mean of
 //                   -lambda_v / (2 effort m); the residual is the distance of -(2 effort m u + lambda_v) from the cone
@@ -66,11 +68,16 @@ struct ImpactCertificate {
   bool LeavesNode() const { return jumps || (theta && (concave || *theta < 0 || *theta > 1)); }
 };
 
-// The multiplier of a hard term: if its target moves by a small d, the loss of the optimum decreases by multiplier . d.
+// The multiplier of a hard term or of a limit: if its target, or the bounds that are active, move by a small d, the
+// loss of the optimum decreases by multiplier . d.
 struct ConstraintCertificate {
   std::string body;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
-  Vec2d multiplier = Vec2d::Zero();  // 1/m or s/m; that of an angle or angular velocity is the first, 1/rad or s/rad
+  // 1/m or s/m; 0 of a bound that is not active. That of an angle, angular velocity or limit of the speed is the first,
+  // 1/rad, s/rad or s/m.
+  Vec2d multiplier = Vec2d::Zero();
+  std::optional<double> speed_limit = std::nullopt;  // m/s; of a limit of the speed, whose quantity is the velocity
+  std::optional<double> time = std::nullopt;         // s; of a limit that always holds: when it is active
 };
 
 // The derivative of the loss by a design parameter of the scene.
@@ -118,7 +125,9 @@ struct Certificate {
   double hamiltonian = 0;
   double transversality = 0;
   std::vector<ImpactCertificate> impacts;
-  std::vector<ConstraintCertificate> constraints;  // of terminal equality constraints, then of waypoint constraints
+  // The hard terms, the waypoint constraints, the limits at the final time, and those that always hold, once for each
+  // time at which they are active. Hard terms with a region follow the waypoints.
+  std::vector<ConstraintCertificate> constraints;
   // Stationarity by the scene's design parameters. If no control is optimized, this and the derivatives by the
   // optimized initial velocities or positions, in `initial`, are the only conditions.
   std::vector<ParameterCertificate> parameters;

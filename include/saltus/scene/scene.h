@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -171,6 +172,17 @@ struct Control {
 // One term of the loss at the final time T.
 struct TerminalTerm {
   enum class Quantity { kPosition, kVelocity, kAngle, kAngularVelocity };
+  // A goal region: bounds of each component of the quantity, in its unit; infinite where there is none. An angle or
+  // angular velocity has the first pair only.
+  struct Region {
+    Vec2d min = Vec2d::Constant(-std::numeric_limits<double>::infinity());
+    Vec2d max = Vec2d::Constant(std::numeric_limits<double>::infinity());
+
+    // Returns the point of the region that is nearest to q.
+    Vec2d Nearest(const Vec2d& q) const { return q.cwiseMax(min).cwiseMin(max); }
+
+    bool operator==(const Region&) const = default;
+  };
   int body = 0;
   Quantity quantity = Quantity::kPosition;
   // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
@@ -179,7 +191,16 @@ struct TerminalTerm {
   Vec2d target = Vec2d::Zero();
   double weight = 1;  // any sign with a component, else >= 0
   bool hard = false;  // q(T) = target is a constraint and no part of the loss; it has no component and no weight
+  // The constraint min <= q(T) <= max in place of q(T) = target; the term is hard. A component whose bounds are equal
+  // is given.
+  std::optional<Region> region = std::nullopt;
 
+  // Returns the region of q(T); without one it is the target alone.
+  Region Goal() const {
+    if (region) return *region;
+    return IsOfSpin() ? Region{Vec2d(target[0], Region().min[1]), Vec2d(target[0], Region().max[1])}
+                      : Region{target, target};
+  }
   // Whether the quantity is an angle or an angular velocity, which is one number and has no component.
   bool IsOfSpin() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
 
@@ -210,6 +231,16 @@ struct ViaTerm {
   bool operator==(const ViaTerm&) const = default;
 };
 
+// The constraint that the speed of a disc is at most `max`, at the final time or always.
+struct SpeedLimit {
+  enum class At { kEnd, kAlways };
+  int body = 0;
+  double max = 0;  // m/s, > 0
+  At at = At::kAlways;
+
+  bool operator==(const SpeedLimit&) const = default;
+};
+
 // A free final time T. The loss gains weight * T.
 struct FreeDuration {
   double min = 0, max = 0;  // s, 0 < min <= max
@@ -225,11 +256,12 @@ struct Objective {
   double effort = 0;  // >= 0
   std::vector<RunningTerm> running = {};
   std::vector<ViaTerm> via = {};
+  std::vector<SpeedLimit> limits = {};
   std::optional<FreeDuration> duration = std::nullopt;  // none: the duration is that of the scene
 
   // Whether every term is a square (no term has a component), so that least-squares solvers apply.
   bool IsSumOfSquares() const;
-  // Whether a term is hard.
+  // Whether a term is hard, or there are limits.
   bool HasConstraints() const;
 
   bool operator==(const Objective&) const = default;

@@ -82,7 +82,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     }
     for (int row = 0; row < num_constraints(); ++row) {
       const bool equality = row < roles_.equalities;
-      const double weight = equality ? weights_->equality : weights_->inequality;
+      const double weight = WeightOf(row);
       const double shifted = residuals[row] + multipliers_[row] / weight;
       const double scale = equality || shifted > 0 ? std::sqrt(weight) : 0.0;
       residuals[row] = scale * shifted;
@@ -138,7 +138,7 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
       }
       const bool equality = row < roles_.equalities;
       const double before = multipliers_[row];
-      SetMultiplier(row, before + (equality ? weights_->equality : weights_->inequality) * rows[row]);
+      SetMultiplier(row, before + WeightOf(row) * rows[row]);
       *change = std::max(*change, std::abs(multipliers_[row] - before));
       violation = std::max(violation, equality ? std::abs(rows[row]) : rows[row]);
     }
@@ -146,6 +146,9 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
 
  private:
+  double WeightOf(int row) const {
+    return row < roles_.equalities || roles_.are_goals ? weights_->equality : weights_->inequality;
+  }
   double CostOf(int row, double value) const { return row < num_constraints() + roles_.values ? value : value * value; }
 
   // Ceres would write all numbers of a function to standard error.

@@ -35,6 +35,8 @@ struct RowRoles {
   int affine_blocks = 0;
   // Each row is an inequality of one component, in which it is affine.
   bool are_bounds = false;
+  // The inequalities have the weight of equalities from the first solve on: without them it would be of another motion.
+  bool are_goals = false;
 };
 
 // A function of parameter blocks, with the roles of its rows.

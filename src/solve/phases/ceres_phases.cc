@@ -1,6 +1,8 @@
 #include "solve/phases/ceres_phases.h"
 
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "saltus/control/objective.h"
 #include "saltus/scene/materials.h"
@@ -132,6 +134,46 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
   return report;
 }
 
+const char* NameOf(Algorithm algorithm) { return algorithm == Algorithm::kInteriorPoint ? "ipopt" : "ceres_phases"; }
+
+SolveReport SolveFrom(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm, Trial start) {
+  PhaseRun run(NameOf(algorithm), request, options, std::move(start));
+  run.set_algorithm(algorithm);
+  if (auto refused = run.WhyNotStart()) return *refused;
+  SolveReport exact = MendBySteps(&run, request);
+  return IsExact(request) ? exact : SolveUnderModel(request, options, algorithm, std::move(exact));
+}
+
+// Solves by least squares from a guess that misses a goal region. A bound is nothing to a step that does not expect to
+// reach it, so that the first steps would lead to motions that have lost the goal: the first solve has a target in each
+// region, and no limits, and the second begins at its optimum.
+SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& options, const PhaseRun& run) {
+  SolveRequest targets = request;
+  targets.scene = WithTargets(request.scene);
+  targets.scene.objective.limits.clear();
+  PhaseRun run_to_targets("ceres_phases", targets, options, run.guess());
+  if (auto refused = run_to_targets.WhyNotStart()) return *refused;
+  const SolveReport first = MendBySteps(&run_to_targets, targets);
+  Trial start = run.guess();
+  if (first.final_violation <= kFeasible) {
+    start = {first.control, first.durations, {}, {}, first.initial_state};
+    run.Simulate(&start);
+  }
+  SolverOptions rest = options;
+  rest.iterations = std::max(0, options.iterations - first.iterations);
+  if (options.callback) {
+    rest.callback = [&](int iteration, double loss) { return options.callback(first.iterations + iteration, loss); };
+  }
+  SolveReport report = SolveFrom(request, rest, Algorithm::kLeastSquares, std::move(start));
+  report.losses.insert(report.losses.begin(), first.losses.begin(), first.losses.end() - 1);
+  report.initial_loss = first.initial_loss;
+  report.initial_violation = run.ViolationOf(run.guess());
+  report.iterations += first.iterations;
+  report.evaluations += first.evaluations;
+  report.seconds += first.seconds;
+  return report;
+}
+
 }  // namespace
 
 std::string WhyNotPhases(const SolveRequest& request) {
@@ -162,11 +204,35 @@ SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOption
 }
 
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm) {
-  PhaseRun run(algorithm == Algorithm::kInteriorPoint ? "ipopt" : "ceres_phases", request, options);
-  run.set_algorithm(algorithm);
-  if (auto refused = run.WhyNotStart()) return *refused;
-  SolveReport exact = MendBySteps(&run, request);
-  return IsExact(request) ? exact : SolveUnderModel(request, options, algorithm, std::move(exact));
+  SolverOptions quiet = options;
+  quiet.callback = nullptr;
+  const PhaseRun run(NameOf(algorithm), request, quiet);
+  const Trial& guess = run.guess();
+  const bool misses = HasGoalRegion(request.scene) && guess.exact.ok && run.ViolationOf(guess) > kFeasible;
+  return misses && algorithm == Algorithm::kLeastSquares ? SolveToRegions(request, options, run)
+                                                         : SolveFrom(request, options, algorithm, guess);
+}
+
+bool HasGoalRegion(const Scene& scene) {
+  return std::ranges::any_of(scene.objective.terminal,
+                             [](const TerminalTerm& term) { return term.region.has_value(); });
+}
+
+Scene WithTargets(Scene scene) {
+  for (TerminalTerm& term : scene.objective.terminal) {
+    if (!term.region) continue;
+    const Body& body = scene.bodies[term.body];
+    // By quantity.
+    const Vec2d starts[] = {body.position, body.velocity, {body.angle, 0.0}, {body.angular_velocity, 0.0}};
+    term.target = term.region->Nearest(starts[static_cast<int>(term.quantity)]);
+    const Vec2d middle = 0.5 * (term.region->min + term.region->max);
+    for (int j = 0; j < 2; ++j) {
+      if (std::isfinite(middle[j])) term.target[j] = middle[j];
+    }
+    if (term.IsOfSpin()) term.target[1] = 0;
+    term.region.reset();
+  }
+  return scene;
 }
 
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request) {

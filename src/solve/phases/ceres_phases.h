@@ -8,9 +8,10 @@
 namespace saltus {
 
 // Solves along the sequence that is given, or that of the initial guess, which is updated (sequence_mending.h).
-// Converged means: an optimum along its sequence, to rounding, and the exact roll-out has that sequence and violates no
-// constraint. Under another contact model than event, a second solve goes on from there, with impacts that stay exact
-// and steps as the model flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
+// A problem with goal regions that the guess misses is solved with a target in each first. Converged means: an optimum
+// along its sequence, to rounding, and the exact roll-out has that sequence and violates no constraint. Under another
+// contact model than event, a second solve goes on from there, with impacts that stay exact and steps as the model
+// flies them: its loss is the one reported. Precondition: WhyNotPhases is empty.
 SolveReport SolveByCeresPhases(
     const SolveRequest& request, const SolverOptions& options,
     AugmentedLagrangian::Algorithm algorithm = AugmentedLagrangian::Algorithm::kLeastSquares);
@@ -22,6 +23,12 @@ std::string WhyNotInteriorPoint(const SolveRequest& request);
 
 // Solves the request of `run` under exact contact, from the motion of the run.
 SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request);
+
+// Whether a terminal term of a scene has a region.
+bool HasGoalRegion(const Scene& scene);
+// Returns the scene with a hard target in the place of each region: in each component the middle of its bounds, or the
+// nearest value to where the disc starts.
+Scene WithTargets(Scene scene);
 
 // Returns the reason why the solver does not support a request; empty if it does.
 std::string WhyNotPhases(const SolveRequest& request);

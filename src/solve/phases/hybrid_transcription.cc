@@ -676,6 +676,7 @@ void HybridTranscription::AddTerms() {
       scale = root * root * (plan_.only_violation ? kCostOfViolation * kCostOfViolation : 1);
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
+      roles.are_goals = term.at == HybridTerm::At::kEnd;
     } else if (!plan_.only_violation) {
       roles.equalities = rows;
     }

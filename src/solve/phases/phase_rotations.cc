@@ -3,6 +3,7 @@
 #include <ceres/manifold.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "control/model_step.h"
@@ -104,10 +105,16 @@ void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, dou
   }
   for (const TerminalTerm& term : scene_.objective.terminal) {
     if (!term.IsOfSpin()) continue;
-    const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
-    problem->Add(Sized<2>(RotationTarget{term.quantity, term.target[0], scale, scene_.bodies[term.body].radius}),
-                 {.equalities = term.hard ? RotationTarget::kRows : 0},
-                 {At(last_[term.body])});
+    const double radius = scene_.bodies[term.body].radius;
+    double* last = At(last_[term.body]);
+    if (term.hard) {
+      const GoalRows goal{term.quantity, term.Goal(), radius};
+      const RowRoles roles{
+          .equalities = goal.num_equalities(), .inequalities = goal.num_inequalities(), .are_goals = true};
+      problem->Add(Dynamic(goal, roles.equalities + roles.inequalities, std::array{int{kSpin}}), roles, {last});
+    } else {
+      problem->Add(Sized<2>(RotationTarget{term.quantity, term.target[0], std::sqrt(term.weight), radius}), {}, {last});
+    }
   }
   ceres::Problem& unknowns = problem->problem();
   for (double& turn : turns) {

@@ -38,33 +38,46 @@ bool IsForbidden(const Scene& scene, const Candidate& c) {
          scene.no_contact.end();
 }
 
-// The hard term that is missed most, and by how much in the scene's units.
+// The constraint on a state that is missed most, and by how much in the scene's units.
 struct Miss {
   double size = 0;
   int body = 0;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
 };
+
+// Returns the value of a quantity of a disc; that of an angle or angular velocity is the first entry.
+Vec2d ValueOf(const DiscStates& x, int body, TerminalTerm::Quantity quantity) {
+  if (quantity == TerminalTerm::Quantity::kAngle) return {x.angle[body], 0.0};
+  if (quantity == TerminalTerm::Quantity::kAngularVelocity) return {x.spin[body], 0.0};
+  return quantity == TerminalTerm::Quantity::kPosition ? x.p[body] : x.v[body];
+}
+
 Miss LargestMiss(const Scene& scene, const Trial& trial) {
   Miss largest;
   const Flight flight = FlightOf(scene, trial);
-  const auto consider = [&](const DiscStates& x, const auto& term) {
-    if constexpr (requires { term.IsOfSpin(); }) {
-      if (term.IsOfSpin()) {
-        const bool angle = term.quantity == TerminalTerm::Quantity::kAngle;
-        const double size = std::abs((angle ? x.angle : x.spin)[term.body] - term.target[0]);
-        if (size > largest.size) largest = {size, term.body, term.quantity};
-        return;
-      }
-    }
-    const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
-    const double size = (q - term.target).norm();
-    if (size > largest.size) largest = {size, term.body, term.quantity};
+  const auto consider = [&](double size, int body, TerminalTerm::Quantity quantity) {
+    if (size > largest.size) largest = {size, body, quantity};
   };
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.hard) consider(flight.end(), term);
+    if (!term.hard) continue;
+    const Vec2d q = ValueOf(flight.end(), term.body, term.quantity);
+    consider((q - term.Goal().Nearest(q)).norm(), term.body, term.quantity);
   }
   for (const ViaTerm& term : scene.objective.via) {
-    if (term.hard) consider(flight.Before(term.time), term);
+    if (!term.hard) continue;
+    const Vec2d q = ValueOf(flight.Before(term.time), term.body, term.quantity);
+    consider((q - term.target).norm(), term.body, term.quantity);
+  }
+  for (const SpeedLimit& limit : scene.objective.limits) {
+    const auto exceed = [&](const Vec2d& velocity) {
+      consider(velocity.norm() - limit.max, limit.body, TerminalTerm::Quantity::kVelocity);
+    };
+    exceed(flight.end().v[limit.body]);
+    if (limit.at == SpeedLimit::At::kEnd) continue;
+    for (const Flight::Piece& piece : flight.pieces()) {
+      exceed(piece.at_start.v[limit.body]);
+      exceed(piece.After(limit.body, piece.duration).v);
+    }
   }
   return largest;
 }
@@ -255,7 +268,7 @@ SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termin
 PhaseRun::Transcriber::Transcriber(const PhaseRun& run, const PhasePlan& plan, const PlanStart& start)
     : DiscMotions(scene_, run.terms()), run_(run), plan_(plan), scene_(run.scene()) {
   if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
-  if (plan.only_violation) AimAtConstraints();
+  if (plan.only_violation) AimAtConstraints(start.trial);
   for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
   apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
 }
@@ -281,21 +294,28 @@ void PhaseRun::Transcriber::TakeControl(const PhaseTranscription& transcription,
   saltus::TakeControl(transcription, scene_, trial);
 }
 
-// In natural units, a force that matters costs far less than the misses that it mends.
-void PhaseRun::Transcriber::AimAtConstraints() {
+// In natural units, a force that matters costs far less than the misses that it mends. The target of a region is the
+// nearest of its points. Limits remain constraints.
+void PhaseRun::Transcriber::AimAtConstraints(const Trial& start) {
   constexpr double kEffort = 1e-6;
   Objective only;
   only.effort = kEffort * std::pow(scene_.duration, 3);
-  const auto add = [](const auto& terms, auto* out) {
-    for (auto term : terms) {
-      if (!term.hard) continue;
-      term.hard = false;
-      term.weight = 1;
-      out->push_back(term);
-    }
-  };
-  add(scene_.objective.terminal, &only.terminal);
-  add(scene_.objective.via, &only.via);
+  const DiscStates end = FlightOf(scene_, start).end();
+  for (TerminalTerm term : scene_.objective.terminal) {
+    if (!term.hard) continue;
+    if (term.region) term.target = term.region->Nearest(ValueOf(end, term.body, term.quantity));
+    term.region.reset();
+    term.hard = false;
+    term.weight = 1;
+    only.terminal.push_back(term);
+  }
+  for (ViaTerm term : scene_.objective.via) {
+    if (!term.hard) continue;
+    term.hard = false;
+    term.weight = 1;
+    only.via.push_back(term);
+  }
+  only.limits = scene_.objective.limits;
   only.duration = scene_.objective.duration;
   if (only.duration) only.duration->weight = 0;
   scene_.objective = only;

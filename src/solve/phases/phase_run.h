@@ -138,7 +138,7 @@ class PhaseRun::Transcriber : public DiscMotions {
   void TakeControl(const PhaseTranscription& transcription, Trial* trial) const;
 
  private:
-  void AimAtConstraints();
+  void AimAtConstraints(const Trial& start);
 
   const PhaseRun& run_;
   const PhasePlan& plan_;

@@ -4,6 +4,7 @@
 #include <glog/logging.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
@@ -84,6 +85,7 @@ bool PhaseTranscription::Concerns(int body, const ContactSequence& apart) const 
   const Objective& objective = scene_.objective;
   if (std::any_of(objective.terminal.begin(), objective.terminal.end(), is_of_body)) return true;
   if (std::any_of(objective.via.begin(), objective.via.end(), is_of_body)) return true;
+  if (std::ranges::any_of(objective.limits, is_of_body)) return true;
   if (std::any_of(terms_.begin(), terms_.end(), [&](const OwnTerm& term) {
         return std::ranges::count(term.states, body) + std::ranges::count(term.rotations, body) > 0;
       })) {
@@ -326,20 +328,35 @@ void PhaseTranscription::AddBounds() {
 
 // Adds the terms of the objective that depend on nodes, and those of the final time.
 void PhaseTranscription::AddTerms() {
+  const auto hold = [&](TerminalTerm::Quantity quantity, const TerminalTerm::Region& region, int node) {
+    const GoalRows goal{quantity, region};
+    const RowRoles roles{
+        .equalities = goal.num_equalities(), .inequalities = goal.num_inequalities(), .are_goals = true};
+    problem_.Add(Dynamic(goal, roles.equalities + roles.inequalities, std::array{4}), roles, {NodeAt(node)});
+  };
   const auto aim = [&](const auto& term, int node) {
-    const double scale = term.hard ? 1.0 : std::sqrt(term.weight);
-    problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, scale}),
-                 {.equalities = term.hard ? NodeTarget::kRows : 0},
-                 {NodeAt(node)});
+    problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, std::sqrt(term.weight)}), {}, {NodeAt(node)});
   };
   for (const TerminalTerm& term : scene_.objective.terminal) {
-    if (!scene_.bodies[term.body].fixed && !term.IsOfSpin()) aim(term, final_[term.body]);
+    if (scene_.bodies[term.body].fixed || term.IsOfSpin()) continue;
+    if (term.hard) {
+      hold(term.quantity, term.Goal(), final_[term.body]);
+    } else {
+      aim(term, final_[term.body]);
+    }
   }
   for (const ViaTerm& term : scene_.objective.via) {
     for (size_t k = 0; k < cuts_.size(); ++k) {
-      if (!cuts_[k].impact && cuts_[k].time == term.time) aim(term, tracks_[term.body][k].back());
+      if (cuts_[k].impact || cuts_[k].time != term.time) continue;
+      const int node = tracks_[term.body][k].back();
+      if (term.hard) {
+        hold(term.quantity, {term.target, term.target}, node);
+      } else {
+        aim(term, node);
+      }
     }
   }
+  for (const SpeedLimit& limit : scene_.objective.limits) AddLimit(limit);
   for (const RunningTerm& term : scene_.objective.running) AddRunning(term);
   ceres::Problem& problem = problem_.problem();
   problem.SetParameterBlockConstant(Begin(0));
@@ -356,6 +373,22 @@ void PhaseTranscription::AddTerms() {
   }
 }
 
+// Adds a limit of the speed, which under a constant force is largest at the ends of a step.
+void PhaseTranscription::AddLimit(const SpeedLimit& limit) {
+  const auto hold = [&](int node) {
+    if (problem_.problem().IsParameterBlockConstant(NodeAt(node))) return;
+    problem_.Add(Sized<4>(SpeedBound{limit.max}), {.inequalities = 1, .are_goals = true}, {NodeAt(node)});
+  };
+  if (limit.at == SpeedLimit::At::kEnd) return hold(final_[limit.body]);
+  int last = -1;  // of the phase before, which the next one begins with, unless the disc takes part in the impact
+  for (const std::vector<int>& track : tracks_[limit.body]) {
+    for (const int node : track) {
+      if (node != last) hold(node);
+      last = node;
+    }
+  }
+}
+
 void PhaseTranscription::AddOwn(const OwnTerm& term) {
   const auto add = [&](int steps,
                        const auto& node_of,
@@ -368,6 +401,7 @@ void PhaseTranscription::AddOwn(const OwnTerm& term) {
     RowRoles roles;
     if (term.role == OwnTerm::Role::kEquality) roles.equalities = rows;
     if (term.role == OwnTerm::Role::kInequality) roles.inequalities = rows;
+    roles.are_goals = term.at == OwnTerm::At::kEnd;
     std::vector<double*> blocks;
     for (const int body : term.states) blocks.push_back(node_of(body));
     for (const int body : term.forces) blocks.push_back(force_of(body));

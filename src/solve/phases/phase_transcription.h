@@ -93,6 +93,7 @@ class PhaseTranscription {
   void AddBounds();
   void AddTerms();
   void AddRunning(const RunningTerm& term);
+  void AddLimit(const SpeedLimit& limit);
   void AddOwn(const OwnTerm& term);
   void KeepApart(const Candidate& pair, double margin);
   double LeastLength() const;

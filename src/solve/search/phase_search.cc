@@ -27,7 +27,8 @@ constexpr double kPromising = 1.3;  // times the loss of an optimum, that of a s
 constexpr size_t kMostSolves = 3;   // from such starts
 
 // The problem without what closed arcs and shooting do not take; hard terms are costs.
-Scene Relaxed(Scene scene) {
+Scene Relaxed(const Scene& given) {
+  Scene scene = WithTargets(given);
   scene.control.max.clear();
   scene.control.max_norm.clear();
   scene.control.max_torque.clear();
@@ -40,6 +41,7 @@ Scene Relaxed(Scene scene) {
     term.hard = false;
     term.weight = 1;  // in natural units
   }
+  scene.objective.limits.clear();
   return scene;
 }
 
@@ -62,7 +64,7 @@ class DiscSearch {
     Trial& trial = optima.best.emplace(Trial{found.control, found.durations, {}, {}});
     if (trial.durations.empty()) trial.durations.assign(scene_.steps, scene_.dt());
     Simulate(scene_, request_.terms, &trial);
-    optima.is_bound = !scene_.objective.duration;
+    optima.is_bound = !scene_.objective.duration && !HasGoalRegion(scene_);
     for (const LocalOptimum& other : found.optima) optima.others.emplace_back(other.loss, other.sequence);
     return optima;
   }

@@ -21,7 +21,8 @@ Box BoxOf(const Scene& scene) {
   Box box{scene.bodies[0].position, scene.bodies[0].position};
   for (const Body& body : scene.bodies) box.Include(body.position);
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.quantity == TerminalTerm::Quantity::kPosition) box.Include(term.target);
+    if (term.quantity == TerminalTerm::Quantity::kPosition)
+      box.Include(term.Goal().Nearest(scene.bodies[term.body].position));
   }
   return box;
 }
