@@ -60,14 +60,14 @@ Scene WithTorques(Scene scene) {
   return scene;
 }
 
-struct Case {
+struct SceneCase {
   const char* name;
   Scene scene;
   size_t impacts;
 };
-void PrintTo(const Case& item, std::ostream* out) { *out << item.name; }
+void PrintTo(const SceneCase& item, std::ostream* out) { *out << item.name; }
 
-class SceneAsHybridProblem : public testing::TestWithParam<Case> {};
+class SceneAsHybridProblem : public testing::TestWithParam<SceneCase> {};
 
 // The exact run of the model `event` is another simulation, from event to event of each pair, with losses in closed
 // form.
@@ -117,21 +117,22 @@ TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
   for (size_t i = 0; i < steered; ++i) EXPECT_NEAR(gradient[i], by[i], 1e-10 * largest) << i;
 }
 
-INSTANTIATE_TEST_SUITE_P(Scenes, SceneAsHybridProblem,
-                         testing::Values(Case{"two_balls", With(ProblemScene("two_balls"), 40), 1},
-                                         Case{"two_balls_480", ProblemScene("two_balls"), 1},
-                                         Case{"two_balls_lose_energy", TwoBallsThatLoseEnergy(), 1},
-                                         Case{"single_collision", With(ProblemScene("single_collision"), 25), 1},
-                                         Case{"multiple_collisions", With(ProblemScene("multiple_collisions"), 25), 3},
-                                         Case{"ground_wall", ProblemScene("ground_wall"), 2},
-                                         Case{"head_on", With(HeadOn(), 23), 1}, Case{"two_pushed", TwoPushed(), 2},
-                                         Case{"spin_slips", TwoSpin(0.05), 2}, Case{"spin_sticks", TwoSpin(2), 2},
-                                         Case{"strike_sticks", SpinStrike(2), 1},
-                                         Case{"torques_slip", WithTorques(TwoSpin(0.05)), 2},
-                                         Case{"torques_stick", WithTorques(TwoSpin(2)), 2},
-                                         Case{"path_costs", WithPathCosts(TwoPushed()), 2},
-                                         Case{"torques_path_costs", WithTorques(WithPathCosts(TwoSpin(2))), 2}),
-                         [](const auto& at) { return at.param.name; });
+INSTANTIATE_TEST_SUITE_P(
+    Scenes, SceneAsHybridProblem,
+    testing::Values(SceneCase{"two_balls", With(ProblemScene("two_balls"), 40), 1},
+                    SceneCase{"two_balls_480", ProblemScene("two_balls"), 1},
+                    SceneCase{"two_balls_lose_energy", TwoBallsThatLoseEnergy(), 1},
+                    SceneCase{"single_collision", With(ProblemScene("single_collision"), 25), 1},
+                    SceneCase{"multiple_collisions", With(ProblemScene("multiple_collisions"), 25), 3},
+                    SceneCase{"ground_wall", ProblemScene("ground_wall"), 2},
+                    SceneCase{"head_on", With(HeadOn(), 23), 1}, SceneCase{"two_pushed", TwoPushed(), 2},
+                    SceneCase{"spin_slips", TwoSpin(0.05), 2}, SceneCase{"spin_sticks", TwoSpin(2), 2},
+                    SceneCase{"strike_sticks", SpinStrike(2), 1},
+                    SceneCase{"torques_slip", WithTorques(TwoSpin(0.05)), 2},
+                    SceneCase{"torques_stick", WithTorques(TwoSpin(2)), 2},
+                    SceneCase{"path_costs", WithPathCosts(TwoPushed()), 2},
+                    SceneCase{"torques_path_costs", WithTorques(WithPathCosts(TwoSpin(2))), 2}),
+    [](const auto& at) { return at.param.name; });
 
 // The optimum of task 3 (Zhong, Han, Brikis 2022) by another method, with `before` equal intervals of the control up to
 // the impact at s and `after` ones from there on. All motion is along the diagonal. The least effort that brings the
