@@ -426,7 +426,8 @@ TEST(ClosedContacts, DerivativesHoldAtStatesThatAreNotOnTheEquationsOfTheContact
       std::vector<double> others(gradient.size());
       f.GuardGradient({mode, 0, at.data(), u.data(), &at[kStates], /*by_parameters=*/false}, guard, others.data());
       for (std::size_t i = 0; i < gradient.size(); ++i) {
-        if (i <= kStates || i >= kColumns) EXPECT_NEAR(others[i], gradient[i], 1e-12 * std::abs(value)) << i;
+        if (i > kStates && i < kColumns) continue;
+        EXPECT_NEAR(others[i], gradient[i], 1e-12 * std::abs(value)) << i;
       }
       const auto reset = [&](const std::vector<double>& y) {
         std::vector<double> out(kStates);
