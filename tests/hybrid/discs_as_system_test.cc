@@ -239,12 +239,22 @@ TEST(DiscsAsHybridSystem, HaveGoalRegions) {
   scene.objective.terminal = {goal};
   scene.objective.limits = {{.body = 1, .max = kMost, .at = SpeedLimit::At::kEnd}};
   scene.duration = 1.5;
-  const SolveReport discs = Solve("ipopt", {scene, "event"}, {}), user = Solve("ipopt", HybridProblemOf(scene), {});
+  const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
-  ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
-  EXPECT_NEAR(user.final_loss, discs.final_loss, 1e-4 * discs.final_loss);  // with other shares of the intervals
-  ASSERT_TRUE(user.certificate);
-  EXPECT_TRUE(user.certificate->IsStationary()) << user.certificate->reason;
+  // The conditions of both are those of one optimum.
+  const HybridProblem problem = HybridProblemOf(scene);
+  HybridInput input = problem.guess;
+  input.control = discs.control;
+  input.lengths = discs.durations;
+  HybridShooting hybrid(problem);
+  HybridShooting::Outcome outcome;
+  ASSERT_TRUE(hybrid.Simulate(input, &outcome)) << hybrid.WhyFailed();
+  EXPECT_NEAR(outcome.loss, discs.final_loss, 1e-11);
+  EXPECT_LT(outcome.violation, 1e-8);
+  const Certificate found = Certify(problem, input);
+  EXPECT_TRUE(found.IsStationary()) << found.reason;
+  const SolveReport user = Solve("ceres_phases", problem, {});
+  EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
   scene.objective.limits[0].at = SpeedLimit::At::kAlways;
   EXPECT_EQ(WhyNoHybridProblem(scene), "limits of the speed that hold always");
 }

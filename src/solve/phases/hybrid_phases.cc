@@ -406,6 +406,7 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
 std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansThroughTouches(
     const HybridMotion& motion) const {
   constexpr double kTouch = 1e-6;      // of the size of a guard
+  constexpr double kHere = 1e-6;       // of the duration: from an event
   constexpr double kBeforeEnd = 0.01;  // of the duration: the last phase begins with this length
   std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> plans;
   HybridShooting::Outcome outcome;
@@ -421,11 +422,15 @@ std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::P
     if (simulator.IsReset(i - 1) || (!ends && simulator.IsReset(i))) continue;
     const int mode = ends ? simulator.final_mode() : simulator.StepMode(i);
     const double t = ends ? duration : simulator.StepTime(i);
+    const auto is_here = [&](const HybridEvent& event) { return std::abs(event.time - t) <= kHere * duration; };
+    if (std::ranges::any_of(motion.exact.events, is_here)) continue;
     for (int c = 0; c < control_width(); ++c) u[c] = control(c, t);
     const double* x = ends ? simulator.final_state().data() : simulator.StepState(i).data();
     const ModePoint at{mode, t, x, u.data(), motion.parameters.data()};
     functions.Flow(at, slope.data());
-    for (int guard = 0; guard < functions.num_guards(mode); ++guard) {
+    // Pieces of modes that are new here have no sizes yet.
+    const int known_guards = mode < std::ssize(scales_.guard) ? static_cast<int>(scales_.guard[mode].size()) : 0;
+    for (int guard = 0; guard < known_guards; ++guard) {
       double rate = 0;
       const double zero = kTouch * scales_.guard[mode][guard];
       const double value = functions.GuardRate(at, guard, slope.data(), &rate);
