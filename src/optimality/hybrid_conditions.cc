@@ -765,11 +765,12 @@ class HybridConditions {
     }
     double of_states = 0;
     for (const VectorXd& sizes : state_sizes_) of_states = std::max(of_states, sizes.maxCoeff());
+    VectorXd moved = VectorXd::Zero(width());  // the largest state, by each component
+    for (const Eigen::MatrixXd& of_mode : largest) moved = moved.cwiseMax(of_mode.colwise().maxCoeff().transpose());
     for (int c = 0; c < width(); ++c) {
-      double moved = 0;
-      for (const Eigen::MatrixXd& of_mode : largest) moved = std::max(moved, of_mode.col(c).maxCoeff());
-      const double unit = of_states / moved;
-      is_zero_.push_back(unit > 0 && std::isfinite(unit) && control_sizes_[c] <= kNoControl * unit);
+      const bool moves = moved[c] > kNoControl * moved.maxCoeff() && std::isfinite(moved[c]);
+      const double unit = moves ? of_states / moved[c] : 0;
+      is_zero_.push_back(unit > 0 && control_sizes_[c] <= kNoControl * unit);
       if (!is_zero_.back()) continue;
       control_sizes_[c] = unit;
       for (size_t mode = 0; mode < largest.size(); ++mode) {
