@@ -86,13 +86,12 @@ class SceneSystem final : public HybridFunctions {
   explicit SceneSystem(const Scene& scene)
       : HybridFunctions(LayoutOf(scene)), scene_(scene), at_(scene_), waypoints_(WaypointTimes(scene)) {
     for (const Candidate& contact : AllPairs(scene_)) {
-      pairs_.push_back({contact, MakeImpactConstants(scene_, contact), false});
-      for (const NoContact& apart : scene_.no_contact) {
-        const bool same =
-            apart.plane == contact.plane && std::minmax(apart.a, apart.b) == std::minmax(contact.a, contact.b);
-        const bool with_plane = apart.plane && contact.plane && apart.a == contact.a && apart.b == contact.b;
-        pairs_.back().must_not_touch = pairs_.back().must_not_touch || (contact.plane ? with_plane : same);
-      }
+      const bool must_not_touch = std::ranges::any_of(scene_.no_contact, [&](const NoContact& apart) {
+        const bool same = apart.a == contact.a && apart.b == contact.b;
+        const bool turned = !contact.plane && apart.a == contact.b && apart.b == contact.a;
+        return apart.plane == contact.plane && (same || turned);
+      });
+      pairs_.push_back({contact, MakeImpactConstants(scene_, contact), must_not_touch});
     }
   }
 
@@ -446,13 +445,7 @@ HybridProblem HybridProblemOf(const Scene& scene) {
                      count);
     problem.terms.push_back(std::move(term));
   };
-  const auto add_value = [&](const std::string& name, int component, double weight) {
-    problem.terms.push_back({.name = name,
-                             .role = HybridTerm::Role::kValue,
-                             .with_state = true,
-                             .function = MakeFunction(Misses{component, weight, {0.0}}, at.size(), 1)});
-  };
-  const auto add_bound = [&](const std::string& name, HybridTerm::Role role, auto function) {
+  const auto add_row = [&](const std::string& name, HybridTerm::Role role, auto function) {
     problem.terms.push_back(
         {.name = name, .role = role, .with_state = true, .function = MakeFunction(std::move(function), at.size(), 1)});
   };
@@ -462,25 +455,26 @@ HybridProblem HybridProblemOf(const Scene& scene) {
       const int i = at.IndexOf(term.body, term.quantity) + j;
       const double min = term.region->min[j], max = term.region->max[j];
       if (min == max) {
-        add_bound(name, HybridTerm::Role::kEquality, Misses{i, 1, {min}});
+        add_row(name, HybridTerm::Role::kEquality, Misses{i, 1, {min}});
         continue;
       }
-      if (std::isfinite(max)) add_bound(name, HybridTerm::Role::kInequality, Misses{i, 1, {max}});
-      if (std::isfinite(min)) add_bound(name, HybridTerm::Role::kInequality, Misses{i, -1, {min}});
+      if (std::isfinite(max)) add_row(name, HybridTerm::Role::kInequality, Misses{i, 1, {max}});
+      if (std::isfinite(min)) add_row(name, HybridTerm::Role::kInequality, Misses{i, -1, {min}});
     }
   };
   for (const SpeedLimit& limit : objective.limits) {
-    add_bound("limit of the speed of " + scene.bodies[limit.body].name,
-              HybridTerm::Role::kInequality,
-              NormExcess{at.VelocityOf(limit.body), limit.max});
+    add_row("limit of the speed of " + scene.bodies[limit.body].name,
+            HybridTerm::Role::kInequality,
+            NormExcess{at.VelocityOf(limit.body), limit.max});
   }
   for (const TerminalTerm& term : objective.terminal) {
     if (term.region) {
       add_region(term);
     } else if (term.component) {
-      add_value("terminal term of " + scene.bodies[term.body].name,
-                at.IndexOf(term.body, term.quantity) + *term.component,
-                term.weight);
+      const int component = at.IndexOf(term.body, term.quantity) + *term.component;
+      add_row("terminal term of " + scene.bodies[term.body].name,
+              HybridTerm::Role::kValue,
+              Misses{component, term.weight, {0.0}});
     } else {
       add({.name = "terminal term"}, term);
     }
@@ -490,7 +484,7 @@ HybridProblem HybridProblemOf(const Scene& scene) {
     const auto index = static_cast<std::size_t>(std::ranges::find(waypoints, term.time) - waypoints.begin());
     add({.name = WaypointName(index), .at = HybridTerm::At::kEvent, .event = WaypointName(index)}, term);
   }
-  if (!objective.running.empty()) add_value("running terms", at.running(), 1);
+  if (!objective.running.empty()) add_row("running terms", HybridTerm::Role::kValue, Misses{at.running(), 1, {0.0}});
   if (objective.effort > 0 && scene.control_width() > 0) {
     problem.terms.push_back(MakeEffortCost(objective.effort, scene.control_width()));
   }

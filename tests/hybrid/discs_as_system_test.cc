@@ -230,6 +230,18 @@ TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
             Certificate::Verdict::kNotStationary);
 }
 
+TEST(DiscsAsHybridSystem, HaveNoMotionBehindATouchThatIsForbidden) {
+  for (const NoContact apart : {NoContact{0, 1}, NoContact{1, 0}}) {
+    Scene scene = With(ProblemScene("two_balls"), 24);
+    scene.no_contact = {apart};
+    HybridShooting hybrid(HybridProblemOf(scene));
+    double loss = 0;
+    EXPECT_FALSE(hybrid.Evaluate(hybrid.initial_guess(), &loss, nullptr));
+    EXPECT_NE(hybrid.WhyFailed().find("striker-target touch, which must not (no_contact)"), std::string::npos)
+        << hybrid.WhyFailed();
+  }
+}
+
 // A goal region, and a limit of the speed there: both are active at the optimum.
 TEST(DiscsAsHybridSystem, HaveGoalRegions) {
   Scene scene = With(ProblemScene("two_balls"), 24);
