@@ -106,8 +106,7 @@ std::string RolloutRun::WaysOn(int mode, int guard) const {
   }
   if (functions_.EndsAccumulations()) {
     return "; if they do not end, raise rest_speed (in C++ MechanicalOptions), below which a contact closes at an "
-           "impact, "
-           "or end the motion before";
+           "impact, or end the motion before";
   }
   return "; if they do not end, name the mode in which the motion goes on there (on_accumulation, in C++ "
          "OnAccumulation)";

@@ -1,3 +1,4 @@
+// Motions of hybrid problems, as a fit of their parameters sees them.
 #include <ceres/cost_function.h>
 
 #include <algorithm>

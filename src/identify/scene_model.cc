@@ -1,3 +1,4 @@
+// Motions of scenes of discs, as a fit of their parameters sees them.
 #include <algorithm>
 #include <array>
 #include <cmath>

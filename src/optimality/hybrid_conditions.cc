@@ -636,7 +636,7 @@ class HybridConditions {
     return size > 0 ? size : 1.0;
   }
   // Returns the least size of the terms of a component of the control. If the component is zero but for errors of the
-  // solution, so are its terms: it is the part of the loss that its change by its unit would have to change.
+  // solution, so are its terms: it is the part of the loss that its change by its size would have to change.
   double LeastSizeOfControl(int component) const {
     return is_zero_[component] ? kSmallTerms * std::abs(loss_) / (input_.duration * control_sizes_[component]) : 0;
   }
@@ -741,7 +741,7 @@ class HybridConditions {
   }
 
   // Finds the sizes of states by mode, of controls and of parameters over the motion. A component of the control that
-  // is zero has the size that, held for the whole motion, changes every state by its size at least.
+  // is zero has the size that, held for the whole motion, changes a state by as much as the largest state is.
   void FindSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
       state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));

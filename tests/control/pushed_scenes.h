@@ -65,4 +65,24 @@ inline Scene SpinStrike(double friction) {
   return scene;
 }
 
+// Returns the scene with running terms of both of its discs, whose targets turn.
+inline Scene WithRunningTerms(Scene scene) {
+  scene.objective.running = {
+      {.body = 0, .times = {0, 0.37, 1.3}, .targets = {{0, 0.7}, {0.6, 0.2}, {1, 0.5}}, .weight = 1.5},
+      {.body = 1, .times = {0.2}, .targets = {{0.7, 0.6}}, .weight = 0.5},
+      {.body = 0,
+       .quantity = TerminalTerm::Quantity::kVelocity,
+       .times = {0, 1.4},
+       .targets = {{1, 0}, {0.5, 0.3}},
+       .weight = 0.3}};
+  return scene;
+}
+
+// Returns the scene, of two discs that are pushed, with torques on them too.
+inline Scene WithTorques(Scene scene) {
+  scene.control.turned = scene.control.bodies;
+  scene.control.initial_torque = {0.03, -0.05};
+  return scene;
+}
+
 }  // namespace saltus

@@ -1,5 +1,5 @@
 // A scene of discs as a problem of a hybrid system: what solvers of users' systems take, such as costs at events, costs
-// and constraints of a user's own and any number of terms, then works for scenes too.
+// and constraints that a user writes and any number of terms, then works for scenes too.
 //
 // The system has the bodies of the scene in its units. Its state is
 //
