@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "solve/phases/augmented_lagrangian.h"
@@ -48,35 +49,84 @@ void SimulatePlan(const Motions& motions, const PlanOf<Event>& plan, PlanAttempt
 
 // Moves nodes to half of Motions::NodeMargin before the events that are meant to be there (after them, if it is
 // negative), where the exact model takes the event at the node; Motions::SideOf is 1, or -1 for events that want the
-// other side and 0 for those that happen at nodes anyway. False if they are in place.
+// other side and 0 for those that happen at nodes anyway.
+//
+// The intervals of a phase stretch with the node n at its end, so that the event moves with it, to e(n), often by more
+// than the node. Nodes are moved to where their events are, n <- e(n); those that this does not bring nearer, by
+//
+//   n <- n + (e - n) / (1 - s),   s = (e - e') / (n - n') of two nodes n', n and their events e', e
 template <typename Motions, typename Event, typename Motion>
-bool Snap(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
-          PlanAttemptOf<Motion>* attempt) {
-  Motion& trial = attempt->trial;
-  const double margin = motions.NodeMargin(trial);
-  std::vector<double> ends;
-  size_t event = 0;
-  for (size_t k = 0; k < plan.cuts.size(); ++k) {
-    if (plan.cuts[k]) attempt->times[k] = trial.exact.events[event++].time;
-    ends.push_back(attempt->times[k] - (plan.cuts[k] ? motions.SideOf(*plan.cuts[k]) * 0.5 * margin : 0.0));
+class NodesAtEvents {
+ public:
+  NodesAtEvents(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps)
+      : motions_(motions), plan_(plan), steps_(steps), followed_(plan.cuts.size()) {}
+
+  // Takes the times of the events of attempt->trial, which has been simulated, and moves its nodes. Returns false if
+  // they are in place.
+  bool Move(PlanAttemptOf<Motion>* attempt) {
+    Motion& trial = attempt->trial;
+    const double margin = motions_.NodeMargin(trial);
+    std::vector<double> nodes;  // at the ends of phases, as they are
+    double end = 0;
+    std::size_t interval = 0;
+    for (const int steps : steps_) {
+      for (int k = 0; k < steps; ++k) end += trial.durations[interval++];
+      nodes.push_back(end);
+    }
+    std::vector<double> ends;  // as they are to be
+    std::size_t event = 0;
+    bool moved = false;
+    for (std::size_t k = 0; k < plan_.cuts.size(); ++k) {
+      if (plan_.cuts[k]) attempt->times[k] = trial.exact.events[event++].time;
+      const double side = plan_.cuts[k] ? motions_.SideOf(*plan_.cuts[k]) : 0;
+      const Place place{nodes[k], attempt->times[k] - side * 0.5 * margin};
+      moved = moved || (steps_[k] > 0 && std::abs(place.wanted - place.node) > 0.25 * std::abs(margin));
+      FindSlope(place, std::abs(margin), &followed_[k]);
+      ends.push_back(place.node + (place.wanted - place.node) / (1 - followed_[k].slope));
+    }
+    ends.push_back(DurationOf(trial));
+    for (std::size_t k = plan_.cuts.size(); k-- > 0;) {
+      if (plan_.tied[k]) ends[k] = ends[k + 1];
+    }
+    if (moved) SetEnds(ends, &trial);
+    return moved;
   }
-  ends.push_back(DurationOf(trial));
-  for (size_t k = plan.cuts.size(); k-- > 0;) {
-    if (plan.tied[k]) ends[k] = ends[k + 1];
+
+ private:
+  struct Place {
+    double node = NAN, wanted = NAN;
+  };
+  struct Followed {
+    Place last;
+    double slope = 0;
+  };
+
+  // Finds the slope of the wanted place by the node where a step, if it was longer than rounding, has not brought them
+  // nearer.
+  static void FindSlope(const Place& now, double margin, Followed* followed) {
+    constexpr double kRounding = 10;  // margins
+    const Place last = std::exchange(followed->last, now);
+    if (!(std::abs(now.node - last.node) > kRounding * margin)) return;
+    const double slope = (now.wanted - last.wanted) / (now.node - last.node);
+    const bool nearer = std::abs(now.wanted - now.node) < std::abs(last.wanted - last.node);
+    if (!nearer && slope < 0) followed->slope = slope;
   }
-  bool moved = false;
-  std::vector<double> durations;
-  double begin = 0, old_end = 0;
-  for (size_t j = 0; j < steps.size(); ++j) {
-    if (steps[j] == 0) continue;
-    for (int k = 0; k < steps[j]; ++k) old_end += trial.durations[durations.size() + k];
-    moved = moved || std::abs(ends[j] - old_end) > 0.25 * std::abs(margin);
-    durations.insert(durations.end(), steps[j], (ends[j] - begin) / steps[j]);
-    begin = ends[j];
+
+  void SetEnds(const std::vector<double>& ends, Motion* trial) const {
+    trial->durations.clear();
+    double begin = 0;
+    for (std::size_t j = 0; j < steps_.size(); ++j) {
+      if (steps_[j] == 0) continue;
+      trial->durations.insert(trial->durations.end(), steps_[j], (ends[j] - begin) / steps_[j]);
+      begin = ends[j];
+    }
   }
-  if (moved) trial.durations = std::move(durations);
-  return moved;
-}
+
+  const Motions& motions_;
+  const PlanOf<Event>& plan_;
+  const std::vector<int>& steps_;
+  std::vector<Followed> followed_;  // of each cut
+};
 
 // Follows the events of attempt->trial, which has been simulated and whose phases have so many steps: what a solve
 // leaves of gaps moves events off their nodes, by far less than a step.
@@ -84,7 +134,8 @@ template <typename Motions, typename Event, typename Motion>
 void FollowEvents(const Motions& motions, const PlanOf<Event>& plan, const std::vector<int>& steps,
                   PlanAttemptOf<Motion>* attempt) {
   constexpr int kSnaps = 60;  // of events to nodes, at most
-  for (int round = 0; round < kSnaps && attempt->realized && Snap(motions, plan, steps, attempt); ++round) {
+  NodesAtEvents<Motions, Event, Motion> nodes(motions, plan, steps);
+  for (int round = 0; round < kSnaps && attempt->realized && nodes.Move(attempt); ++round) {
     SimulatePlan(motions, plan, attempt);
   }
 }
