@@ -82,9 +82,8 @@ bool EndsBetter(const SolveReport& report, const SolveReport& than) {
   return feasible ? report.final_loss < than.final_loss : report.final_violation < than.final_violation;
 }
 
-SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::string& why,
-                        const SolverOptions& options,
-                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve,
+SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::vector<std::string_view>& refine,
+                        const std::string& why, const SolverOptions& options, const SolveByName& solve,
                         const std::function<std::string(const SolveReport&)>& find_loss_of_reach) {
   SolveChain chain(options);
   std::optional<SolveReport> best, refused;
@@ -94,7 +93,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
   for (const std::string_view name : order) {
     SolverOptions next = chain.Next();
     if (name != order.back()) next.iterations = std::min(next.iterations, std::max(kLeastShare, next.iterations / 2));
-    SolveReport report = solve(name, next);
+    SolveReport report = solve(name, next, /*from=*/nullptr);
     if (report.termination == Termination::kNotApplicable) {
       if (!refused) {
         refused = std::move(report);
@@ -122,6 +121,18 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::s
   if (!best) {
     refused->solver = "auto";
     return *refused;
+  }
+  const auto is_over = [&] {
+    return best->losses.empty() || best->termination == Termination::kConverged ||
+           best->termination == Termination::kInterrupted || chain.IsOutOfIterations();
+  };
+  for (const std::string_view name : refine) {
+    if (is_over()) break;
+    SolveReport report = solve(name, chain.Next(), &*best);
+    if (report.termination == Termination::kNotApplicable) continue;
+    chain.Add(report);
+    tried += ", then " + std::string(name) + " from the end of " + best->solver;
+    if (EndsBetter(report, *best) || report.termination == Termination::kInterrupted) best = std::move(report);
   }
   const bool tells = refused && refused->reason != why;
   std::string words = "auto used " + best->solver + ", as " + why;

@@ -38,14 +38,18 @@ class SolveChain {
 // lower loss.
 bool EndsBetter(const SolveReport& report, const SolveReport& than);
 
+// Solves by the solver of that name from the initial guess, or from the solution of a report unless that is null.
+// Returns kNotApplicable for a solver that does not support the problem.
+using SolveByName =
+    std::function<SolveReport(std::string_view name, const SolverOptions& options, const SolveReport* from)>;
+
 // The solver `auto`: solves by one solver after the other until one ends with an optimum, within the iterations of the
-// options. Returns the report of the solve that ends best. Its `solver` is the name of that solver, and its reason
-// begins with that name and with `why`, the cause of the order. `solve` returns kNotApplicable for a solver that does
-// not support the problem. `find_loss_of_reach` returns why an optimum may be one only as it cannot feel the control
-// any longer, or nothing; the solvers that follow are tried then, too, and a lower loss counts more than that optimum.
-SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::string& why,
-                        const SolverOptions& options,
-                        const std::function<SolveReport(std::string_view, const SolverOptions&)>& solve,
+// options; where none does, those of `refine` go on from the best end. Returns the report of the solve that ends best.
+// Its `solver` is the name of that solver, and its reason begins with that name and with `why`, the cause of the order.
+// `find_loss_of_reach` returns why an optimum may be one only as it cannot feel the control any longer, or nothing; the
+// solvers that follow are tried then, too, and a lower loss counts more than that optimum.
+SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::vector<std::string_view>& refine,
+                        const std::string& why, const SolverOptions& options, const SolveByName& solve,
                         const std::function<std::string(const SolveReport&)>& find_loss_of_reach = nullptr);
 
 }  // namespace saltus

@@ -176,12 +176,14 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
     order = {"ceres_phases", "ipopt", "ceres_lm", "ceres_lbfgs", "gd"};
     why = "the control is free and contact is exact";
   }
-  return SolveInTurn(
-      order,
-      why,
-      options,
-      [&](std::string_view name, const SolverOptions& of_solve) { return Solve(name, request, of_solve); },
-      [&](const SolveReport& report) { return FindLossOfReach(request, options, report); });
+  const auto solve = [&](std::string_view name, SolverOptions of_solve, const SolveReport* from) {
+    if (from != nullptr) of_solve.guess = ControlGuess{from->control, from->durations};
+    return Solve(name, request, of_solve);
+  };
+  const Names refine = scene.optimize == Optimize::kControl ? Names{"ceres_lm", "ceres_phases", "ipopt"} : Names{};
+  return SolveInTurn(order, refine, why, options, solve, [&](const SolveReport& report) {
+    return FindLossOfReach(request, options, report);
+  });
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".

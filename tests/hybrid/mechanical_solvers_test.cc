@@ -6,6 +6,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -134,6 +135,94 @@ TEST(ClosedContacts, AMassThatSticksIsPulledByASearch) {
   EXPECT_THAT(report.reason, Not(HasSubstr("tried"))) << "solvers that begin at the guess would stay there";
   // The mass sticks for a little while before it is pulled, as a phase before the control jumps has a length.
   EXPECT_LT(report.final_loss, 1.003 * sliding);
+}
+
+// Two carts on the ground, of which the second is pushed, hits the first and comes back.
+struct Carts {
+  static constexpr int kNumCoordinates = 4, kNumControls = 1, kNumParameters = 1, kNumContacts = 3;
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    for (int i = 0; i < 16; ++i) M[i] = T(i % 5 == 0 ? 1.0 : 0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
+    h[0] = T(0.0);
+    h[1] = h[3] = T(-9.81);
+    h[2] = u[0];
+  }
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return contact == 0 ? T(q[2] - q[0] - 2.0) : T(q[2 * contact - 1] - 1.0);
+  }
+  template <typename T>
+  T Slide(int contact, const T* q, const T*) const {
+    return contact == 0 ? T(q[3] - q[1]) : q[2 * contact - 2];
+  }
+  template <typename T>
+  T Friction(int contact, const T* p) const {
+    return contact == 0 ? T(0.0) : p[0];
+  }
+  template <typename T>
+  T Restitution(int contact, const T*) const {
+    return T(contact == 0 ? 0.5 : 0.0);
+  }
+};
+
+// The cost of each interval: its length times the weighted squares of the state beside a target, and of the control.
+struct CartCost {
+  static constexpr std::array<double, 8> kWeights = {10, 0.1, 1, 0.1, 0.1, 0.1, 0.1, 0.1},
+                                         kTargets = {-6, 1, 0, 1, 0, 0, 0, 0};
+  template <typename T>
+  bool operator()(const T* x, const T* u, const T* length, T* rows) const {
+    using std::sqrt;
+    for (int i = 0; i < 8; ++i) rows[i] = sqrt(length[0] * kWeights[i]) * (x[i] - kTargets[i]);
+    rows[8] = sqrt(0.1 * length[0]) * u[0];
+    return true;
+  }
+};
+
+HybridProblem CartsProblem(double push) {
+  const MechanicalSystem system{Carts()};
+  HybridProblem problem{
+      .system = system.hybrid(),
+      .guess = {.initial = {-3, 1, 0, 1, 0, 0, 0, 0}, .parameters = {0}, .duration = 3, .num_intervals = 10}};
+  for (int k = 0; k < 10; ++k) problem.guess.control.push_back(k < 3 ? -push : k < 6 ? push : 0);
+  problem.guess.mode =
+      system.FindMode(problem.guess.initial, std::vector{problem.guess.control[0]}, problem.guess.parameters).mode;
+  for (int i = 0; i < 8; ++i) {
+    problem.terms.push_back(MakeTerminalCost(i, CartCost::kTargets[i], 200 * CartCost::kWeights[i], 8));
+  }
+  problem.terms.push_back(
+      {.name = "stage",
+       .at = HybridTerm::At::kEachInterval,
+       .with_state = true,
+       .with_control = true,
+       .with_length = true,
+       .function = std::make_shared<ceres::AutoDiffCostFunction<CartCost, 9, 8, 1, 1>>(new CartCost)});
+  problem.free = {.control = true, .control_min = {-30}, .control_max = {30}};
+  return problem;
+}
+
+// Shooting on the control intervals of the solution, which leaves no motion of the system, finds no lower loss.
+void ExpectAsLowAsShooting(const HybridProblem& problem, const SolveReport& report) {
+  HybridProblem shot = problem;
+  shot.guess = SolutionOf(problem, report);
+  EXPECT_NEAR(Solve("ceres_lm", shot, {}).final_loss, report.final_loss, 1e-8 * report.final_loss);
+}
+
+// Sliding that reverses without friction changes nothing, and no plan has it. As intervals stretch with the time of the
+// hit, the hit moves by more than the end of the interval that follows it.
+TEST(Carts, WithoutFrictionHitOnce) {
+  for (const char* solver : {"ceres_phases", "ipopt"}) {
+    if (Solve(solver, CartsProblem(20), {.iterations = 0}).termination == Termination::kNotApplicable) continue;
+    const HybridProblem problem = CartsProblem(20);
+    const SolveReport report = Solve(solver, problem, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
+    ASSERT_TRUE(report.certificate);
+    EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+    ExpectAsLowAsShooting(problem, report);
+    EXPECT_LT(report.final_loss, 172) << solver;
+  }
 }
 
 // Scales lengths in each phase, so that the interval before nodes[i] ends at times[i].

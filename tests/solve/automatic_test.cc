@@ -6,6 +6,7 @@
 #include "constrained_reference.h"
 #include "saltus/solve/solver.h"
 #include "solve/phases/interior_point.h"
+#include "solve/solve_chain.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -105,6 +106,28 @@ TEST(Automatic, SaysWhyNoSolverApplies) {
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
   EXPECT_EQ(report.solver, "auto");
   EXPECT_THAT(report.reason, HasSubstr("leaves nothing to optimize"));
+}
+
+// The solvers that begin at the guess end without an optimum, as two of them here; the next one begins at the better
+// end and, as it converges, is the last.
+TEST(Automatic, RefinesTheBestEndWhereNoSolverHasConverged) {
+  std::vector<std::string> starts;
+  const auto solve = [&](std::string_view name, const SolverOptions&, const SolveReport* from) {
+    starts.push_back(std::string(name) + (from == nullptr ? " from the guess" : " from " + from->solver));
+    SolveReport report;
+    report.solver = name;
+    report.final_loss = name == "far" ? 3 : name == "near" ? 2 : 1;
+    report.losses = {5, report.final_loss};
+    report.final_violation = 0;
+    report.termination = name == "last" ? Termination::kConverged : Termination::kNoProgress;
+    return report;
+  };
+  const SolveReport report = SolveInTurn({"near", "far"}, {"last", "never"}, "of a test", {}, solve);
+  EXPECT_THAT(starts, testing::ElementsAre("near from the guess", "far from the guess", "last from near"));
+  EXPECT_EQ(report.solver, "last");
+  EXPECT_EQ(report.final_loss, 1);
+  EXPECT_EQ(report.iterations, 3) << "of all three solves";
+  EXPECT_THAT(report.reason, HasSubstr("tried: near, then far, then last from the end of near"));
 }
 
 TEST(InteriorPoint, FindsTheClosedFormOfAMovedDisc) {

@@ -139,6 +139,15 @@ class HybridFunctions {
   // Returns the modes that a guard's reset may lead to, or with guard -1 a jump of the control.
   virtual std::vector<int> NextModes(int /*mode*/, int /*guard*/, const double* /*p*/) const { return {}; }
 
+  // Returns a system with the same motions but without the events that change nothing while all parameters but those in
+  // `free` are p, such as reversals of contacts without friction; null if there are none. Derivatives by p are lost.
+  virtual std::shared_ptr<const HybridFunctions> WithoutIdleEvents(const double* /*p*/,
+                                                                   std::span<const int> /*free*/) const {
+    return nullptr;
+  }
+  // Returns the mode with the flow of the mode of that name of a system without idle events, or of one with them.
+  virtual int ModeLike(const std::string& /*name*/) const { return -1; }
+
   // Whether a guard depends on the control.
   virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
 

@@ -33,8 +33,9 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //   ipopt                       the problem of ceres_phases by the interior-point method of IPOPT, with second
 //                               derivatives; kNotApplicable if saltus was built without IPOPT.
 //   auto                        ceres_phases or ipopt, by the structure of the problem, and the other one if the first
-//                               ends without an optimum; solvers by shooting where phases do not apply. The reason and
-//                               SolveReport::solver name the solver that was used.
+//                               ends without an optimum; solvers by shooting where phases do not apply. Where none ends
+//                               with an optimum, they go on from the best end. The reason and SolveReport::solver name
+//                               the solver that was used.
 //   mode_search                 ceres_phases along neighbouring sequences of events, from several starts. Options:
 //                               iterations (solves), search_options, threads, callback, status and stop. An event of a
 //                               sequence in SolveReport::optima is {mode, guard}.

@@ -104,14 +104,24 @@ std::vector<ClosedContact> ClosedIn(const std::string& status) {
   return closed;
 }
 
+std::vector<char> FrictionOf(const MechanicalLayout& layout, const std::vector<char>& smooth) {
+  std::vector<char> has(layout.has_friction.begin(), layout.has_friction.end());
+  for (std::size_t i = 0; i < smooth.size(); ++i) {
+    if (smooth[i] != 0) has[i] = 0;
+  }
+  return has;
+}
+
 }  // namespace
 
-MechanicalHybrid::MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options)
+MechanicalHybrid::MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options,
+                                   std::vector<char> smooth)
     : HybridFunctions(LayoutOf(functions->layout())),
       functions_(std::move(functions)),
       options_(options),
       equations_(*functions_),
-      no_control_(functions_->layout().num_controls, 0.0) {
+      no_control_(functions_->layout().num_controls, 0.0),
+      has_friction_(FrictionOf(functions_->layout(), smooth)) {
   ModeOf(std::string(functions_->layout().num_contacts, 'o'));
 }
 
@@ -170,6 +180,30 @@ int MechanicalHybrid::ModeOf(const std::string& status) const {
   const auto [place, is_new] = known_.emplace(status, static_cast<int>(modes_.size()));
   if (is_new) modes_.push_back(std::move(mode));
   return place->second;
+}
+
+std::shared_ptr<const HybridFunctions> MechanicalHybrid::WithoutIdleEvents(const double* p,
+                                                                           std::span<const int> free) const {
+  const MechanicalLayout& layout = functions_->layout();
+  const auto depends = [&](int contact, int parameter) {
+    std::vector<Jet> of(p, p + layout.num_parameters);
+    of[parameter].v[0] = 1;
+    return !(functions_->Friction(contact, of.data()).v[0] == 0);
+  };
+  std::vector<char> smooth(layout.num_contacts);
+  for (int i = 0; i < layout.num_contacts; ++i) {
+    smooth[i] = HasFriction(i) && !CanStick(i, p) && std::ranges::none_of(free, [&](int j) { return depends(i, j); });
+  }
+  if (std::ranges::count(smooth, 1) == 0) return nullptr;
+  return std::make_shared<MechanicalHybrid>(functions_, options_, std::move(smooth));
+}
+
+int MechanicalHybrid::ModeLike(const std::string& name) const {
+  std::string status = name;
+  for (std::size_t i = 0; i < status.size(); ++i) {
+    if (status[i] != 'o' && !HasFriction(static_cast<int>(i))) status[i] = 'n';
+  }
+  return ModeOf(status);
 }
 
 std::string MechanicalHybrid::ContactName(int contact) const {

@@ -26,7 +26,10 @@ class MechanicalHybrid final : public HybridFunctions {
  public:
   using Point = MechanicalEquations::Point;
 
-  MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options);
+  // `smooth`: for each contact, whether it is taken as one without friction, whatever the system says; none: no
+  // contact.
+  MechanicalHybrid(std::shared_ptr<const MechanicalFunctions> functions, MechanicalOptions options,
+                   std::vector<char> smooth = {});
 
   const MechanicalFunctions& mechanics() const { return *functions_; }
   const MechanicalEquations& equations() const { return equations_; }
@@ -168,12 +171,15 @@ class MechanicalHybrid final : public HybridFunctions {
     return functions_->layout().num_controls > 0 && NeedsForces(ModeAt(mode).guards[guard]);
   }
   bool EndsAccumulations() const override { return true; }
+  // Contacts whose friction is zero become contacts without friction, which do not count where their sliding reverses.
+  std::shared_ptr<const HybridFunctions> WithoutIdleEvents(const double* p, std::span<const int> free) const override;
+  int ModeLike(const std::string& name) const override;
 
  private:
   using Jet = MechanicalEquations::Jet;
   using Block = Eigen::Matrix<double, Eigen::Dynamic, MechanicalEquations::kWidth>;
 
-  bool HasFriction(int contact) const { return functions_->layout().has_friction[contact] != 0; }
+  bool HasFriction(int contact) const { return has_friction_[contact] != 0; }
   bool CanStick(int contact, const double* p) const {
     return HasFriction(contact) && functions_->Friction(contact, p) > 0;
   }
@@ -217,6 +223,7 @@ class MechanicalHybrid final : public HybridFunctions {
   const MechanicalOptions options_;
   const MechanicalEquations equations_;
   const std::vector<double> no_control_;
+  const std::vector<char> has_friction_;
   // Returns InternalStresses, which are kept: those of bodies at rest stay the same.
   Eigen::MatrixXd StressesOf(const Eigen::MatrixXd& matrix) const;
   mutable std::shared_mutex mutex_;

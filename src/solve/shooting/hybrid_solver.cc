@@ -350,17 +350,54 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     }
     order.push_back("mode_search");
   }
-  return SolveInTurn(order, why, options, [&](std::string_view name, const SolverOptions& of_solve) {
+  const auto solve = [&](std::string_view name, const SolverOptions& of_solve, const SolveReport* from) {
     const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
     report.reason = entry.why_not(problem);
     if (!report.reason.empty()) return report;
-    report = entry.solve(problem, of_solve);
+    HybridProblem start = problem;
+    if (from != nullptr) {
+      start.guess = SolutionOf(problem, *from);
+      start.guess_states.clear();
+    }
+    report = entry.solve(start, of_solve);
     const bool searches = system.functions().CreatesModes() && name != "mode_search";
     if (JudgeSolution(problem, &report) && searches) report.termination = Termination::kNoProgress;
     return report;
-  });
+  };
+  // Shooting comes first: it never leaves the motions of the system, of which the best is one.
+  return SolveInTurn(order, {"ceres_lm", "ceres_phases", "ipopt"}, why, options, solve);
+}
+
+// -------------------------------------------------------------------------------------------------------- idle events
+
+// Returns the problem without events that change nothing, such as reversals of contacts without friction, which a plan
+// would hold for no gain; nothing if it has none, or names events or modes.
+std::optional<HybridProblem> WithoutIdleEvents(const HybridProblem& problem, const SolverOptions& options) {
+  const bool names = options.sequence || std::ranges::any_of(problem.terms, [](const HybridTerm& term) {
+                       return term.at == HybridTerm::At::kEvent || term.mode >= 0;
+                     });
+  if (names) return std::nullopt;
+  auto lean = problem.system.functions().WithoutIdleEvents(problem.guess.parameters.data(), problem.free.parameters);
+  if (lean == nullptr) return std::nullopt;
+  HybridProblem without = problem;
+  without.guess.mode = lean->ModeLike(problem.system.ModeName(problem.guess.mode));
+  without.system = HybridSystem(std::move(lean));
+  return without;
+}
+
+// Names the events of optima, which are those of the system `of`, as events of the system `as`.
+void RenameEvents(const HybridSystem& of, const HybridSystem& as, std::vector<LocalOptimum>* optima) {
+  for (LocalOptimum& optimum : *optima) {
+    for (Candidate& event : optimum.sequence) {
+      const std::string name = of.GuardName(event.a, event.b);
+      event.a = as.functions().ModeLike(of.ModeName(event.a));
+      for (int guard = 0; guard < as.num_guards(event.a); ++guard) {
+        if (as.GuardName(event.a, guard) == name) event.b = guard;
+      }
+    }
+  }
 }
 
 }  // namespace
@@ -393,6 +430,11 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   if (report.reason.empty()) report.reason = WhatIsWrongWith(options);
   if (report.reason.empty()) report.reason = entry->why_not(problem);
   if (!report.reason.empty()) return report;
+  if (const auto without = WithoutIdleEvents(problem, options)) {
+    report = Solve(solver, *without, options);
+    RenameEvents(without->system, problem.system, &report.optima);
+    return report;
+  }
   if (entry->solve == SolveHybridByModeSearch) {
     report = entry->solve(problem, options);  // whose solves have enough steps each
   } else {
