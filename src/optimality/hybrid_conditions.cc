@@ -4,6 +4,8 @@
 // initial state, parameters, the times of the events and the final time are affine in theta: one backward sweep through
 // the motion for the objective, and one for each multiplier. ConeConditions (cone_conditions.h) computes the theta that
 // minimises the residual of all conditions.
+#include "optimality/hybrid_conditions.h"
+
 #include <ceres/cost_function.h>
 
 #include <Eigen/Dense>
@@ -22,6 +24,7 @@
 #include "hybrid/runge_kutta.h"
 #include "optimality/cone_conditions.h"
 #include "optimality/constrained_curvature.h"
+#include "optimality/kink_conditions.h"
 #include "optimality/optimality_conditions.h"
 #include "saltus/optimality/hybrid_certificate.h"
 
@@ -74,9 +77,10 @@ struct Sweep {
 
 class HybridConditions {
  public:
-  HybridConditions(const HybridProblem& problem, const HybridInput& input)
+  HybridConditions(const HybridProblem& problem, const HybridInput& input, const std::vector<GuardTouch>& touches)
       : problem_(problem),
         input_(input),
+        touches_(touches),
         system_(problem.system),
         functions_(system_.functions()),
         shooting_(problem),
@@ -144,9 +148,19 @@ class HybridConditions {
       if (!IsStationaryOnGrid(result)) result.impacts = of_moving_grid;
       JudgeControl(&result);
     }
-    if (result.IsStationary()) {
+    if (result.IsStationary() && touches_.empty()) {
       result.curvature = FindCurvature(moving);
       JudgeControl(&result);
+    }
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      if (constraints_[c].term >= 0) continue;
+      const GuardTouch& touch = touches_[constraints_[c].row];
+      result.impacts.push_back({.time = touch.time,
+                                .a = system_.ModeName(touch.mode),
+                                .b = system_.GuardName(touch.mode, touch.guard),
+                                .multiplier = theta_[num_events() + static_cast<Eigen::Index>(c)],
+                                .on_node = true,
+                                .theta = std::nullopt});
     }
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
@@ -247,7 +261,7 @@ class HybridConditions {
       // A step ends where the next one begins.
       const double begin = simulator().StepTime(i);
       const double end = i + 1 < count ? simulator().StepTime(i + 1) : input_.duration;
-      if (end > begin) steps_.push_back(Linearized(i, IntervalAt(0.5 * (begin + end)), phase, begin, end));
+      if (end > begin) AddStep(i, phase, begin, end);
     }
     for (const HybridEvent& event : events()) {
       const auto next = std::upper_bound(times_.begin(), times_.end(), event.time);
@@ -268,6 +282,26 @@ class HybridConditions {
     return std::clamp(static_cast<int>(next - times_.begin()) - 1, 0, input_.num_intervals - 1);
   }
 
+  // Adds a step, or two if a guard touches zero within it.
+  void AddStep(int i, int phase, double begin, double end) {
+    const int mode = simulator().StepMode(i);
+    const auto within = [&](const GuardTouch& touch) {
+      return touch.mode == mode && touch.time > begin && touch.time < end;
+    };
+    const auto touch = std::ranges::find_if(touches_, within);
+    const double middle = touch == touches_.end() ? end : touch->time;
+    steps_.push_back(Linearized(i, IntervalAt(0.5 * (begin + end)), phase, begin, middle));
+    if (touch == touches_.end()) return;
+    Step rest = steps_.back();
+    rest.begin = middle;
+    rest.end = end;
+    const ModePoint from{mode, begin, steps_.back().state.data(), ControlOf(rest.interval), input_.parameters.data()};
+    integrator_.Step({from, middle - begin, rest.projects}, rest.state.data());
+    const ModePoint at{mode, middle, rest.state.data(), from.u, from.p};
+    rest.by = integrator_.Jacobian({at, end - middle, rest.projects});
+    steps_.push_back(std::move(rest));
+  }
+
   Step Linearized(int i, int interval, int phase, double begin, double end) {
     const int mode = simulator().StepMode(i), n = system_.state_size(mode);
     // A step to an event is projected by the reset.
@@ -282,7 +316,7 @@ class HybridConditions {
   // ------------------------------------------------------------------------------------------------------- multipliers
 
   struct Constraint {
-    int term = 0, row = 0;  // of terms_
+    int term = 0, row = 0;  // of terms_; or -1 and which of the touches
     bool inequality = false;
   };
 
@@ -296,6 +330,7 @@ class HybridConditions {
         constraints_.push_back({static_cast<int>(i), static_cast<int>(row), inequality});
       }
     }
+    for (int i = 0; i < std::ssize(touches_); ++i) constraints_.push_back({-1, i, true});
   }
 
   // Returns the weights, over the objective and all multipliers, that select one multiplier.
@@ -415,6 +450,12 @@ class HybridConditions {
     for (const Source& source : at_end) {
       if (source.state.size() > 0) costate += source.state;
     }
+    const ModePoint end{simulator().final_mode(),
+                        input_.duration,
+                        simulator().final_state().data(),
+                        ControlOf(K - 1),
+                        input_.parameters.data()};
+    AddTouches(end, num_events(), weights, &costate, &sweep);
     VectorXd by_flow = VectorXd::Zero(K * m), by_flow_size = VectorXd::Zero(K * m), terms;
     int event = num_events() - 1, interval = K;
     // Adds the states at the beginnings of intervals that are not before `time`.
@@ -444,6 +485,12 @@ class HybridConditions {
       sweep.parameters += by.segment(n + 1, P).transpose();
       sweep.parameters_size += terms.segment(n + 1, P);
       costate = by.head(n).transpose();
+      const double* x = step.state.data();
+      AddTouches({step.mode, step.begin, x, ControlOf(step.interval), input_.parameters.data()},
+                 step.phase,
+                 weights,
+                 &costate,
+                 &sweep);
       add_interval_states(step.begin);
     }
     for (; event >= 0; --event) JumpBack(event, weights[1 + event], at_event, &sweep, &by_flow, &costate, costates);
@@ -464,6 +511,25 @@ class HybridConditions {
       size = std::max(size, (std::abs(own_control[i]) + by_flow_size[i]) / length);
     }
     return sweep;
+  }
+
+  // Adds the derivatives of the guards that touch zero at a point: of the constraints -g <= 0.
+  void AddTouches(const ModePoint& at, int phase, const VectorXd& weights, VectorXd* costate, Sweep* sweep) const {
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      const double weight = weights[1 + num_events() + static_cast<Eigen::Index>(c)];
+      if (constraints_[c].term >= 0 || weight == 0) continue;
+      const GuardTouch& touch = touches_[constraints_[c].row];
+      if (touch.mode != at.mode || touch.time != at.t) continue;
+      const int n = system_.state_size(at.mode), P = system_.num_parameters();
+      VectorXd gradient(n + 1 + P + width());
+      functions_.GuardGradient(at, touch.guard, gradient.data());
+      gradient *= -weight;
+      *costate += gradient.head(n);
+      AddTime(at.t, phase, gradient[n], &sweep->times);
+      sweep->scale += gradient[n] * at.t / input_.duration;
+      sweep->parameters += gradient.segment(n + 1, P);
+      sweep->parameters_size += gradient.segment(n + 1, P).cwiseAbs();
+    }
   }
 
   // Computes the costate before event k from that after it; by_flow is the derivative by the control.
@@ -638,7 +704,7 @@ class HybridConditions {
   // Returns the least size of the terms of a component of the control. If the component is zero but for errors of the
   // solution, so are its terms: it is the part of the loss that its change by its size would have to change.
   double LeastSizeOfControl(int component) const {
-    return is_zero_[component] ? kSmallTerms * std::abs(loss_) / (input_.duration * control_sizes_[component]) : 0;
+    return is_zero_[component] ? std::abs(loss_) / (input_.duration * control_sizes_[component]) : 0;
   }
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return control_sizes_[variable.index % width()];
@@ -1185,6 +1251,7 @@ class HybridConditions {
 
   const HybridProblem& problem_;
   HybridInput input_;
+  const std::vector<GuardTouch>& touches_;
   const HybridSystem& system_;
   const HybridFunctions& functions_;
   HybridShooting shooting_;
@@ -1210,11 +1277,22 @@ class HybridConditions {
 
 }  // namespace
 
+Certificate CertifyWithTouches(const HybridProblem& problem, const HybridInput& input,
+                               const std::vector<GuardTouch>& touches) {
+  return HybridConditions(problem, input, touches).Run();
+}
+
 Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
   Certificate wrong;
   wrong.reason = WhatIsWrongWith(input, problem.system);
   if (wrong.reason.empty() && input.begin != 0) wrong.reason = "the motion does not begin at time 0";
-  return wrong.reason.empty() ? HybridConditions(problem, input).Run() : wrong;
+  if (!wrong.reason.empty()) return wrong;
+  Certificate certificate = CertifyWithTouches(problem, input, {});
+  const bool smooth = certificate.verdict != Certificate::Verdict::kNotApplicable &&
+                      certificate.verdict != Certificate::Verdict::kNotStationary;
+  if (smooth) return certificate;
+  Certificate kinks = CertifyKinks(problem, input);
+  return kinks.verdict == Certificate::Verdict::kNotApplicable ? certificate : kinks;
 }
 
 }  // namespace saltus

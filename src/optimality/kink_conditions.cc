@@ -1,74 +1,91 @@
 #include "optimality/kink_conditions.h"
 
+#include <ceres/cost_function.h>
+
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 
-#include "base/linear_algebra.h"
-#include "optimality/optimality_conditions.h"
+#include "control/hybrid_shooting.h"
+#include "hybrid/runge_kutta.h"
+#include "optimality/hybrid_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
-#include "saltus/simulate/exact_run.h"
-#include "simulate/flight.h"
+#include "saltus/control/scene_problem.h"
 
 namespace saltus {
 namespace {
 
 using Eigen::VectorXd;
 
-constexpr double kAtEnd = 1e-6;   // of the duration
-constexpr double kTouch = 1e-6;   // of the distance of a contact
-constexpr double kApart = 1e-3;   // of the duration, between a touch and an impact of the same pair
-constexpr double kKick = 1e-5;    // an impulse, in natural units
-constexpr double kNoJump = 1e-9;  // of the loss
+constexpr double kAtEnd = 1e-8;    // of the duration
+constexpr double kBefore = 1e-10;  // of the duration: before an event
+constexpr double kOpen = 1e-6;     // of the duration: before the end, where no event is near
+constexpr double kTouch = 1e-6;    // of the size of a guard
+constexpr double kApart = 1e-3;    // of the duration, between a touch and an event of the same guard
+constexpr double kKick = 1e-5;     // the largest part of the size of a state that a jump is
+constexpr double kTilt = 1e-6;     // of the size of the state, by which a rate is changed
+constexpr double kNoJump = 1e-9;   // of the loss
+constexpr int kHalvings = 60;      // of a step in which a guard is least
 
 struct Kink {
-  Candidate pair;
-  double time = 0;
-  bool strikes = false;
+  int mode = 0, guard = 0;
+  double time = 0;        // s; that of a strike without its event is behind the final time
+  bool strikes = false;   // the guard falls through zero at the final time
+  bool has_event = true;  // of a strike: it is one of the motion
+};
+
+// The row (t - T) / T of the time t of an event.
+class EventTimeRow final : public ceres::SizedCostFunction<1, 1> {
+ public:
+  explicit EventTimeRow(double duration) : duration_(duration) {}
+  bool Evaluate(double const* const* blocks, double* row, double** jacobians) const override {
+    row[0] = blocks[0][0] / duration_ - 1;
+    if (jacobians != nullptr && jacobians[0] != nullptr) jacobians[0][0] = 1 / duration_;
+    return true;
+  }
+
+ private:
+  const double duration_;
 };
 
 class KinkCertifier {
  public:
-  KinkCertifier(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                const std::vector<double>& lengths, const ExactRun& exact, const StopRequest& stop)
-      : scene_(scene),
-        initial_(initial),
-        control_(control),
-        lengths_(lengths),
-        exact_(exact),
-        stop_(stop),
-        flight_(scene, initial, control, lengths, exact) {}
+  KinkCertifier(const HybridProblem& problem, const HybridInput& input)
+      : problem_(At(problem, input)),
+        input_(problem_.guess),
+        functions_(problem_.system.functions()),
+        shooting_(problem_),
+        integrator_(functions_) {}
 
   Certificate Run() {
-    Certificate certificate;
+    HybridShooting::Outcome outcome;
+    if (functions_.CreatesModes() || !shooting_.Simulate(input_, &outcome)) return {};
+    loss_ = outcome.loss;
     FindKinks();
-    if (kinks_.empty()) return certificate;
-    const VectorXd with = Gradient(), multipliers = Multipliers(with);
-    const double residual = Residual(with, multipliers);
-    if (!(residual <= kCertificateTolerance)) return certificate;
-    certificate.stationarity = residual;
+    if (kinks_.empty()) return {};
+    Certificate certificate = CertifySide(nullptr);
+    const bool leaves_node = std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode);
+    if (leaves_node && certificate.verdict == Certificate::Verdict::kNotStationary) return certificate;
+    if (!certificate.IsStationary()) return {};
     certificate.verdict = Certificate::Verdict::kStationaryOnGrid;
+    certificate.curvature.reset();
     std::string names;
-    for (std::size_t i = 0; i < kinks_.size(); ++i) {
-      const Kink& kink = kinks_[i];
-      const double multiplier = kink.strikes ? -multipliers[i] : multipliers[i];
-      const auto& [a, b] = NamesOf(kink.pair);
-      certificate.impacts.push_back({.time = kink.time,
-                                     .a = a,
-                                     .b = b,
-                                     .speed = 0,
-                                     .multiplier = multiplier,
-                                     .on_node = true,
-                                     .theta = std::nullopt});
-      const std::string name = a + "-" + b + (kink.strikes ? " strike at the final time" : " just touch");
+    for (const Kink& kink : kinks_) {
+      const std::string guard = problem_.system.GuardName(kink.mode, kink.guard);
+      const std::string name = guard + (kink.strikes ? " at the final time" : " just touches");
       names += (names.empty() ? "" : ", ") + name;
-      const std::string wrong = multiplier < -Noise() ? "on the side of this motion" : WhyOtherSideIsLess(kink, i);
-      if (wrong.empty()) continue;
+      const std::optional<std::string> less = WhyOtherSideIsLess(kink);
+      if (!less) return {};
+      if (less->empty()) continue;
       certificate.verdict = Certificate::Verdict::kNotStationary;
-      certificate.reason = name + ", and the loss falls " + wrong;
+      certificate.reason = name + ", and the loss falls " + *less;
       return certificate;
     }
     certificate.reason = names + ": a kink, with multipliers of the right sign on both sides";
@@ -76,163 +93,298 @@ class KinkCertifier {
   }
 
  private:
-  std::pair<std::string, std::string> NamesOf(const Candidate& pair) const {
-    return {scene_.bodies[pair.a].name, pair.plane ? scene_.planes[pair.b].name : scene_.bodies[pair.b].name};
+  static HybridProblem At(HybridProblem problem, const HybridInput& input) {
+    problem.guess = input;
+    if (problem.guess.control.empty()) {
+      problem.guess.control.assign(static_cast<std::size_t>(input.num_intervals) * problem.system.num_controls(), 0.0);
+    }
+    problem.guess_states.clear();
+    if (problem.integration.steps_per_interval == 0) {
+      // The final state of a motion with an event at its end is not accurate, however many steps it has.
+      HybridSimulator simulator(problem.system, problem.integration);
+      if (simulator.Rollout(Until(problem.guess, (1 - kOpen) * input.duration))) {
+        problem.integration.steps_per_interval = simulator.steps_per_interval();
+      }
+    }
+    return problem;
   }
+
+  int width() const { return problem_.system.num_controls(); }
+  HybridSimulator& simulator() { return shooting_.simulator(); }
+  ModePoint PointAt(int mode, double t, const double* x) const {
+    const std::vector<double> times = input_.Times();
+    const auto next = std::ranges::upper_bound(times, t - kBefore * input_.duration);
+    const auto k = std::clamp<std::ptrdiff_t>(next - times.begin() - 1, 0, input_.num_intervals - 1);
+    return {mode, t, x, input_.control.data() + k * width(), input_.parameters.data()};
+  }
+  // Returns the rate of a guard, and sets its value.
+  double RateAt(const ModePoint& at, int guard, double* value) const {
+    std::vector<double> slope(functions_.most_states());
+    functions_.Flow(at, slope.data());
+    double rate = 0;
+    *value = functions_.GuardRate(at, guard, slope.data(), &rate);
+    return rate;
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ kinks
 
   void FindKinks() {
-    for (const Flight::Hit& hit : flight_.hits()) {
-      if (hit.time >= scene_.duration * (1 - kAtEnd)) kinks_.push_back({hit.contact, hit.time, true});
+    const double end = input_.duration * (1 - kAtEnd);
+    for (const HybridEvent& event : simulator().events()) {
+      if (event.time >= end) kinks_.push_back({event.mode, event.guard, event.time, true, true});
     }
-    for (const Candidate& pair : AllPairs(scene_)) {
-      const auto [time, gap] = NearestPassOf(scene_, flight_, pair);
-      const bool near = std::ranges::any_of(flight_.hits(), [&, at = time](const Flight::Hit& hit) {
-        return hit.contact == pair && std::abs(hit.time - at) <= kApart * scene_.duration;
+    const bool has_end = !kinks_.empty();
+    std::map<std::pair<int, int>, double> sizes;
+    std::vector<std::pair<Kink, double>> least;  // with their values
+    const int count = simulator().num_steps();
+    for (int i = 0; i < count; ++i) {
+      if (simulator().IsReset(i)) continue;
+      const int mode = simulator().StepMode(i);
+      const double begin = simulator().StepTime(i),
+                   length = (i + 1 < count ? simulator().StepTime(i + 1) : input_.duration) - begin;
+      const ModePoint from = PointAt(mode, begin + 2 * kBefore * input_.duration, simulator().StepState(i).data());
+      for (int guard = 0; guard < functions_.num_guards(mode); ++guard) {
+        double& size = sizes[{mode, guard}];
+        double value = 0, at_end = 0;
+        const double falls = RateAt({mode, begin, from.x, from.u, from.p}, guard, &value);
+        size = std::max(size, std::abs(value));
+        if (functions_.IsSwitch(mode, guard) || !(length > 0)) continue;
+        const double rises = RateAfter(from, begin, length, guard, &at_end);
+        const bool is_last = i + 1 == count;
+        if (falls < 0 && rises >= 0) {
+          least.push_back(LeastWithin(from, begin, length, guard));
+        } else if (is_last && rises < 0 && !has_end) {
+          least.emplace_back(Kink{mode, guard, input_.duration + at_end / -rises, true, false}, at_end);
+        }
+      }
+    }
+    for (const auto& [kink, value] : least) {
+      const bool near = std::ranges::any_of(simulator().events(), [&, &kink = kink](const HybridEvent& event) {
+        return event.guard == kink.guard && std::abs(event.time - kink.time) <= kApart * input_.duration;
       });
-      if (!near && time > 0 && std::abs(gap) <= kTouch) kinks_.push_back({pair, time, false});
+      if (!near && std::abs(value) <= kTouch * sizes[{kink.mode, kink.guard}]) kinks_.push_back(kink);
     }
-    gaps_.resize(static_cast<Eigen::Index>(control_.size()), static_cast<Eigen::Index>(kinks_.size()));
-    for (Eigen::Index i = 0; i < gaps_.cols(); ++i) gaps_.col(i) = GapGradient(kinks_[i]);
   }
 
-  // The motion until `time`, without the impacts from there on.
-  struct Part {
-    std::vector<double> control, lengths;
-    ExactRun run;
+  double RateAfter(const ModePoint& from, double begin, double length, int guard, double* value) {
+    std::vector<double> after(functions_.most_states());
+    integrator_.Step({{from.mode, begin, from.x, from.u, from.p}, length, false}, after.data());
+    return RateAt({from.mode, begin + length, after.data(), from.u, from.p}, guard, value);
+  }
+
+  // Halves a step in which a guard falls first and then rises.
+  std::pair<Kink, double> LeastWithin(const ModePoint& from, double begin, double length, int guard) {
+    double low = 0, high = length, value = 0;
+    for (int k = 0; k < kHalvings; ++k) {
+      const double middle = 0.5 * (low + high);
+      (RateAfter(from, begin, middle, guard, &value) < 0 ? low : high) = middle;
+    }
+    return {Kink{from.mode, guard, begin + high, false, false}, value};
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ sides
+
+  // Returns the input until a time, to which the last interval is made longer if that is behind its end.
+  static HybridInput Until(HybridInput input, double time) {
+    std::vector<double> times = input.Times();
+    times.back() = std::max(times.back(), time);
+    const std::size_t width = input.control.size() / static_cast<std::size_t>(input.num_intervals);
+    input.lengths.clear();
+    for (int k = 0; k < input.num_intervals && times[k] < time; ++k) {
+      input.lengths.push_back(std::min(times[k + 1], time) - times[k]);
+    }
+    input.num_intervals = static_cast<int>(input.lengths.size());
+    input.control.resize(input.lengths.size() * width);
+    input.duration = time;
+    return input;
+  }
+
+  // The motion on one side of the kinks: of all strikes as they are, but of `other` the other side.
+  struct Side {
+    HybridProblem problem;
+    HybridInput input;
+    std::vector<GuardTouch> touches;
   };
-  Part Until(double time) const {
-    Part part;
-    double begin = 0;
-    for (std::size_t k = 0; k < lengths_.size() && begin < time; begin += lengths_[k++]) {
-      part.lengths.push_back(std::min(lengths_[k], time - begin));
-      const auto row = control_.begin() + static_cast<std::ptrdiff_t>(scene_.ForceIndex(k, 0));
-      part.control.insert(part.control.end(), row, row + scene_.control_width());
-    }
-    part.run.ok = true;
-    for (std::size_t i = 0; i < flight_.hits().size(); ++i) {
-      if (flight_.hits()[i].time >= time - kAtEnd * scene_.duration) break;
-      part.run.contacts.push_back(exact_.contacts[i]);
-      part.run.places.push_back(exact_.places[i]);
-    }
-    return part;
-  }
-
-  // Returns the gradient of the gap at the kink by the control; to first order the gap is linear in the positions.
-  VectorXd GapGradient(const Kink& kink) const {
-    Scene scene = scene_;
-    scene.duration = kink.time;
-    scene.objective = {};
-    const Vec2d normal = SeparationOf(scene_, kink.pair, flight_.Before(kink.time).p).normal;
-    for (int side = 0; side < (kink.pair.plane ? 1 : 2); ++side) {
-      for (int j = 0; j < 2; ++j) {
-        const int body = side == 0 ? kink.pair.a : kink.pair.b;
-        scene.objective.terminal.push_back(
-            {.body = body, .component = j, .weight = side == 0 ? normal[j] : -normal[j]});
+  // Returns the side, with the rows that keep motions there. Its motion ends just before a strike without its event,
+  // and just behind one with it; nothing if one of several strikes is with its event, and another one without.
+  std::optional<Side> SideOf(const Kink* other) const {
+    Side side{problem_, input_, {}};
+    bool with = false, without = false;
+    for (const Kink& kink : kinks_) {
+      if (!kink.strikes) {
+        side.touches.push_back({kink.mode, kink.guard, kink.time});
+        continue;
+      }
+      if (problem_.free.duration) return std::nullopt;  // the kink would move with it
+      const bool has_event = kink.has_event != (&kink == other);
+      if (has_event) {
+        with = true;
+        HybridTerm term{.name = "kink", .at = HybridTerm::At::kEvent, .role = HybridTerm::Role::kInequality};
+        const std::string name = problem_.system.GuardName(kink.mode, kink.guard);
+        const auto is_same = [&](const HybridEvent& event) {
+          return problem_.system.GuardName(event.mode, event.guard) == name && event.time < kink.time;
+        };
+        term.event = name;
+        term.with_time = true;
+        term.occurrence = static_cast<int>(std::ranges::count_if(shooting_.simulator().events(), is_same));
+        if (!kink.has_event) side.input = Until(input_, kink.time + kBefore * input_.duration);
+        term.function = std::make_shared<EventTimeRow>(side.input.duration);
+        side.problem.terms.push_back(std::move(term));
+      } else {
+        without = true;
+        if (kink.has_event) side.input = Until(input_, kink.time - kBefore * input_.duration);
+        side.touches.push_back({kink.mode, kink.guard, side.input.duration});
       }
     }
-    const Part part = Until(kink.time);
-    const Flight flight(scene, initial_, part.control, part.lengths, part.run);
-    const VectorXd until = CondensedLoss(scene, flight, part.control, part.lengths).Gradient();
-    VectorXd gradient = VectorXd::Zero(static_cast<Eigen::Index>(control_.size()));
-    gradient.head(until.size()) = until;
-    return gradient;
+    if (with && without) return std::nullopt;
+    return side;
+  }
+  Certificate CertifySide(const Kink* other) const {
+    const std::optional<Side> side = SideOf(other);
+    return side ? CertifyWithTouches(side->problem, side->input, side->touches) : Certificate();
   }
 
-  // Returns the gradient of the loss, with the strikes at the final time.
-  VectorXd Gradient() const {
-    std::vector<std::optional<double>> early(flight_.hits().size());
-    for (std::size_t k = 0; k < early.size(); ++k) {
-      if (flight_.hits()[k].time >= scene_.duration * (1 - kAtEnd)) early[k] = 1;
+  // Returns how the other side of a kink has a lower loss; empty if it has not; nothing if that cannot be computed.
+  std::optional<std::string> WhyOtherSideIsLess(const Kink& kink) {
+    HybridSimulator before(problem_.system, problem_.integration);
+    const double time = std::min(kink.time, input_.duration) - (kink.strikes ? kBefore * input_.duration : 0);
+    if (!before.Rollout(Until(input_, time)) || before.final_mode() != kink.mode) return std::nullopt;
+    const std::vector<double> x(before.final_state().begin(), before.final_state().end());
+    const ModePoint at = PointAt(kink.mode, time, x.data());
+    std::vector<double> after(functions_.most_states());
+    const int next = functions_.Reset(at, kink.guard, after.data());
+    if (next < 0) return "";  // no motion has this event
+    if (!kink.strikes) {
+      const std::optional<double> slope = SlopeByJump(kink, at, next);
+      if (!slope) return std::nullopt;
+      return *slope < -kCertificateTolerance ? "with an event" : "";
     }
-    return CondensedLoss(scene_, flight_, control_, lengths_, std::move(early)).Gradient();
+    const std::string falls = kink.has_event ? "without the event" : "with the event";
+    const std::optional<Side> side = SideOf(&kink);
+    if (!side) return std::nullopt;
+    HybridShooting shooting(side->problem);
+    HybridShooting::Outcome outcome;
+    if (!shooting.Simulate(side->input, &outcome)) return std::nullopt;
+    const double left_out = 100 * std::abs(1 - side->input.duration / input_.duration);
+    const double jump = outcome.loss - loss_, noise = std::max(kNoJump, left_out) * std::abs(loss_);
+    if (std::abs(jump) > noise) return jump < 0 ? falls : "";
+    return CertifySide(&kink).IsStationary() ? "" : falls;
   }
 
-  VectorXd Multipliers(const VectorXd& gradient) const { return LeastSquaresSolution(gaps_, gradient); }
-
-  // Returns the residual of 2 effort m u + lambda_v in the mean over an interval, relative to the largest 2 effort m u.
-  double Residual(const VectorXd& gradient, const VectorXd& multipliers) const {
-    const VectorXd left = gradient - gaps_ * multipliers;
-    double largest = 0, scale = 0;
-    const int width = scene_.control_width();
-    for (Eigen::Index i = 0; i < left.size(); ++i) {
-      const double mass = scene_.bodies[scene_.control.bodies[i % width / 2]].mass;
-      largest = std::max(largest, mass / lengths_[i / width] * std::abs(left[i]));
-      scale = std::max(scale, 2 * scene_.objective.effort * mass * std::abs(control_[i]));
+  // Returns the sizes of the components of the state over the motion.
+  VectorXd SizesOf(int mode) {
+    VectorXd sizes = VectorXd::Zero(problem_.system.state_size(mode));
+    for (int i = 0; i < simulator().num_steps(); ++i) {
+      const std::span<const double> x = simulator().StepState(i);
+      if (simulator().StepMode(i) != mode) continue;
+      sizes = sizes.cwiseMax(Eigen::Map<const VectorXd>(x.data(), sizes.size()).cwiseAbs());
     }
-    return largest / std::max(scale, 1e-300);
+    const double largest = sizes.maxCoeff();
+    return sizes.unaryExpr([&](double size) { return size > 0 ? size : std::max(largest, 1.0); });
   }
 
-  // Returns the rounding error of multipliers and slopes.
-  double Noise() const { return kNoJump * std::max(1.0, std::abs(exact_.loss)); }
-
-  std::string WhyOtherSideIsLess(const Kink& kink, std::size_t i) const {
-    if (!kink.strikes) return SlopeByImpulse(kink) < -kCertificateTolerance ? "with an impact" : "";
-    const Part part = Until(scene_.duration);
-    const Flight flight(scene_, initial_, control_, lengths_, part.run);
-    const auto terminal = [&](const DiscStates& end) {
-      std::vector<double> state;
-      for (std::size_t body = 0; body < end.p.size(); ++body) {
-        state.insert(state.end(), {end.p[body][0], end.p[body][1], end.v[body][0], end.v[body][1]});
-      }
-      return TerminalLoss(scene_.objective, state, 4);
+  // Returns the derivative of the loss by the jump of the state that the reset is behind a touch, as a part of the size
+  // of the state; nothing if the jump does not vanish with the rate of the guard, or if it leads to no motion.
+  std::optional<double> SlopeByJump(const Kink& kink, const ModePoint& at, int next) {
+    const VectorXd sizes = SizesOf(kink.mode);
+    const Eigen::Map<const VectorXd> x(at.x, sizes.size());
+    const auto rate = [&](const VectorXd& state) {
+      double value = 0;
+      return RateAt({kink.mode, at.t, state.data(), at.u, at.p}, kink.guard, &value);
     };
-    const double jump = terminal(flight.end()) - terminal(flight_.end());
-    if (std::abs(jump) > Noise()) return jump < 0 ? "without the impact" : "";
-    const VectorXd without = CondensedLoss(scene_, flight, control_, lengths_).Gradient();
-    const VectorXd multipliers = Multipliers(without);
-    if (Residual(without, multipliers) > kCertificateTolerance) return "without the impact";
-    return multipliers[static_cast<Eigen::Index>(i)] < -Noise() ? "without the impact" : "";
-  }
-
-  // Returns the derivative of the loss by an impulse between the pair as it touches.
-  double SlopeByImpulse(const Kink& kink) const {
-    Scene rest = scene_;
-    rest.duration = scene_.duration - kink.time;
-    const Part part = Until(kink.time);
-    const std::size_t skipped = part.lengths.size() - 1;
-    std::vector<double> lengths(lengths_.begin() + static_cast<std::ptrdiff_t>(skipped), lengths_.end());
-    lengths[0] -= part.lengths.back();
-    const std::vector<double> control(control_.begin() + static_cast<std::ptrdiff_t>(scene_.ForceIndex(skipped, 0)),
-                                      control_.end());
-    const DiscStates x = flight_.Before(kink.time);
-    const Vec2d normal = SeparationOf(scene_, kink.pair, x.p).normal;
-    const ImpactConstants law = MakeImpactConstants(scene_, kink.pair);
-    const auto loss = [&](double impulse) {
-      std::vector<double> start;
-      for (int body = 0; body < scene_.num_bodies(); ++body) {
-        Vec2d v = x.v[body];
-        if (body == kink.pair.a) v += impulse * law.inverse_mass_a * normal;
-        if (!kink.pair.plane && body == kink.pair.b) v -= impulse * law.inverse_mass_b * normal;
-        start.insert(start.end(), {x.p[body][0], x.p[body][1], v[0], v[1]});
-      }
-      const ExactRun run = SimulateExactly(rest, start, control, lengths, stop_);
-      return run.ok ? run.loss : std::numeric_limits<double>::quiet_NaN();
+    VectorXd by = VectorXd::Zero(sizes.size());  // of the rate, by parts of the sizes
+    for (Eigen::Index i = 0; i < sizes.size(); ++i) {
+      VectorXd above = x, below = x;
+      above[i] += kTilt * sizes[i];
+      below[i] -= kTilt * sizes[i];
+      by[i] = (rate(above) - rate(below)) / (2 * kTilt);
+    }
+    if (problem_.system.state_size(next) != sizes.size() || by.isZero(0)) return std::nullopt;
+    const auto jump_from = [&](double tilt) {
+      const VectorXd tilted = x - tilt * by.normalized().cwiseProduct(sizes);
+      VectorXd after(functions_.most_states());
+      functions_.Reset({kink.mode, at.t, tilted.data(), at.u, at.p}, kink.guard, after.data());
+      return VectorXd((after.head(sizes.size()) - tilted).cwiseQuotient(sizes));
     };
-    return (loss(2 * kKick) - loss(kKick)) / kKick;
+    const VectorXd jump = jump_from(kTilt);
+    if (!(jump.norm() > 0)) return 0;
+    if (!((jump_from(2 * kTilt) - 2 * jump).norm() < 0.1 * jump.norm())) return std::nullopt;
+    const VectorXd step = jump.normalized().cwiseProduct(sizes);
+    const auto loss = [&](double part) { return LossBehind(kink, next, x + part * step); };
+    const double slope = (loss(2 * kKick) - loss(kKick)) / kKick / std::abs(loss_);
+    return std::isfinite(slope) ? std::optional(slope) : std::nullopt;
   }
 
-  const Scene& scene_;
-  const std::vector<double>&initial_, &control_, &lengths_;
-  const ExactRun& exact_;
-  const StopRequest& stop_;
-  Flight flight_;
+  // Returns the loss behind a kink from a state there; not a number without a motion.
+  double LossBehind(const Kink& kink, int mode, const VectorXd& state) const {
+    HybridProblem rest = problem_;
+    HybridInput input = input_;
+    const int skipped = Until(input_, kink.time).num_intervals - 1;
+    const std::vector<double> times = input_.Times();
+    input.mode = mode;
+    input.initial.assign(state.begin(), state.end());
+    input.begin = input_.begin + kink.time;
+    input.duration = input_.duration - kink.time;
+    input.control.erase(input.control.begin(), input.control.begin() + static_cast<std::ptrdiff_t>(skipped) * width());
+    input.num_intervals = input_.num_intervals - skipped;
+    input.lengths = {times[skipped + 1] - kink.time};
+    for (int k = skipped + 1; k < input_.num_intervals; ++k) input.lengths.push_back(times[k + 1] - times[k]);
+    rest.terms.clear();
+    for (const HybridTerm& term : problem_.terms) {
+      if (term.at == HybridTerm::At::kEnd) {
+        rest.terms.push_back(term);
+        continue;
+      }
+      for (int k = skipped + 1; k < input_.num_intervals; ++k) {
+        if (term.interval >= 0 && term.interval != k) continue;
+        rest.terms.push_back(term);
+        rest.terms.back().interval = k - skipped;
+      }
+    }
+    rest.guess = input;
+    rest.guess.begin = 0;
+    HybridShooting shooting(rest);
+    HybridShooting::Outcome outcome;
+    return shooting.Simulate(input, &outcome) ? outcome.loss : std::numeric_limits<double>::quiet_NaN();
+  }
+
+  const HybridProblem problem_;
+  const HybridInput& input_;
+  const HybridFunctions& functions_;
+  mutable HybridShooting shooting_;
+  RungeKutta integrator_;
   std::vector<Kink> kinks_;
-  Eigen::MatrixXd gaps_;  // the derivatives of their gaps by the control, a column each
+  double loss_ = 0;
 };
 
 }  // namespace
 
+Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input) {
+  return KinkCertifier(problem, input).Run();
+}
+
 Certificate CertifyKinks(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations, const StopRequest& stop) {
-  Certificate none;
+                         const std::vector<double>& durations) {
   if (!BeyondTerminalCost(scene).empty() || scene.num_turned() > 0 || scene.Spins() || scene.objective.effort == 0 ||
-      !BeyondPlanes(scene).empty()) {
-    return none;
+      !WhyNoHybridProblem(scene).empty()) {
+    return {};
   }
-  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
-  if (!exact.ok || !exact.only_impacts || !exact.ambiguous.empty()) return none;
-  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
-  return KinkCertifier(scene, initial, control, lengths, exact, stop).Run();
+  const HybridProblem problem = HybridProblemOf(scene);
+  HybridInput input = problem.guess;
+  input.initial = initial;
+  input.control = control;
+  input.lengths = durations;
+  input.num_intervals = static_cast<int>(control.size()) / scene.control_width();
+  Certificate certificate = CertifyKinks(problem, input);
+  if (std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode)) return {};
+  const ContactSequence pairs = AllPairs(scene);
+  for (ImpactCertificate& impact : certificate.impacts) {
+    const auto pair = std::ranges::find_if(
+        pairs, [&](const Candidate& c) { return ContactSequenceToString(scene, {c}) == impact.b; });
+    impact.a = scene.bodies[pair->a].name;
+    impact.b = pair->plane ? scene.planes[pair->b].name : scene.bodies[pair->b].name;
+  }
+  return certificate;
 }
 
 }  // namespace saltus

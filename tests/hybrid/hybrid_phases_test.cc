@@ -623,6 +623,39 @@ TEST(HybridCertificate, FindsThatAControlIsNotOptimal) {
   EXPECT_GT(certificate.stationarity, 0.1);
 }
 
+// A ball without weight above a floor at 0.
+HybridProblem PushedDown(double target, double weight) {
+  HybridProblem problem{.system = HybridSystem(BouncingBall()),
+                        .guess = {.initial = {1, 0}, .parameters = {0, 0.5}, .duration = 1, .num_intervals = 10},
+                        .terms = {MakeTerminalCost(0, target, weight, 2), MakeEffortCost(1, 1)}};
+  problem.guess.control.assign(10, -1.0);
+  problem.free.control = true;
+  return problem;
+}
+
+// The target is below the floor, which the ball reaches at the final time, with the least effort for this: later, the
+// loss falls with x(T) until it is zero; earlier, the ball bounces and x(T) is above zero again. The loss without the
+// event has the gradient nu grad x(T), nu = 2 weight (0 - target) - multiplier of the effort, on its side.
+TEST(HybridCertificate, HoldsOnBothSidesOfAnEventAtTheFinalTime) {
+  double squares = 0;
+  for (int k = 0; k < 10; ++k) squares += std::pow(0.1 * (1 - (k + 0.5) * 0.1), 2);
+  const double effort = 0.1 / squares;  // 0.1 sum u^2 for x(1) = 1 + sum_k 0.1 (1 - (k + 0.5) 0.1) u_k = 0
+  const double target = -1, weight = 100;
+  for (const char* solver : {"ceres_phases", "auto"}) {
+    const HybridProblem problem = PushedDown(target, weight);
+    const SolveReport report = Solve(solver, problem, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_NEAR(report.final_loss, weight * target * target + effort, 1e-5);
+    ASSERT_TRUE(report.certificate);
+    EXPECT_EQ(report.certificate->verdict, kStationaryOnGrid) << report.certificate->reason;
+    EXPECT_THAT(report.certificate->reason, HasSubstr("at the final time: a kink"));
+  }
+  // The control of the least effort is no optimum where a target above the floor is better.
+  HybridProblem above = PushedDown(0.5, weight);
+  for (int k = 0; k < 10; ++k) above.guess.control[k] = -0.1 * (1 - (k + 0.5) * 0.1) / squares;
+  EXPECT_FALSE(Certify(above, above.guess).IsStationary());
+}
+
 TEST(HybridCertificate, AppliesOnlyToEventsThatCrossZero) {
   HybridProblem problem = ControlledBall(50);
   problem.guess.initial = {-0.1, 3};

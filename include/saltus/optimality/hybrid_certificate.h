@@ -21,7 +21,10 @@
 // size of the terms that cancel, and those of a component of the control to at least a hundredth of the largest such
 // size, because the terms of a component that is zero do not cancel. A component that is zero all the time, but for
 // errors of the solution, has no effect if a control that, held for the whole motion, changes a state by as much as the
-// largest state is changes the loss by less than 1e-8 of it.
+// largest state is changes the loss by less than 1e-6 of it.
+//
+// Where a guard just touches zero, or has its event at the final time, the loss has a kink, and the verdict
+// kStationaryOnGrid is that of one-sided conditions on both of its sides.
 //
 // The curvature is the second derivative of the Lagrangian along directions that satisfy active constraints and bounds,
 // with the times of events as functions of the variables. Intervals move with the events; on a fixed grid, events at
