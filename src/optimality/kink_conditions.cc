@@ -8,6 +8,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <string>
 #include <utility>
@@ -16,7 +17,6 @@
 #include "hybrid/runge_kutta.h"
 #include "optimality/hybrid_conditions.h"
 #include "saltus/control/contact_sequence.h"
-#include "saltus/control/objective.h"
 #include "saltus/control/scene_problem.h"
 
 namespace saltus {
@@ -363,17 +363,13 @@ Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input)
   return KinkCertifier(problem, input).Run();
 }
 
-Certificate CertifyKinks(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations) {
-  if (!BeyondTerminalCost(scene).empty() || scene.num_turned() > 0 || scene.Spins() || scene.objective.effort == 0 ||
-      !WhyNoHybridProblem(scene).empty()) {
-    return {};
-  }
+Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations) {
+  if (!WhyNoHybridProblem(scene).empty()) return {};
   const HybridProblem problem = HybridProblemOf(scene);
   HybridInput input = problem.guess;
-  input.initial = initial;
   input.control = control;
   input.lengths = durations;
+  if (!durations.empty()) input.duration = std::accumulate(durations.begin(), durations.end(), 0.0);
   input.num_intervals = static_cast<int>(control.size()) / scene.control_width();
   Certificate certificate = CertifyKinks(problem, input);
   if (std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode)) return {};

@@ -22,16 +22,14 @@
 
 namespace saltus {
 
-// The verdict is kStationaryOnGrid, as the gradient is that by the control on the given intervals, or kNotStationary if
-// a multiplier has the wrong sign; kNotApplicable without a kink, where the gradient is no combination of those of the
-// guards, and for constraints, terms at events or in some modes only, terms of the state at the start, systems that
-// create modes, and problems whose control has no cost of its own. The guards are among the impacts, with their
+// The verdict is kStationaryOnGrid if the conditions hold on both sides of each kink, and kNotStationary if they hold
+// on the side of the motion alone. It is kNotApplicable without a kink, where they do not hold on that side, for
+// systems that create modes, and for events at a final time that is free. The guards are among the impacts, with their
 // multipliers.
 Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input);
 
-// Certifies the kinks of a scene, as of the problem that it is (control/scene_problem.h). The verdict is kNotApplicable
-// also with what BeyondTerminalCost() names. Precondition: the scene optimizes a control.
-Certificate CertifyKinks(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations);
+// Certifies the kinks of a scene, as of the problem that it is. The verdict is kNotApplicable also for what
+// WhyNoHybridProblem() names (control/scene_problem.h). Precondition: the scene optimizes a control.
+Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations);
 
 }  // namespace saltus

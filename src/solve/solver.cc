@@ -198,7 +198,7 @@ void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* 
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
-    Certificate kinks = CertifyKinks(scene, report->initial_state, report->control, report->durations);
+    Certificate kinks = CertifyKinks(scene, report->control, report->durations);
     if (kinks.verdict != Certificate::Verdict::kNotApplicable) certificate = std::move(kinks);
   }
   for (size_t i = 0; i < certificate.parameters.size(); ++i) {  // of walls it has those from where they stand
