@@ -323,6 +323,14 @@ std::string WhyNotGaussNewton(const HybridProblem& problem) {
   return "";
 }
 
+SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options);
+
+// Solves, and again with more steps of the integration where the solution needs them, unless the solver does so itself.
+SolveReport SolveBy(const HybridSolverEntry& entry, const HybridProblem& problem, const SolverOptions& options) {
+  if (entry.solve == SolveHybridByModeSearch || entry.solve == SolveAutomatically) return entry.solve(problem, options);
+  return SolveWithEnoughSteps(problem, options, entry.solve);
+}
+
 SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options) {
   const HybridSystem& system = problem.system;
   std::string why = WhyNotHybridPhases(problem);
@@ -361,7 +369,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       start.guess = SolutionOf(problem, *from);
       start.guess_states.clear();
     }
-    report = entry.solve(start, of_solve);
+    report = SolveBy(entry, start, of_solve);
     const bool searches = system.functions().CreatesModes() && name != "mode_search";
     if (JudgeSolution(problem, &report) && searches) report.termination = Termination::kNoProgress;
     return report;
@@ -435,11 +443,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
     RenameEvents(without->system, problem.system, &report.optima);
     return report;
   }
-  if (entry->solve == SolveHybridByModeSearch) {
-    report = entry->solve(problem, options);  // whose solves have enough steps each
-  } else {
-    report = SolveWithEnoughSteps(problem, options, entry->solve);
-  }
+  report = SolveBy(*entry, problem, options);
   if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
   return report;
 }

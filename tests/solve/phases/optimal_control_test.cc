@@ -268,6 +268,38 @@ TEST(OptimalControl, RecogniseAGuessAtTheOptimum) {
   }
 }
 
+struct CartAndPole {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::cos, std::sin;
+    const T s = sin(x[1]), c = cos(x[1]), below = 1.0 + 0.3 * s * s;
+    xdot[0] = x[2];
+    xdot[1] = x[3];
+    xdot[2] = (u[0] + 0.3 * s * (0.5 * x[3] * x[3] + 9.81 * c)) / below;
+    xdot[3] = -2.0 * (u[0] * c + 0.15 * x[3] * x[3] * s * c + 1.3 * 9.81 * s) / below;
+  }
+};
+
+// The swing of the solution needs more steps of the integration than the guess, at which the first solver of `auto`
+// would be taken for one that has found no optimum: its certificate is that of a motion with too few steps.
+TEST(OptimalControl, AutomaticSolversHaveEnoughStepsEach) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  HybridProblem problem{.system = HybridSystem(Smooth<CartAndPole, 4, 1>()),
+                        .guess = {.initial = {0, 0, 0, 0}, .duration = 2, .num_intervals = 40},
+                        .terms = {MakeEffortCost(1, 1), MakeDurationCost(1)}};
+  problem.guess.control.assign(40, 0.1);
+  const std::array target = {0.5, std::numbers::pi, 0.0, 0.0};
+  for (int i = 0; i < 4; ++i) problem.terms.push_back(MakeTerminalCost(i, target[i], 100, 4));
+  problem.free = {.control = true, .duration = true, .duration_min = 0.6, .duration_max = 6};
+  const SolveReport report = Solve("auto", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_EQ(report.solver, "ipopt") << report.reason;
+  EXPECT_LT(report.iterations, 300);
+  EXPECT_NEAR(report.final_loss, Solve("ipopt", problem, {}).final_loss, 1e-7);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
+}
+
 // x' = v, v' = x^3 + u: without control the motion from (2, 0) leaves every bound before the final time. States on the
 // straight line to the target are near a motion, which exists.
 struct Escaping {
