@@ -13,7 +13,7 @@
 #include <cmath>
 #include <memory>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "saltus/control/batch.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/scene/scene.h"

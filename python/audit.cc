@@ -10,7 +10,7 @@
 #include "callable_box.h"
 #include "computation.h"
 #include "convert.h"
-#include "output/palette.h"
+#include "output/figure.h"
 #include "programs/audit.h"
 #include "programs/remarks.h"
 #include "saltus/control/control_rows.h"

@@ -8,8 +8,8 @@
 
 #include "arrays.h"
 #include "convert.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
-#include "programs/saved_solution.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
 

@@ -1,4 +1,6 @@
 // Solvers, with a callback, as the programs report them.
+#include "programs/solve.h"
+
 #include <pybind11/stl.h>
 
 #include <cmath>
@@ -7,7 +9,6 @@
 #include "base/number_text.h"
 #include "computation.h"
 #include "convert.h"
-#include "programs/solve_output.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/global/global_bound.h"
 #include "saltus/simulate/exact_run.h"

@@ -8,7 +8,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "saltus/solve/solver.h"
-#include "sweep/point.h"
+#include "sweep/results.h"
 #include "sweep/study.h"
 
 namespace saltus::python {

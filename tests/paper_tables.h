@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "base/csv.h"
-#include "paper/solver_comparison.h"
+#include "paper/sections.h"
 
 namespace saltus {
 

@@ -6,8 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "audit/gradient/events_at_once.h"
-#include "audit/gradient/own_differences.h"
+#include "audit/gradient/step_study.h"
 #include "base/number_text.h"
 #include "base/statistics.h"
 #include "exact/closed_forms.h"

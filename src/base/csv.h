@@ -1,4 +1,4 @@
-// The reader for CSV files. What writes them is base/table.h.
+// The reader for CSV files, and one line of such a file. What writes whole tables is base/table.h.
 #pragma once
 
 #include <optional>
@@ -25,5 +25,8 @@ StatusOr<CsvDocument> ParseCsv(std::string_view text);
 
 // Reads a file of such text. Errors name the file and the line.
 StatusOr<CsvDocument> ReadCsv(const std::string& path);
+
+// Returns the fields as one line of a CSV file, with its end.
+std::string CsvLine(const std::vector<std::string>& fields);
 
 }  // namespace saltus

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <any>
+#include <array>
 #include <cstddef>
 #include <memory>
 #include <memory_resource>
@@ -39,6 +40,21 @@ class ScratchMemory final : public std::pmr::memory_resource {
   std::byte* next_ = nullptr;  // what is free of the last block
   std::size_t left_ = 0;
   std::any kept_;
+};
+
+// A memory resource for temporaries of a few contacts, until the end of a function: a buffer on the stack, which takes
+// from the heap only once the buffer is full.
+class LocalMemory {
+ public:
+  LocalMemory() = default;
+  LocalMemory(const LocalMemory&) = delete;
+  LocalMemory& operator=(const LocalMemory&) = delete;
+
+  std::pmr::memory_resource* get() { return &memory_; }
+
+ private:
+  alignas(std::max_align_t) std::array<std::byte, 8192> first_;
+  std::pmr::monotonic_buffer_resource memory_{first_.data(), first_.size()};
 };
 
 }  // namespace saltus

@@ -12,7 +12,7 @@
 #include <cstdlib>
 #include <optional>
 
-#include "base/csv_line.h"
+#include "base/csv.h"
 #include "base/number_text.h"
 
 namespace saltus {

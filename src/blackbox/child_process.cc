@@ -1,5 +1,3 @@
-#include "blackbox/child_process.h"
-
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/prctl.h>
@@ -10,6 +8,8 @@
 #include <cerrno>
 #include <cstring>
 #include <ctime>
+
+#include "blackbox/conversation.h"
 
 namespace saltus {
 namespace {

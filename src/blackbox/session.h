@@ -3,11 +3,15 @@
 
 #include <cstdint>
 #include <functional>
+#include <list>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <vector>
 
 #include "blackbox/protocol.h"
+#include "saltus/audit/black_box.h"
+#include "saltus/audit/hybrid_audit.h"
 
 namespace saltus {
 
@@ -55,6 +59,48 @@ class Session {
   BlackBoxTraits traits_;
   std::int64_t next_id_ = 1;
   std::vector<std::unique_ptr<Conversation>> copies_;
+};
+
+// A black box that is a command with the protocol: several copies of it, asked in parallel. A command that fails (does
+// not start, ends, is silent, or answers with something else) is not started again: all further questions get that
+// error, which names the command, the request and its output.
+class CommandBox final : public BlackBox {
+ public:
+  explicit CommandBox(CommandOptions options);
+  ~CommandBox() override;
+
+  const std::string& name() const override { return options_.name; }
+  BlackBoxTraits Describe(const Scene& scene) override;
+  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest& stop) override;
+
+ private:
+  // Returns the session of a scene, or null if the command is broken.
+  Session* SessionOf(const Scene& scene);
+
+  const CommandOptions options_;
+  std::mutex mutex_;  // guards what follows
+  std::string broken_;
+  std::list<std::pair<Scene, Session>> sessions_;  // a command is told of one scene; the last used is last
+};
+
+// A time-stepping scheme for a hybrid system that is a command, asked for its steps.
+class CommandScheme final : public HybridScheme {
+ public:
+  // Starts the command; of the options `copies` has no meaning. `scene`: what the command is told beside the names of
+  // the system; null if there is nothing.
+  CommandScheme(const HybridSystem& system, CommandOptions options, const ProtocolJson& scene = nullptr);
+
+  std::string name() const override { return name_; }
+  int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) override;
+  bool HasJacobian() const override { return session_.traits().jacobian; }
+
+ private:
+  int Ask(const SchemeStep& step, double* next, double* jacobian, std::string* error);
+
+  const HybridSystem system_;
+  const std::string name_;
+  Session session_;
+  bool knows_precision_ = false, is_float32_ = true;  // so far
 };
 
 }  // namespace saltus

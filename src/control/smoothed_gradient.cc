@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 

@@ -1,11 +1,10 @@
-#include "exact/grid_optimum.h"
-
 #include <glog/logging.h>
 
 #include <algorithm>
 #include <array>
 
 #include "exact/two_disc_core.h"
+#include "exact/two_disc_optimum.h"
 #include "scene/units.h"
 
 namespace saltus {

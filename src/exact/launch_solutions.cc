@@ -1,9 +1,8 @@
-#include "exact/launch_solutions.h"
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <optional>
 
+#include "exact/closed_forms.h"
 #include "exact/flow.h"
 #include "scene/units.h"
 

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <optional>
 
-#include "base/normal_stream.h"
 #include "base/parallel_for.h"
+#include "base/random.h"
 #include "base/time_grid.h"
 #include "feedback/noisy_states.h"
 #include "feedback/scene_intervals.h"

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <limits>
 
-#include "base/normal_stream.h"
 #include "base/number_text.h"
+#include "base/random.h"
 
 namespace saltus {
 namespace {

@@ -12,7 +12,7 @@
 #include <type_traits>
 #include <utility>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "hybrid/recorded_switches.h"
 #include "hybrid/runge_kutta.h"
 

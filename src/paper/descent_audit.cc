@@ -1,5 +1,3 @@
-#include "paper/descent_audit.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,6 +5,7 @@
 
 #include "base/table.h"
 #include "paper/experiments.h"
+#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/exact_run.h"

@@ -1,5 +1,3 @@
-#include "paper/formulation_audit.h"
-
 #include <glog/logging.h>
 
 #include <algorithm>
@@ -9,7 +7,8 @@
 #include "base/statistics.h"
 #include "base/table.h"
 #include "paper/experiments.h"
-#include "programs/audit_output.h"
+#include "paper/sections.h"
+#include "programs/audit.h"
 #include "programs/parallel.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"

@@ -1,8 +1,7 @@
-#include "paper/paper_figures.h"
-
 #include <algorithm>
 
 #include "exact/two_disc_optimum.h"
+#include "paper/sections.h"
 #include "programs/scene_drawing.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"

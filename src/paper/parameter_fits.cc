@@ -1,10 +1,9 @@
-#include "paper/parameter_fits.h"
-
 #include <algorithm>
 #include <cmath>
 
 #include "base/random.h"
 #include "base/table.h"
+#include "paper/sections.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"
 #include "saltus/identify/identify.h"

@@ -1,5 +1,3 @@
-#include "paper/solver_comparison.h"
-
 #include <algorithm>
 #include <array>
 #include <limits>
@@ -8,8 +6,8 @@
 #include <string_view>
 
 #include "exact/two_disc_optimum.h"
-#include "paper/descent_audit.h"
 #include "paper/experiments.h"
+#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"

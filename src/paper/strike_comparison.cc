@@ -1,5 +1,3 @@
-#include "paper/strike_comparison.h"
-
 #include <algorithm>
 #include <cmath>
 #include <fstream>
@@ -7,6 +5,7 @@
 
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
+#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
 #include "solve/control_guess.h"

@@ -11,8 +11,7 @@
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/audit_output.h"
-#include "programs/given_gradient.h"
+#include "programs/input_files.h"
 #include "programs/parallel.h"
 #include "programs/program.h"
 #include "saltus/simulate/registry.h"

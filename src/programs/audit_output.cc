@@ -1,5 +1,3 @@
-#include "programs/audit_output.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>

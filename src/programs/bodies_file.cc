@@ -1,14 +1,19 @@
-#include "programs/bodies_file.h"
+#include <gflags/gflags.h>
 
 #include <algorithm>
 #include <array>
 #include <initializer_list>
 #include <numeric>
+#include <optional>
 
+#include "programs/hybrid_program.h"
 #include "programs/json_output.h"
+#include "programs/program.h"
 #include "saltus/hybrid/rigid_bodies.h"
 #include "scene/scene_reader.h"
 #include "scene/yaml_value.h"
+
+DECLARE_string(scene);
 
 namespace saltus {
 namespace {
@@ -349,5 +354,16 @@ BodiesTask BodiesReader::Read(const YAML::Node& root) {
 }  // namespace
 
 BodiesTask ReadBodies(const YAML::Node& root) { return BodiesReader().Read(root); }
+
+int BodiesMain(int argc, char** argv) {
+  return RunHybridProgram(argc, argv, FindProgram("saltus_bodies"), [] {
+    if (FLAGS_scene.empty()) throw InputError("--scene=FILE is needed");
+    std::optional<BodiesTask> task;
+    const auto error =
+        internal::ReadYamlFile(FLAGS_scene, [&](const YAML::Node& root) { task.emplace(ReadBodies(root)); });
+    if (error) throw InputError(error->ToString());
+    return HybridTask(*std::move(task));
+  });
+}
 
 }  // namespace saltus

@@ -6,8 +6,8 @@
 #include <iostream>
 
 #include "feedback/noisy_states.h"
-#include "programs/motion.h"
 #include "programs/program.h"
+#include "programs/scene_drawing.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 

@@ -1,11 +1,9 @@
-#include "programs/given_gradient.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "base/file.h"
-#include "programs/json_input.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/simulate/registry.h"

@@ -1,11 +1,10 @@
-#include "programs/hybrid_document.h"
-
 #include <algorithm>
 #include <numeric>
 
-#include "blackbox/command_scheme.h"
 #include "blackbox/protocol.h"
+#include "blackbox/session.h"
 #include "control/hybrid_shooting.h"
+#include "programs/hybrid_program.h"
 #include "programs/remarks.h"
 
 namespace saltus {

@@ -8,9 +8,8 @@
 
 #include "base/interrupt.h"
 #include "base/table.h"
-#include "blackbox/command_scheme.h"
+#include "blackbox/session.h"
 #include "programs/feedback_study.h"
-#include "programs/hybrid_document.h"
 #include "programs/program.h"
 #include "programs/simulators.h"
 #include "programs/solve.h"

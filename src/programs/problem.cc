@@ -6,12 +6,10 @@
 
 #include "base/interrupt.h"
 #include "base/table.h"
-#include "exact/launch_solutions.h"
+#include "exact/closed_forms.h"
 #include "programs/audit.h"
-#include "programs/audit_output.h"
 #include "programs/program.h"
 #include "programs/solve.h"
-#include "programs/solve_output.h"
 
 namespace saltus {
 namespace {

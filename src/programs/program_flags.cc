@@ -1,5 +1,3 @@
-#include "programs/program_flags.h"
-
 #include <gflags/gflags.h>
 #include <glog/logging.h>
 
@@ -11,6 +9,7 @@
 
 #include "base/suggestion.h"
 #include "base/table.h"
+#include "programs/program.h"
 
 namespace saltus {
 namespace {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "programs/json_output.h"
-#include "programs/solve_output.h"
+#include "programs/solve.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/simulate/exact_run.h"

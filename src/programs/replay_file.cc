@@ -1,5 +1,3 @@
-#include "programs/replay_file.h"
-
 #include <gflags/gflags.h>
 
 #include <algorithm>
@@ -12,7 +10,7 @@
 #include "base/number_text.h"
 #include "output/npz.h"
 #include "output/page.h"
-#include "programs/json_input.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
 #include "saltus/control/control_rows.h"

@@ -1,11 +1,9 @@
-#include "programs/saved_solution.h"
-
 #include <algorithm>
 #include <cmath>
 
 #include "base/file.h"
 #include "output/npz.h"
-#include "programs/json_input.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/simulate/simulator.h"

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "blackbox/command_box.h"
+#include "blackbox/session.h"
 #include "programs/program.h"
 #include "saltus/audit/black_box.h"
 

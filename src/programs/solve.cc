@@ -11,7 +11,6 @@
 #include "programs/parallel.h"
 #include "programs/program.h"
 #include "programs/remarks.h"
-#include "programs/solve_output.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 

@@ -1,5 +1,3 @@
-#include "programs/solve_output.h"
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>

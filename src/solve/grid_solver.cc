@@ -4,7 +4,7 @@
 #include <optional>
 #include <sstream>
 
-#include "exact/grid_optimum.h"
+#include "exact/two_disc_optimum.h"
 #include "saltus/simulate/registry.h"
 #include "solve/phases/phase_solution.h"
 #include "solve/solve_run.h"

@@ -1,5 +1,5 @@
 // The optimum of one disc that strikes another, on the scene's time grid, in closed form except for two numbers: see
-// saltus/exact/grid_optimum.h. Other solvers stall at any of the nodes around it, each of which is a local minimum.
+// exact/two_disc_optimum.h. Other solvers stall at any of the nodes around it, each of which is a local minimum.
 #pragma once
 
 #include <string>

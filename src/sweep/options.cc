@@ -1,5 +1,3 @@
-#include "sweep/options.h"
-
 #include <glog/logging.h>
 
 #include <algorithm>
@@ -10,6 +8,7 @@
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "scene/control_problems.h"
+#include "sweep/study.h"
 
 namespace saltus {
 namespace {

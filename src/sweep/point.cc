@@ -1,5 +1,3 @@
-#include "sweep/point.h"
-
 #include <chrono>
 #include <cmath>
 #include <fstream>
@@ -14,7 +12,8 @@
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
-#include "sweep/options.h"
+#include "sweep/results.h"
+#include "sweep/study.h"
 
 namespace saltus {
 namespace {

@@ -1,5 +1,3 @@
-#include "sweep/spec.h"
-
 #include <algorithm>
 #include <cmath>
 #include <set>
@@ -9,6 +7,7 @@
 #include "base/table.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
+#include "sweep/study.h"
 
 namespace saltus {
 namespace {

@@ -12,8 +12,7 @@
 #include "saltus/control/contact_sequence.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/simulate/registry.h"
-#include "sweep/options.h"
-#include "sweep/point.h"
+#include "sweep/results.h"
 
 namespace saltus {
 namespace {

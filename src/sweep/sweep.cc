@@ -19,10 +19,8 @@
 #include "programs/simulators.h"
 #include "saltus/scene/scene_file.h"
 #include "scene/control_problems.h"
-#include "sweep/options.h"
-#include "sweep/output.h"
-#include "sweep/point.h"
-#include "sweep/store.h"
+#include "sweep/results.h"
+#include "sweep/study.h"
 
 DEFINE_string(
     sweep, "",

@@ -1,11 +1,10 @@
 // One-sided derivatives where impacts happen at one time.
-#include "audit/gradient/events_at_once.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <string>
 
+#include "audit/gradient/step_study.h"
 #include "saltus/scene/scene.h"
 
 namespace saltus {

@@ -2,7 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/gradient/own_differences.h"
+#include "audit/gradient/step_study.h"
 #include "saltus/audit/audit.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"

@@ -1,12 +1,11 @@
 // A model's gradient against differences of its own loss.
-#include "audit/gradient/own_differences.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <string>
 
+#include "audit/gradient/step_study.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"

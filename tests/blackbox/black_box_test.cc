@@ -14,8 +14,8 @@
 #include <thread>
 #include <vector>
 
-#include "blackbox/command_box.h"
 #include "blackbox/protocol.h"
+#include "blackbox/session.h"
 #include "blackbox/speaker.h"
 #include "lines.h"
 #include "programs/run_program.h"

@@ -6,8 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "blackbox/command_box.h"
-#include "blackbox/command_scheme.h"
+#include "blackbox/session.h"
 #include "problems/hybrid_systems.h"
 #include "programs/run_program.h"
 #include "test_scenes.h"

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "audit/gradient/events_at_once.h"
+#include "audit/gradient/step_study.h"
 #include "campaign/checks.h"
 #include "campaign/scenes.h"
 #include "contact/random_scene.h"

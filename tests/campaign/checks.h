@@ -33,7 +33,7 @@ inline constexpr char kFailure[] = "FAILED ", kRefusal[] = "refused: ";
 Counts Check(const Scene& scene, std::uint32_t seed, bool gradient);
 
 // Compares every entry of the gradient by the initial state with differences of the loss on both sides. It must agree
-// with both, or be named one-sided (event_sides.h, audit/gradient/events_at_once.h) as the differences are; what is
+// with both, or be named one-sided (event_sides.h, audit/gradient/step_study.h) as the differences are; what is
 // named must not agree with both. Scenes in which something rests or grazes, or in which the order of impacts decides
 // the motion, are left out and counted.
 Counts CheckAtOnce(const Scene& scene);

@@ -21,7 +21,7 @@
 #include <string>
 #include <vector>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "campaign/scenes.h"
 #include "feedback/bouncing_disc.h"
 #include "folders.h"

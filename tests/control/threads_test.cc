@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "audit/gradient/own_differences.h"
+#include "audit/gradient/step_study.h"
 #include "saltus/audit/attribution.h"
 #include "saltus/audit/audit.h"
 #include "saltus/audit/refinement.h"

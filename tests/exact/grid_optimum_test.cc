@@ -1,8 +1,7 @@
-#include "exact/grid_optimum.h"
-
 #include <gtest/gtest.h>
 
 #include "exact/exact_scenes.h"
+#include "exact/two_disc_optimum.h"
 
 namespace saltus {
 namespace {

@@ -1,7 +1,6 @@
-#include "exact/launch_solutions.h"
-
 #include <gtest/gtest.h>
 
+#include "exact/closed_forms.h"
 #include "exact/exact_scenes.h"
 #include "parameter_name.h"
 

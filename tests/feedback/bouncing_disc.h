@@ -13,7 +13,7 @@
 #include <cstdint>
 
 #include "base/linear_algebra.h"
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "saltus/feedback/filter.h"
 #include "saltus/scene/scene.h"
 

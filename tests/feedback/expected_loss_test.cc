@@ -6,7 +6,7 @@
 #include <cmath>
 #include <vector>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "problems/hybrid_systems.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "fuzz/targets.h"
-#include "programs/given_gradient.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/control/control_rows.h"
 

@@ -4,8 +4,7 @@
 #include <cmath>
 
 #include "fuzz/targets.h"
-#include "sweep/options.h"
-#include "sweep/spec.h"
+#include "sweep/study.h"
 
 namespace saltus::fuzz {
 namespace {

@@ -5,7 +5,6 @@
 
 #include <cmath>
 
-#include "exact/grid_optimum.h"
 #include "exact/two_disc_optimum.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"

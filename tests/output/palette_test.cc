@@ -1,5 +1,3 @@
-#include "output/palette.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
@@ -7,6 +5,8 @@
 #include <set>
 #include <string>
 #include <tuple>
+
+#include "output/figure.h"
 
 namespace saltus {
 namespace {

@@ -1,12 +1,11 @@
 // The audit along gradient descent, on a ball that is thrown, bounces once and should end at a place: exact losses and
 // gradients in closed form, those of contact models by differences of their losses.
-#include "paper/descent_audit.h"
-
 #include <gmock/gmock.h>
 
 #include <cmath>
 #include <numbers>
 
+#include "paper/sections.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"

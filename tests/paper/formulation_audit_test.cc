@@ -1,11 +1,10 @@
 // Table and figure of all formulations, for a few of them.
-#include "paper/formulation_audit.h"
-
 #include <gmock/gmock.h>
 
 #include <cstdlib>
 
 #include "base/csv.h"
+#include "paper/sections.h"
 #include "test_scenes.h"
 
 namespace saltus {

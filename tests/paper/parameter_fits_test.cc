@@ -1,10 +1,9 @@
 // The fits of parameters under every contact model: the exact one finds them, and what is found of the others.
-#include "paper/parameter_fits.h"
-
 #include <gmock/gmock.h>
 
 #include <cstdlib>
 
+#include "paper/sections.h"
 #include "paper_tables.h"
 
 namespace saltus {

@@ -1,11 +1,10 @@
 // The comparison of solvers: nothing is missing, and nothing is better than possible.
-#include "paper/solver_comparison.h"
-
 #include <gmock/gmock.h>
 
 #include <cstdlib>
 
 #include "folders.h"
+#include "paper/sections.h"
 #include "paper_tables.h"
 #include "saltus/simulate/registry.h"
 

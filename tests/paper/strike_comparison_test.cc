@@ -1,7 +1,5 @@
 // The comparison of solvers at the impact: nothing is missing, nothing is better than possible, and forces stay within
 // their bounds.
-#include "paper/strike_comparison.h"
-
 #include <gmock/gmock.h>
 
 #include <cmath>
@@ -9,6 +7,7 @@
 #include <set>
 
 #include "folders.h"
+#include "paper/sections.h"
 #include "paper_tables.h"
 #include "test_scenes.h"
 

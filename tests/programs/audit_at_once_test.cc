@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "programs/audit_output.h"
+#include "programs/audit.h"
 #include "saltus/audit/audit.h"
 #include "saltus/simulate/own_contact.h"
 

@@ -1,7 +1,7 @@
 // Tables of audits that ended early.
 #include <gtest/gtest.h>
 
-#include "programs/audit_output.h"
+#include "programs/audit.h"
 
 namespace saltus {
 namespace {

@@ -1,4 +1,6 @@
 // The programs of hybrid systems, and sweeps over their parameters, as a user runs them.
+#include "programs/hybrid_program.h"
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -11,7 +13,6 @@
 #include <vector>
 
 #include "problems/hybrid_systems.h"
-#include "programs/hybrid_document.h"
 #include "programs/run_program.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 

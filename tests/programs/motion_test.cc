@@ -1,11 +1,10 @@
 // Motions under contact models and in exact dynamics, and controls on another time grid, against motion by hand.
-#include "programs/motion.h"
-
 #include <gmock/gmock.h>
 
 #include <algorithm>
 #include <cmath>
 
+#include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_generators.h"
 #include "solve/control_guess.h"

@@ -8,12 +8,9 @@
 #include <vector>
 
 #include "folders.h"
-#include "programs/given_gradient.h"
+#include "programs/input_files.h"
 #include "programs/program.h"
-#include "programs/replay_file.h"
-#include "programs/saved_solution.h"
 #include "programs/solve.h"
-#include "programs/solve_output.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 

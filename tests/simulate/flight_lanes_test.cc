@@ -6,7 +6,7 @@
 
 #include <vector>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "base/same_bits.h"
 #include "contact/event/event.h"
 #include "contact/models/compliant_warp.h"

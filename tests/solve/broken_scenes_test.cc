@@ -4,10 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "audit/gradient/own_differences.h"
+#include "audit/gradient/step_study.h"
 #include "exact/closed_forms.h"
-#include "exact/grid_optimum.h"
-#include "exact/launch_solutions.h"
 #include "exact/two_disc_optimum.h"
 #include "saltus/audit/audit.h"
 #include "saltus/control/objective.h"

@@ -6,8 +6,6 @@
 
 #include "folders.h"
 #include "saltus/scene/materials.h"
-#include "sweep/options.h"
-#include "sweep/spec.h"
 #include "sweep/study.h"
 
 namespace saltus {

@@ -10,9 +10,7 @@
 
 #include "folders.h"
 #include "programs/run_program.h"
-#include "sweep/output.h"
-#include "sweep/point.h"
-#include "sweep/store.h"
+#include "sweep/results.h"
 
 namespace saltus {
 namespace {

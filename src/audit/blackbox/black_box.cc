@@ -11,7 +11,6 @@
 
 #include "audit/blackbox/black_box_head_on.h"
 #include "audit/blackbox/black_box_simulator.h"
-#include "audit/gradient/own_differences.h"
 #include "audit/gradient/step_study.h"
 #include "base/number_text.h"
 #include "base/statistics.h"

@@ -1,11 +1,10 @@
-#include "audit/gradient/events_at_once.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
 #include <utility>
 
+#include "audit/gradient/step_study.h"
 #include "saltus/control/single_shooting.h"
 
 namespace saltus {

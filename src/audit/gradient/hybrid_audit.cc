@@ -8,7 +8,6 @@
 #include <ranges>
 #include <span>
 
-#include "audit/gradient/own_differences.h"
 #include "audit/gradient/step_study.h"
 #include "base/number_text.h"
 #include "base/statistics.h"

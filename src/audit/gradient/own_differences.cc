@@ -1,5 +1,3 @@
-#include "audit/gradient/own_differences.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>

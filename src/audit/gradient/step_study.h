@@ -5,6 +5,7 @@
 
 #include <functional>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <random>
 #include <string>
@@ -12,6 +13,10 @@
 
 #include "saltus/audit/audit.h"
 #include "saltus/control/shooting_function.h"
+#include "saltus/control/single_shooting.h"
+#include "saltus/scene/scene.h"
+#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/registry.h"
 
 namespace saltus {
 
@@ -90,5 +95,56 @@ void JudgeByExact(WidthSweepStudy* study);
 
 // Returns the Euclidean norm of the difference. Precondition: the sizes are equal.
 double Distance(const std::vector<double>& a, const std::vector<double>& b);
+
+// Whether a model's gradient is the derivative of its own loss, at the scene's own steps.
+//
+// The loss is followed along a few directions, each a sum of all initial positions, velocities or forces with signs
+// that are fixed but arbitrary, by differences of decreasing width to either side. A gradient that is no derivative of
+// the steps (detached values, a forgotten dependence) agrees with none of them. Where a hundredth and a thousandth of a
+// width change the loss as much as the whole, the loss jumps, and no narrower ones are tried. This says nothing of
+// whether the steps are right, which is what the width sweep and the exact gradient are for.
+
+// Undecided where the model cannot simulate the scene. A stopped comparison has no meaning. Results do not depend on
+// `threads`; more than one needs a model whose simulators may run in parallel. `most_states`: as in LargestSpeed().
+OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
+                                         int threads = 1, int most_states = 0);
+
+// Compares derivatives by parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out
+// are those that neither gradient nor differences depend on. Empty where the model cannot simulate the scene, or has
+// derivatives by parameters in other precisions only.
+std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scene& scene,
+                                              const std::vector<std::string>& names, const StopRequest& stop = nullptr);
+// Returns the names of the contact parameters, gravity, masses, and optimized ones; none in scenes with many discs.
+std::vector<std::string> ParametersToCompare(const Scene& scene);
+
+// Returns the loss of a scene as a function of its initial state or, for kControl, of its control.
+std::unique_ptr<SingleShooting> ShootingBy(Quantity quantity, const Contact& contact, const Scene& scene,
+                                           const StopRequest& stop);
+
+// Returns the variables of a scene, without derivatives: the initial state of every disc that moves, as
+// SingleShooting::Variables::kInitialState has it, and forces that are constant over `steps` rows of the control.
+// `length`: the distance that discs move in a step, m.
+std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int steps);
+
+// Returns the largest speed of a disc in the simulator's last rollout, m/s: over all states, or if `most_states` is
+// positive and there are more, over about as many at even distances.
+double LargestSpeed(const Simulator& simulator, int most_states = 0);
+
+// Derivatives of the exact loss that exist from one side only because events happen at the same time, or because
+// two discs pass each other with a gap of zero.
+//
+// Where a disc meets two others at once, a change of the initial state makes it meet one of them first. If the motion
+// is the same in both orders, the loss is continuous there, but its slopes to either side may differ: the gradient of
+// the event-driven model is that of one order. Which entries that concerns follows from differences of its own loss:
+// an entry that agrees with those of one side alone, while those of the other side settle on another slope, is the
+// derivative from that side; one that agrees with neither, while both settle, is none. Likewise where discs pass each
+// other without a gap: moved to one side they meet.
+
+// Returns the one-sided derivatives by the initial state that are not among `known`. Empty where no impact coincides
+// with another event of one of its discs and no discs pass each other without a gap, and where rollouts are so long
+// that differences by every entry would take minutes. The result has no meaning if it was stopped. `contact` is
+// event-driven and can simulate the scene, which is in natural units.
+std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene, const std::vector<OneSided>& known,
+                                     const StopRequest& stop = nullptr);
 
 }  // namespace saltus

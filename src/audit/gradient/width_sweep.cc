@@ -7,7 +7,6 @@
 #include <memory>
 #include <utility>
 
-#include "audit/gradient/own_differences.h"
 #include "audit/gradient/step_study.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
-#include "base/local_memory.h"
+#include "base/scratch_memory.h"
 #include "contact/solvers/complementarity.h"
 #include "contact/solvers/contact_system.h"
 #include "contact/thresholds.h"

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "base/normal_stream.h"
 #include "base/number_text.h"
+#include "base/random.h"
 #include "hybrid/mechanical/mechanical_hybrid.h"
 
 namespace saltus {

@@ -1,4 +1,4 @@
-// The document of a hybrid system's program (programs/hybrid_document.h) as parts of a page.
+// The document of a hybrid system's program (programs/hybrid_program.h) as parts of a page.
 const shown = (value, digits = 10) => (
   typeof value === 'number' ? String(Number(value.toPrecision(digits))) : value === null || value === undefined ? '' : String(value));
 

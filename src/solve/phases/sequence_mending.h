@@ -34,7 +34,7 @@
 #include <utility>
 #include <vector>
 
-#include "base/normal_stream.h"
+#include "base/random.h"
 #include "solve/phases/phase_plan.h"
 
 namespace saltus {

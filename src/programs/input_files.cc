@@ -1,4 +1,4 @@
-#include "programs/json_input.h"
+#include "programs/input_files.h"
 
 #include <algorithm>
 
