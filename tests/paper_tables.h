@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "base/csv.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 
 namespace saltus {
 

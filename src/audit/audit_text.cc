@@ -1,11 +1,9 @@
 #include "audit/audit_text.h"
 
-#include <string>
 #include <utility>
 #include <vector>
 
 #include "control/surrogate_names.h"
-#include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -8,9 +8,7 @@
 #include <array>
 #include <cctype>
 #include <charconv>
-#include <cstdio>
 #include <cstdlib>
-#include <optional>
 
 #include "base/csv.h"
 #include "base/number_text.h"

@@ -2,11 +2,8 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <limits>
 #include <map>
-#include <queue>
-#include <tuple>
 #include <utility>
 
 #include "global/relaxation.h"

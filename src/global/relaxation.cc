@@ -8,10 +8,8 @@
 #include <limits>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #include "global/interval.h"
-#include "global/jet.h"
 #include "saltus/scene/materials.h"
 
 namespace saltus::global {

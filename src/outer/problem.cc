@@ -1,8 +1,5 @@
 #include "saltus/outer/problem.h"
 
-#include <stdexcept>
-#include <string>
-
 #include "base/table.h"
 
 namespace saltus {

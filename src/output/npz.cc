@@ -10,7 +10,6 @@
 #include <memory>
 #include <new>
 #include <nlohmann/json.hpp>
-#include <optional>
 #include <string_view>
 #include <type_traits>
 
@@ -24,12 +23,6 @@ namespace {
 // ---- Text: UTF-32, all entries of one length, padded with zeros (NumPy's type str_, '<U<length>')
 
 constexpr std::string_view kNpyTextType = "<U";
-
-struct NpyText {
-  int width = 1;      // characters of every entry
-  std::string bytes;  // 4 * width each, little-endian
-};
-
 constexpr char32_t kReplacement = 0xfffd;
 constexpr char32_t kLargestCharacter = 0x10ffff;
 
@@ -58,40 +51,21 @@ void AppendCharacter(char32_t c, std::string* text) {
   for (int i = more - 1; i >= 0; --i) *text += static_cast<char>(0x80 | (c >> (6 * i) & 0x3f));
 }
 
-// Encodes texts; bytes that are not UTF-8 become U+FFFD.
-NpyText EncodeNpyText(const std::vector<std::string>& texts) {
+// Encodes texts of `width` characters each, that of the longest; bytes that are not UTF-8 become U+FFFD.
+std::string EncodeTexts(const std::vector<std::string>& texts, size_t* width) {
   std::vector<std::u32string> wide;
-  size_t width = 1;
+  *width = 1;
   for (const std::string& text : texts) {
     wide.emplace_back();
     for (size_t at = 0; at < text.size();) wide.back() += TakeCharacter(text, &at);
-    width = std::max(width, wide.back().size());
+    *width = std::max(*width, wide.back().size());
   }
-  NpyText result{static_cast<int>(width), {}};
+  std::string bytes;
   for (std::u32string& text : wide) {
-    text.resize(width, U'\0');
-    result.bytes.append(reinterpret_cast<const char*>(text.data()), text.size() * sizeof(char32_t));
+    text.resize(*width, U'\0');
+    bytes.append(reinterpret_cast<const char*>(text.data()), text.size() * sizeof(char32_t));
   }
-  return result;
-}
-
-// Decodes texts; returns std::nullopt if the bytes are no such entries. Precondition: width > 0.
-std::optional<std::vector<std::string>> DecodeNpyText(const NpyText& text) {
-  const size_t width = static_cast<size_t>(text.width);
-  const size_t entry = width * sizeof(char32_t);
-  if (text.bytes.empty()) return std::vector<std::string>();  // whatever the width, for which there may be no memory
-  if (text.bytes.size() % entry != 0) return std::nullopt;
-  std::vector<std::string> texts(text.bytes.size() / entry);
-  std::u32string wide(width, U'\0');
-  for (size_t i = 0; i < texts.size(); ++i) {
-    std::memcpy(wide.data(), text.bytes.data() + i * entry, entry);
-    for (const char32_t c : wide) {
-      if (c > kLargestCharacter) return std::nullopt;
-      if (c == U'\0') break;
-      AppendCharacter(c, &texts[i]);
-    }
-  }
-  return texts;
+  return bytes;
 }
 
 // ---- Headers and data
@@ -190,13 +164,25 @@ StatusOr<NpyArray> DecodeData(std::vector<int64_t> shape, std::string_view bytes
 StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& descriptor, std::string_view bytes) {
   const int width = FromText<int>(descriptor.substr(kNpyTextType.size())).value_or(0);
   if (width <= 0) return Status::Error("NPY type '" + descriptor + "' not understood");
-  std::optional<std::vector<std::string>> texts = DecodeNpyText({width, std::string(bytes)});
+  const size_t entry = static_cast<size_t>(width) * sizeof(char32_t), texts_in_bytes = bytes.size() / entry;
   const std::optional<int64_t> count = Count(shape);
-  if (!texts || !count || texts->size() != static_cast<uint64_t>(*count)) {
+  bool fits = bytes.size() % entry == 0 && count && texts_in_bytes == static_cast<uint64_t>(*count);
+  std::vector<std::string> texts(fits ? texts_in_bytes : 0);
+  for (size_t i = 0; i < bytes.size() && fits; i += sizeof(char32_t)) {
+    char32_t c = 0;
+    std::memcpy(&c, bytes.data() + i, sizeof c);
+    if (c != U'\0') {
+      AppendCharacter(c, &texts[i / entry]);
+    } else {
+      i += entry - i % entry - sizeof c;  // padding to the end of the entry
+    }
+    fits = c <= kLargestCharacter;
+  }
+  if (!fits) {
     return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
                          " bytes of text");
   }
-  return NpyArray{std::move(shape), std::move(*texts)};
+  return NpyArray{std::move(shape), std::move(texts)};
 }
 
 struct ZipDiscard {
@@ -278,8 +264,9 @@ std::string EncodeNpy(const NpyArray& array) {
         CHECK(count && static_cast<uint64_t>(*count) == data.size())
             << "shape " << ShapeTuple(array.shape) << " with " << data.size() << " entries";
         if constexpr (std::is_same_v<T, std::string>) {
-          const NpyText text = EncodeNpyText(data);
-          return Header(std::string(kNpyTextType) + std::to_string(text.width), array.shape) + text.bytes;
+          size_t width = 0;
+          const std::string bytes = EncodeTexts(data, &width);
+          return Header(std::string(kNpyTextType) + std::to_string(width), array.shape) + bytes;
         } else {
           std::string bytes = Header(Descriptor<T>(), array.shape);
           bytes.append(reinterpret_cast<const char*>(data.data()), data.size() * sizeof(T));

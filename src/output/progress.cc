@@ -3,10 +3,10 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <utility>
 
+#include "base/number_text.h"
 #include "base/table.h"
 
 namespace saltus {
@@ -18,18 +18,11 @@ constexpr size_t kDefaultColumns = 80;
 constexpr size_t kMinBar = 10;
 constexpr size_t kMaxBar = 40;
 
-template <typename... Args>
-std::string Print(const char* format, Args... args) {
-  std::array<char, 96> buffer;
-  const int size = std::snprintf(buffer.data(), buffer.size(), format, args...);
-  return std::string(buffer.data(), std::min(static_cast<size_t>(std::max(size, 0)), buffer.size() - 1));
-}
-
 // Returns 83 s as "1:23", two hours as "2:00:00".
 std::string Duration(double seconds) {
-  const long long s = std::llround(std::clamp(seconds, 0.0, 1e9));
-  if (s < 3600) return Print("%lld:%02lld", s / 60, s % 60);
-  return Print("%lld:%02lld:%02lld", s / 3600, s / 60 % 60, s % 60);
+  const auto s = static_cast<int>(std::llround(std::clamp(seconds, 0.0, 1e9)));
+  if (s < 3600) return FormatNumbers("%.0f:%02.0f", s / 60, s % 60);
+  return FormatNumbers("%.0f:%02.0f:%02.0f", s / 3600, s / 60 % 60, s % 60);
 }
 
 bool IsFinished(const ProgressState& state) { return state.total > 0 && state.done >= state.total; }
@@ -40,12 +33,12 @@ double Fraction(const ProgressState& state) {
 
 // Returns the numbers of a line: "512/1000  51%  128/s  0:04 left".
 std::string Figures(const ProgressState& state) {
-  std::string text = Print("%lld", static_cast<long long>(state.done));
+  std::string text = std::to_string(state.done);
   if (state.total > 0) {
-    text += Print("/%lld %3.0f%%", static_cast<long long>(state.total), std::floor(100 * Fraction(state)));
+    text += "/" + std::to_string(state.total) + FormatNumbers(" %3.0f%%", std::floor(100 * Fraction(state)));
   }
   const bool measured = state.done > 0 && state.elapsed > 0;
-  if (measured && state.alike) text += Print("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
+  if (measured && state.alike) text += FormatNumbers("  %.3g/s", static_cast<double>(state.done) / state.elapsed);
   const std::string passed = "  " + Duration(state.elapsed);
   if (IsFinished(state) || state.ended || state.total <= 0 || !measured || !state.alike) return text + passed;
   // The estimate is from the time of the finished units. Once it has proved too short, it is not shown.

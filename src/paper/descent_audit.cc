@@ -5,7 +5,6 @@
 
 #include "base/table.h"
 #include "paper/experiments.h"
-#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/exact_run.h"

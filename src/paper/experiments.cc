@@ -1,7 +1,6 @@
 #include "paper/experiments.h"
 
 #include <cmath>
-#include <map>
 
 #include "output/npz.h"
 #include "programs/parallel.h"

@@ -7,11 +7,19 @@
 #include <glog/logging.h>
 
 #include <ctime>
+#include <functional>
 #include <map>
+#include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
+#include "base/table.h"
+#include "output/figure.h"
+#include "output/progress.h"
 #include "programs/program.h"
+#include "programs/scene_drawing.h"
+#include "programs/simulators.h"
 #include "programs/solve.h"
 #include "saltus/audit/audit.h"
 
@@ -74,5 +82,154 @@ inline double ThreadTime() {
   CHECK_EQ(clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time), 0);
   return time.tv_sec + 1e-9 * time.tv_nsec;
 }
+
+// The parts of the report of the paper: the figures of the experiments, and sections of further computations.
+
+struct CaptionedTable {
+  std::string name;  // of its files
+  std::string caption;
+  Table table;
+};
+
+struct PaperFigure {
+  std::string name;     // of its files
+  std::string caption;  // one or two sentences
+  Figure figure;
+};
+
+struct Section {
+  std::vector<std::string> findings;  // in a sentence or two each
+  std::vector<CaptionedTable> tables;
+  std::vector<PaperFigure> figures;
+};
+
+// Gradient descent under each contact model: the angle of its gradient to the exact one, and the exact loss along the
+// descent. Shows how optimisation can succeed with wrong gradients, and where it fails.
+
+// Returns the iterations that are examined: 0, 1, 2, 3, 5, 8, ... to the last, about equally many in every power of
+// ten.
+std::vector<int> ExaminedIterations();
+
+// Returns the iterates at ExaminedIterations() of a descent that was run elsewhere with the same rate, so that it is
+// not run again; others if there is none.
+using KnownIterates = std::function<std::vector<std::vector<double>>(size_t task, const std::string& contact)>;
+
+// Follows the descents. Contact models that cannot simulate a scene are left out there; so are those of `slow`. Returns
+// std::nullopt if interrupted.
+std::optional<Section> AuditDescents(const std::vector<TitledScene>& tasks, const std::vector<std::string>& contacts,
+                                     const std::vector<std::string>& slow, const KnownIterates& known, int threads,
+                                     ProgressMode mode);
+
+// An audit of every contact model on the three tasks of the paper: the error of its gradient, its class, and the cost
+// of a step.
+
+// Audits the models. Precondition: `contacts` has `direct`, whose step is the unit of cost. Simulators are audited
+// beside them; the costs of their steps are not measured. The findings are the classes: what each means, and which
+// models belong to it. Returns std::nullopt if interrupted.
+std::optional<Section> AuditFormulations(const std::vector<TitledScene>& tasks, std::vector<std::string> contacts,
+                                         const std::vector<SimulatorCommand>& simulators, int threads,
+                                         ProgressMode mode);
+
+// A comparison of every solver under every contact model.
+//
+// Tasks 2 (without and with friction) and 3 under the models that the published comparisons report, and task 3 under
+// all others. Losses under a contact model may not be compared between models; exact losses may, and their gap to the
+// optimum is what is left to gain. Solvers that know exact dynamics only (optima on the grid, phases between events,
+// the minimum principle) appear with the event-driven model.
+
+// The solvers that run under models without experiments: none; those that take a second or two; or every general
+// solver, however slow the model.
+enum class OtherSolvers { kNone, kQuick, kEverySolver };
+
+struct ComparedSolvers : Section {
+  Table headline;              // of task 3 under exact dynamics: three solvers compared with the optimum
+  std::set<std::string> slow;  // contact models whose gradients take so long that gradient descent was left out
+  // The iterates that AuditDescents() examines, of gradient descent on task 3 under models without experiments.
+  std::map<std::string, std::vector<std::vector<double>>> iterates;
+};
+
+// Takes the results that `experiments`, which have been run, contain, and computes the rest. Returns std::nullopt if
+// interrupted.
+std::optional<ComparedSolvers> CompareSolvers(const Experiments& experiments, OtherSolvers others, int threads,
+                                              ProgressMode mode);
+
+// The task of two balls by solvers that shoot over the impact and by those that treat it as an event, on the paper's
+// time grid and on a finer one; and with bounds on the force, beside the optima in continuous time.
+
+// An optimum of data/constrained_references.json under a bound on the force.
+struct BoundedReference {
+  Vec2d target = Vec2d::Zero();         // m, where the disc that is struck starts
+  std::optional<double> max, max_norm;  // N
+  double loss = 0, impact_time = 0;
+  Vec2d at_start = Vec2d::Zero(), at_impact = Vec2d::Zero();  // N, the force without the bound, linear between
+
+  Vec2d Force(double time) const;  // that within the bound
+};
+
+// Reads the references that the figure shows. Throws InputError.
+std::vector<BoundedReference> ReadBoundedReferences(const std::string& path);
+
+// Compares the solvers on the scene of the task. Returns std::nullopt if interrupted.
+std::optional<Section> CompareStrikes(const Scene& scene, const std::vector<BoundedReference>& references, int threads,
+                                      ProgressMode mode);
+
+// Fits of one recording under every contact model: wrong gradients lead to wrong parameters. There are two fits: one to
+// a recording of exact motion, in which both a model's motion and its gradient matter, and one to a recording of the
+// model's motion, in which only its gradient matters.
+
+// Fits under contact models. Those that cannot simulate the scene are left out, and plastic ones, which cannot explain
+// a bounce. Returns std::nullopt if interrupted.
+std::optional<Section> FitParameters(const std::vector<std::string>& contacts, int threads, ProgressMode mode);
+
+// Learns the law of a ball dropped from four heights, whose restitution falls with speed. std::nullopt if interrupted.
+std::optional<PaperFigure> LearnALaw();
+
+// The figures of the paper, from the experiments.
+
+std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments);
+
+// Returns the result of gradient descent on a task under each model, as the model simulates it, and the exact motion of
+// the control or velocity of the first; for a task that is not optimised, its guess.
+Replay TaskReplay(const Experiments& experiments, const std::string& problem);
+
+// The paper's printed numbers beside those of this library and the exact ones.
+
+// One row of data/published.csv, with the value that this library computes for it.
+struct PublishedRow {
+  std::string table, problem, contact, quantity, note;
+  double friction = 0;
+  Precision precision = Precision::kDouble;
+  std::string published;  // as printed; empty if the paper gives no number
+  double expected = 0;    // what a faithful implementation gives
+  double tolerance = 0;   // absolute, on |ours - expected|
+  std::string verdict;    // of the printed number: match, published_misprint, solver_error, chaotic, ...
+
+  std::optional<double> ours;
+  std::optional<double> exact;  // the same quantity under exact dynamics
+
+  // A number that rounding decides is shown but not judged.
+  bool IsJudged() const { return verdict != "chaotic"; }
+  bool Matches() const;
+};
+
+// Reads data/published.csv. Throws InputError.
+std::vector<PublishedRow> ReadPublished(const std::string& path);
+
+// Sets `ours` and `exact`.
+void CompareWithPublished(const Experiments& experiments, std::vector<PublishedRow>* rows);
+
+// Returns the names of the tables, in order ("T1", "T2", ...), and their captions.
+std::vector<std::pair<std::string, std::string>> PublishedTables();
+
+// Says whether our number is that of a faithful implementation, and what is wrong with the printed one.
+std::string VerdictInWords(const PublishedRow& row);
+
+// Returns a table published | ours | exact | verdict, for the rows of one table of the paper.
+Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name);
+
+// Returns a table in the paper's layout: a row for each model and a column for each quantity, the published number
+// above ours, coloured where they differ. Adds the notes that the cells refer to by number. The last row has the exact
+// values.
+Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name, std::vector<std::string>* notes);
 
 }  // namespace saltus

@@ -7,7 +7,6 @@
 #include "base/statistics.h"
 #include "base/table.h"
 #include "paper/experiments.h"
-#include "paper/sections.h"
 #include "programs/audit.h"
 #include "programs/parallel.h"
 #include "saltus/control/objective.h"

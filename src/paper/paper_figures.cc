@@ -1,9 +1,8 @@
 #include <algorithm>
 
 #include "exact/two_disc_optimum.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "programs/scene_drawing.h"
-#include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

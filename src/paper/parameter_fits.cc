@@ -3,7 +3,7 @@
 
 #include "base/random.h"
 #include "base/table.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "programs/identification.h"
 #include "programs/parallel.h"
 #include "saltus/identify/identify.h"

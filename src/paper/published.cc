@@ -1,5 +1,3 @@
-#include "paper/published.h"
-
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -8,6 +6,7 @@
 #include "base/number_text.h"
 #include "exact/closed_forms.h"
 #include "exact/two_disc_optimum.h"
+#include "paper/experiments.h"
 
 namespace saltus {
 namespace {

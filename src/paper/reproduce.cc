@@ -11,8 +11,6 @@
 #include "exact/two_disc_optimum.h"
 #include "output/page.h"
 #include "paper/experiments.h"
-#include "paper/published.h"
-#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 

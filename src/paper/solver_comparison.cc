@@ -7,7 +7,6 @@
 
 #include "exact/two_disc_optimum.h"
 #include "paper/experiments.h"
-#include "paper/sections.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 #include "solve/control_guess.h"

@@ -5,7 +5,7 @@
 
 #include "control/control_bounds.h"
 #include "exact/two_disc_optimum.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
 #include "solve/control_guess.h"

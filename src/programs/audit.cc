@@ -13,7 +13,6 @@
 #include "base/interrupt.h"
 #include "programs/input_files.h"
 #include "programs/parallel.h"
-#include "programs/program.h"
 #include "saltus/simulate/registry.h"
 
 DEFINE_double(attribution_seconds, 0,

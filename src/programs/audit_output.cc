@@ -54,15 +54,10 @@ Json RefinementToJson(const RefinementStudy& study) {
 Json ContactsToJson(const Attribution& attribution) {
   Json contacts = Json::array();
   for (const ContactError& error : attribution.contacts) {
-    contacts.push_back({{"first_step", error.first_step},
-                        {"last_step", error.last_step},
-                        {"a", error.a},
-                        {"b", error.b},
-                        {"exact_impacts", error.exact_impacts},
-                        {"error", error.error},
-                        {"stays", error.stays},
-                        {"block", BlockToString(error.block)},
-                        {"why", error.why}});
+    Json& item = contacts.emplace_back();
+    SALTUS_ADD_MEMBERS(&item, error, first_step, last_step, a, b, exact_impacts, error, stays);
+    item["block"] = BlockToString(error.block);
+    item["why"] = error.why;
   }
   return contacts;
 }
@@ -73,16 +68,15 @@ Json RecognitionToJson(const ContactRecognition& found) {
     evidence["step"] = found.step;
     evidence["bodies"] = {found.a, found.b};
   }
-  const auto add = [&](const char* key, const std::optional<double>& value) {
-    if (value) evidence[key] = *value;
-  };
-  add("rebound", found.rebound);
-  add("finer_rebound", found.finer_rebound);
-  add("concentration", found.concentration);
-  add("finer_concentration", found.finer_concentration);
-  add("onset_order", found.onset_order);
-  add("position_from_position", found.position_from_position);
-  add("velocity_from_position", found.velocity_from_position);
+  SALTUS_ADD_MEMBERS(&evidence,
+                     found,
+                     rebound,
+                     finer_rebound,
+                     concentration,
+                     finer_concentration,
+                     onset_order,
+                     position_from_position,
+                     velocity_from_position);
   return evidence;
 }
 
@@ -90,16 +84,10 @@ void AddBlackBox(const BlackBoxFindings& found, Json* item) {
   Json& to = *item;
   to["black_box"] = true;
   if (!found.says.empty()) to["says"] = found.says;
-  if (found.precision_found > 0) to["precision_found"] = found.precision_found;
-  if (found.precision_found > 0) to["own_gradient"] = found.own_gradient;
+  if (found.precision_found > 0) SALTUS_ADD_MEMBERS(item, found, precision_found, own_gradient);
   if (found.motion != BlackBoxFindings::Motion::kUnknown) to["motion"] = MotionToString(found.motion);
-  const auto add = [](const BlackBoxFindings::HeadOn& impact, Json* measured) {
-    (*measured)["e"] = impact.e;
-    (*measured)["keep"] = impact.keep;
-    (*measured)["feed"] = impact.feed;
-  };
-  if (found.head_on) add(*found.head_on, item);
-  if (found.finer) add(*found.finer, &to["finer"]);
+  if (found.head_on) SALTUS_ADD_MEMBERS(item, *found.head_on, e, keep, feed);
+  if (found.finer) SALTUS_ADD_MEMBERS(&to["finer"], *found.finer, e, keep, feed);
   if (!found.levels.empty()) {
     to["loss_error"] = {{"steps", OfLevels(found.levels, &RefinementLevel::steps)},
                         {"error", OfLevels(found.levels, &RefinementLevel::error)}};

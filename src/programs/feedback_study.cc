@@ -6,7 +6,6 @@
 #include <iostream>
 
 #include "feedback/noisy_states.h"
-#include "programs/program.h"
 #include "programs/scene_drawing.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <numeric>
 
 #include "blackbox/protocol.h"
 #include "blackbox/session.h"
@@ -95,12 +94,11 @@ Json HybridSystemToJson(const HybridSystem& system) {
 Json HybridInputToJson(const HybridSystem& system, const HybridInput& input) {
   std::vector<double> control = input.control;
   control.resize(static_cast<std::size_t>(input.num_intervals) * system.num_controls());
-  return {{"mode", system.ModeName(input.mode)},
-          {"initial", input.initial},
-          {"parameters", input.parameters},
-          {"duration", input.duration},
-          {"intervals", input.num_intervals},
-          {"control", RowsToJson(control, system.num_controls())}};
+  Json item = {{"mode", system.ModeName(input.mode)}};
+  SALTUS_ADD_MEMBERS(&item, input, initial, parameters, duration);
+  item["intervals"] = input.num_intervals;
+  item["control"] = RowsToJson(control, system.num_controls());
+  return item;
 }
 
 Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states) {
@@ -174,13 +172,8 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   Json item = {{"solver", report.solver}, {"termination", TerminationToString(report.termination)}};
   if (!report.reason.empty()) item["reason"] = report.reason;
   if (report.losses.empty()) return item;
-  item["initial_loss"] = report.initial_loss;
-  item["final_loss"] = report.final_loss;
-  item["losses"] = report.losses;
-  item["iterations"] = report.iterations;
-  item["evaluations"] = report.evaluations;
-  item["seconds"] = report.seconds;
-  item["integration_error"] = report.integration_error;
+  SALTUS_ADD_MEMBERS(
+      &item, report, initial_loss, final_loss, losses, iterations, evaluations, seconds, integration_error);
   const HybridInput solution = SolutionOf(problem, report);
   item["solution"] = HybridInputToJson(problem.system, solution);
   const std::vector<double> times = solution.Times();
@@ -199,26 +192,14 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   const Certificate& found = *report.certificate;
   Json certificate = {{"verdict", VerdictToString(found.verdict)}};
   if (!found.reason.empty()) certificate["reason"] = found.reason;
-  certificate["stationarity"] = found.stationarity;
-  certificate["costate_jump"] = found.costate_jump;
-  certificate["hamiltonian"] = found.hamiltonian;
-  certificate["transversality"] = found.transversality;
-  if (found.final_time) certificate["final_time"] = *found.final_time;
-  if (found.curvature) {
-    certificate["curvature"] = {{"kind", CurvatureToString(found.curvature->kind)},
-                                {"smallest", found.curvature->smallest}};
-  }
-  if (found.gradient) certificate["gradient"] = *found.gradient;
+  SALTUS_ADD_MEMBERS(&certificate, found, stationarity, costate_jump, hamiltonian, transversality, final_time);
+  AddCurvature(found, &certificate);
+  SALTUS_ADD_MEMBERS(&certificate, found, gradient);
   Json events = Json::array();
   for (const ImpactCertificate& event : found.impacts) {
-    events.push_back({{"time", event.time},
-                      {"mode", event.a},
-                      {"guard", event.b},
-                      {"rate", -event.speed},
-                      {"multiplier", event.multiplier},
-                      {"costate_jump", event.jump},
-                      {"hamiltonian", event.hamiltonian},
-                      {"on_node", event.on_node}});
+    Json& entry =
+        events.emplace_back(Json{{"time", event.time}, {"mode", event.a}, {"guard", event.b}, {"rate", -event.speed}});
+    AddResiduals(event, &entry);
   }
   certificate["events"] = std::move(events);
   item["certificate"] = std::move(certificate);
@@ -230,9 +211,7 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   if (const std::string why = audit.Why(); !why.empty()) item["reason"] = why;
   if (audit.interrupted) item["interrupted"] = true;
   if (audit.exact.initial.empty()) return item;
-  item["steps"] = audit.steps;
-  item["loss"] = audit.loss;
-  item["exact_loss"] = audit.exact_loss;
+  SALTUS_ADD_MEMBERS(&item, audit, steps, loss, exact_loss);
   HybridInput audited = problem.guess;
   if (const int width = problem.system.num_controls(); width > 0) {
     audited.num_intervals = static_cast<int>(audit.exact.control.size()) / width;
@@ -253,18 +232,12 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
     item["parts"].push_back({{"name", QuantityToString(quantity.quantity)}});
     item["parts"].back().update(JudgementToJson(quantity));
     for (const RefinementLevel& level : quantity.levels) {
-      item["parts"].back()["levels"].push_back(
-          {{"steps", level.steps}, {"error", level.error}, {"smallest", level.smallest}, {"largest", level.largest}});
+      SALTUS_ADD_MEMBERS(&item["parts"].back()["levels"].emplace_back(), level, steps, error, smallest, largest);
     }
   }
   AddConditioning(*audit.refinement, &item);
   for (const SegmentError& segment : audit.segments) {
-    item["segments"].push_back({{"time", segment.time},
-                                {"mode", segment.mode},
-                                {"guard", segment.guard},
-                                {"step", segment.step},
-                                {"error", segment.error},
-                                {"stays", segment.stays}});
+    SALTUS_ADD_MEMBERS(&item["segments"].emplace_back(), segment, time, mode, guard, step, error, stays);
   }
   if (audit.first_wrong >= 0) item["first_wrong"] = item["segments"][audit.first_wrong];
   if (audit.widths) item["width_sweep"] = WidthsToJson(*audit.widths);

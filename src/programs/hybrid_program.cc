@@ -10,7 +10,6 @@
 #include "base/table.h"
 #include "blackbox/session.h"
 #include "programs/feedback_study.h"
-#include "programs/program.h"
 #include "programs/simulators.h"
 #include "programs/solve.h"
 

@@ -4,12 +4,9 @@
 #include <cmath>
 #include <cstdint>
 #include <map>
-#include <optional>
-#include <vector>
 
 #include "base/csv.h"
 #include "base/number_text.h"
-#include "programs/program.h"
 #include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
@@ -91,21 +88,16 @@ void AddFit(const IdentifyReport& report, const IdentifyReport* exact, bool of_s
 }
 
 void AddWork(const IdentifyReport& report, Json* item) {
-  (*item)["starts"] = report.starts;
-  (*item)["sequences"] = report.sequences;
-  (*item)["iterations"] = report.iterations;
-  (*item)["evaluations"] = report.evaluations;
-  (*item)["seconds"] = report.seconds;
+  SALTUS_ADD_MEMBERS(item, report, starts, sequences, iterations, evaluations, seconds);
 }
 
 Json LawToJson(const LearnedLaw& learned) {
   Json item = {{"name", learned.law.name}, {"parameters", learned.law.parameters}, {"impacts", learned.impacts}};
   item["curve"] = Json::array();
   for (const LawPoint& at : learned.curve) {
-    Json point = {{"speed", at.speed},
-                  {"sliding", at.sliding},
-                  {"restitution", at.restitution},
-                  {"standard_error", at.restitution_error}};
+    Json point;
+    SALTUS_ADD_MEMBERS(&point, at, speed, sliding, restitution);
+    point["standard_error"] = at.restitution_error;
     if (learned.law.HasFriction()) {
       point["friction"] = at.friction;
       point["friction_standard_error"] = at.friction_error;
@@ -119,14 +111,10 @@ Json EventsToJson(const Scene& scene, const LearnedEventFunctions& learned) {
   Json item = {{"name", learned.functions.name}, {"parameters", learned.functions.parameters}};
   item["impacts"] = Json::array();
   for (const LearnedImpact& at : learned.impacts) {
-    item["impacts"].push_back({{"segment", at.segment},
-                               {"body", scene.bodies[at.body].name},
-                               {"plane", scene.planes[at.plane].name},
-                               {"position", at.position},
-                               {"before", at.before},
-                               {"after", at.after},
-                               {"normal", at.normal},
-                               {"beyond_plane", at.scene_gap}});
+    Json& impact = item["impacts"].emplace_back(Json{{"segment", at.segment}, {"body", scene.bodies[at.body].name}});
+    impact["plane"] = scene.planes[at.plane].name;
+    SALTUS_ADD_MEMBERS(&impact, at, position, before, after, normal);
+    impact["beyond_plane"] = at.scene_gap;
   }
   return item;
 }

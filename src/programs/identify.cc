@@ -69,7 +69,7 @@ IdentifyOptions OptionsFromFlags(const Request& request) {
 std::vector<Recording> ReadRecordings(const Scene& scene) {
   if (FLAGS_recording.empty()) throw InputError("--recording=FILE is needed; -h lists all flags");
   std::vector<Recording> recordings;
-  const std::vector<std::string> paths = SplitAtCommas(FLAGS_recording);
+  const std::vector<std::string> paths = Split(FLAGS_recording);
   for (const std::string& path : paths) {
     if (std::ranges::count(paths, path) > 1) {
       throw InputError("--recording: found " + path + " twice, whose samples would count twice; expected it once");

@@ -5,7 +5,7 @@
 #include <iostream>
 
 #include "control/surrogate_names.h"
-#include "output/json_number.h"
+#include "output/page.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
@@ -25,13 +25,8 @@ namespace {
 
 Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   if (p.mass.empty()) return nullptr;
-  Json item = {{"restitution", p.restitution},
-               {"friction", p.friction},
-               {"stiffness", p.stiffness},
-               {"damping", p.damping},
-               {"gravity", p.gravity},
-               {"mass", p.mass},
-               {"force", p.force}};
+  Json item;
+  SALTUS_ADD_MEMBERS(&item, p, restitution, friction, stiffness, damping, gravity, mass, force);
   if (!p.inertia.empty()) item["inertia"] = p.inertia;
   if (!p.pairs.empty()) {
     Json& pairs = item["pairs"] = Json::object();
@@ -123,26 +118,32 @@ Json JudgementToJson(const QuantityStudy& study) {
 
 void AddConditioning(const RefinementStudy& study, Json* item) {
   if (!study.conditioning) return;
-  (*item)["condition"] = study.conditioning->condition;
-  (*item)["rounding"] = study.conditioning->rounding;
+  SALTUS_ADD_MEMBERS(item, *study.conditioning, condition, rounding);
   (*item)["digits_lost"] = study.conditioning->DigitsLost();
 }
 
 Json WidthsToJson(const WidthSweepStudy& study) {
   Json sweeps = Json::array();
   for (const WidthSweep& sweep : study.sweeps) {
-    sweeps.push_back({{"quantity", QuantityToString(sweep.quantity)},
-                      {"entry", sweep.entry},
-                      {"gradient", sweep.gradient},
-                      {"narrow", sweep.narrow},
-                      {"wide", sweep.wide},
-                      {"exact", sweep.exact ? Json(*sweep.exact) : Json()},
-                      {"finding", WidthFindingToString(sweep.finding)},
-                      {"grid_width", sweep.grid_width},
-                      {"widths", sweep.widths},
-                      {"slopes", sweep.slopes}});
+    Json& item = sweeps.emplace_back(Json{{"quantity", QuantityToString(sweep.quantity)}});
+    SALTUS_ADD_MEMBERS(&item, sweep, entry, gradient, narrow, wide);
+    item["exact"] = sweep.exact ? Json(*sweep.exact) : Json();
+    item["finding"] = WidthFindingToString(sweep.finding);
+    SALTUS_ADD_MEMBERS(&item, sweep, grid_width, widths, slopes);
   }
   return {{"verdict", VerdictToString(study.verdict)}, {"summary", study.Summary()}, {"sweeps", std::move(sweeps)}};
+}
+
+void AddCurvature(const Certificate& certificate, Json* item) {
+  if (!certificate.curvature) return;
+  (*item)["curvature"] = {{"kind", CurvatureToString(certificate.curvature->kind)},
+                          {"smallest", certificate.curvature->smallest}};
+}
+
+void AddResiduals(const ImpactCertificate& impact, Json* item) {
+  SALTUS_ADD_MEMBERS(item, impact, multiplier);
+  (*item)["costate_jump"] = impact.jump;
+  SALTUS_ADD_MEMBERS(item, impact, hamiltonian, on_node);
 }
 
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of) {
@@ -153,22 +154,15 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate, const
   using enum Certificate::Verdict;
   if (certificate.verdict == kNotApplicable || certificate.verdict == kAmbiguous) return item;
   item["scope"] = ScopeToString(certificate.scope);
-  item["sequences_searched"] = certificate.sequences_searched;
-  item["stationarity"] = certificate.stationarity;
-  item["costate_jump"] = certificate.costate_jump;
-  item["hamiltonian"] = certificate.hamiltonian;
-  item["transversality"] = certificate.transversality;
-  if (certificate.gradient) item["gradient"] = *certificate.gradient;
+  SALTUS_ADD_MEMBERS(
+      &item, certificate, sequences_searched, stationarity, costate_jump, hamiltonian, transversality, gradient);
+  AddCurvature(certificate, &item);
   if (certificate.curvature) {
-    item["curvature"] = {{"kind", CurvatureToString(certificate.curvature->kind)},
-                         {"smallest", certificate.curvature->smallest},
-                         {"direction", ControlToJson(scene, certificate.curvature->direction)}};
+    item["curvature"]["direction"] = ControlToJson(scene, certificate.curvature->direction);
   }
-  if (certificate.final_time) item["final_time"] = *certificate.final_time;
-  if (certificate.initial) item["initial"] = *certificate.initial;
+  SALTUS_ADD_MEMBERS(&item, certificate, final_time, initial);
   for (const ParameterCertificate& entry : certificate.parameters) {
-    item["parameters"].push_back(
-        {{"name", entry.name}, {"value", entry.value}, {"derivative", entry.derivative}, {"residual", entry.residual}});
+    SALTUS_ADD_MEMBERS(&item["parameters"].emplace_back(), entry, name, value, derivative, residual);
   }
   for (const ConstraintCertificate& constraint : certificate.constraints) {
     constexpr const char* kQuantities[] = {"position", "velocity", "angle", "angular_velocity"};
@@ -185,22 +179,14 @@ Json CertificateToJson(const Scene& scene, const Certificate& certificate, const
   }
   Json impacts = Json::array();
   for (const ImpactCertificate& impact : certificate.impacts) {
-    Json entry = {{"time", impact.time},
-                  {"a", impact.a},
-                  {"b", impact.b},
-                  {"speed", impact.speed},
-                  {"multiplier", impact.multiplier},
-                  {"costate_jump", impact.jump},
-                  {"hamiltonian", impact.hamiltonian},
-                  {"on_node", impact.on_node}};
-    if (impact.theta) entry["theta"] = *impact.theta;
-    impacts.push_back(std::move(entry));
+    Json& entry = impacts.emplace_back();
+    SALTUS_ADD_MEMBERS(&entry, impact, time, a, b, speed);
+    AddResiduals(impact, &entry);
+    SALTUS_ADD_MEMBERS(&entry, impact, theta);
   }
   item["impacts"] = std::move(impacts);
   if (certificate.gradient_combined) {
-    item["gradient_early"] = *certificate.gradient_early;
-    item["gradient_late"] = *certificate.gradient_late;
-    item["gradient_combined"] = *certificate.gradient_combined;
+    SALTUS_ADD_MEMBERS(&item, certificate, gradient_early, gradient_late, gradient_combined);
   }
   return item;
 }
@@ -219,15 +205,9 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
 }
 
 Json SearchedToJson(const Searched& searched) {
-  Json item = {{"sequences", searched.sequences},
-               {"starts", searched.starts},
-               {"work", searched.work},
-               {"complete", searched.complete},
-               {"lower_bound", searched.lower_bound}};
-  if (searched.proof) {
-    item["gap"] = searched.proof->gap;
-    item["boxes"] = searched.proof->boxes;
-  }
+  Json item;
+  SALTUS_ADD_MEMBERS(&item, searched, sequences, starts, work, complete, lower_bound);
+  if (searched.proof) SALTUS_ADD_MEMBERS(&item, *searched.proof, gap, boxes);
   return item;
 }
 
@@ -319,10 +299,7 @@ void AddSurrogate(const std::optional<Surrogate>& surrogate, Json* item) {
   (*item)["surrogate"] = SurrogateToString(surrogate->kind);
   (*item)["biased"] = true;
   if (!surrogate->smooths()) return;
-  (*item)["smoothing"] = {{"sigma", surrogate->sigma},
-                          {"samples", surrogate->samples},
-                          {"seed", surrogate->seed},
-                          {"segments", surrogate->segments}};
+  SALTUS_ADD_MEMBERS(&(*item)["smoothing"], *surrogate, sigma, samples, seed, segments);
 }
 
 void AddBias(const std::string& contact, const std::optional<Surrogate>& surrogate, Json* item) {

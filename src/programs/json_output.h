@@ -33,6 +33,22 @@ namespace saltus {
 // A document may have numbers that are not finite; printing it, or passing it to Python, makes null of them.
 using Json = nlohmann::ordered_json;
 
+// Adds members of a struct under their own names: SALTUS_ADD_MEMBERS(&item, report, iterations, seconds). A
+// std::optional without a value is left out.
+template <typename T>
+void AddMember(const char* name, const T& value, Json* to) {
+  (*to)[name] = value;
+}
+template <typename T>
+void AddMember(const char* name, const std::optional<T>& value, Json* to) {
+  if (value) (*to)[name] = *value;
+}
+#define SALTUS_ADD_MEMBER(name) saltus::AddMember(#name, members_of.name, members_to);
+#define SALTUS_ADD_MEMBERS(to, of, ...)                                       \
+  [](saltus::Json* members_to, const auto& members_of) {                      \
+    NLOHMANN_JSON_EXPAND(NLOHMANN_JSON_PASTE(SALTUS_ADD_MEMBER, __VA_ARGS__)) \
+  }(to, of)
+
 // [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
 Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset);
 // The angles (entry 0) or angular velocities (entry 1) of all discs in it. Precondition: the scene has discs that spin.
@@ -60,6 +76,10 @@ Json JudgementToJson(const QuantityStudy& study);
 void AddConditioning(const RefinementStudy& study, Json* item);
 Json WidthsToJson(const WidthSweepStudy& study);
 
+// Adds kind and smallest value of the curvature, if it was looked at.
+void AddCurvature(const Certificate& certificate, Json* item);
+// Adds the residuals at an impact or event, without its time and what it is.
+void AddResiduals(const ImpactCertificate& impact, Json* item);
 // The conditions of the minimum principle, see saltus/optimality/certificate.h.
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of = "exact_loss");
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.

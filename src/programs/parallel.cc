@@ -4,10 +4,8 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
-#include <exception>
 #include <iostream>
 #include <map>
-#include <mutex>
 #include <system_error>
 #include <thread>
 

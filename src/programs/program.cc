@@ -10,7 +10,6 @@
 #include <cerrno>
 #include <cmath>
 #include <csignal>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <exception>
@@ -138,14 +137,13 @@ void CheckFlagFile(const std::string& argument, int depth) {
   if (dash == std::string::npos) return;
   const size_t start = argument.compare(dash, 2, "--") == 0 ? dash + 1 : dash;
   if (argument.compare(start, sizeof kFlag - 1, kFlag) != 0) return;
-  for (const std::string& path : SplitAtCommas(argument.substr(start + sizeof kFlag - 1))) {
+  for (const std::string& path : Split(argument.substr(start + sizeof kFlag - 1))) {
     if (depth == kDeepestFlagFile) throw InputError("--flagfile=" + path + ": flag files that name each other?");
     std::error_code unknown;
     if (std::filesystem::is_fifo(path, unknown)) continue;  // can be read only once
     const StatusOr<std::string> text = ReadFile(path, kMostFlagBytes);
     if (!text.ok()) throw InputError("--flagfile=" + text.status().message());
-    std::stringstream lines(*text);
-    for (std::string line; std::getline(lines, line);) CheckFlagFile(line, depth + 1);
+    for (const std::string& line : Split(*text, '\n')) CheckFlagFile(line, depth + 1);
   }
 }
 
@@ -202,17 +200,17 @@ void HoldMemoryBackAgain() {
   std::free(reserve.exchange(std::malloc(kReserve)));
 }
 
-std::vector<std::string> SplitAtCommas(const std::string& list) {
+std::vector<std::string> Split(const std::string& list, char separator) {
   std::vector<std::string> items;
   std::stringstream stream(list);
-  for (std::string item; std::getline(stream, item, ',');) items.push_back(item);
+  for (std::string item; std::getline(stream, item, separator);) items.push_back(item);
   return items;
 }
 
 std::vector<std::pair<std::string, double>> ReadAssignments(const std::string& flag, const std::string& list,
                                                             const std::vector<std::string>& names) {
   std::vector<std::pair<std::string, double>> pairs;
-  for (const std::string& item : SplitAtCommas(list)) {
+  for (const std::string& item : Split(list)) {
     const std::string place = "--" + flag + "=" + item + ": ";
     const size_t equals = item.find('=');
     if (equals == std::string::npos) throw InputError(place + "expected name=value");
@@ -234,7 +232,7 @@ std::vector<std::string> ReadNames(const std::string& flag, const std::string& l
                                    const std::vector<std::string>& known, const std::string& expected) {
   if (list == "all") return known;
   std::vector<std::string> names;
-  for (const std::string& name : SplitAtCommas(list)) {
+  for (const std::string& name : Split(list)) {
     if (std::ranges::find(known, name) == known.end()) {
       throw InputError("--" + flag + "=" + list + ": '" + name + "' is unknown; expected " + expected + Joined(known) +
                        Suggestion(name, known));
@@ -266,7 +264,7 @@ void PrintModels() {
 std::vector<std::string> ReadContacts(const std::string& value) {
   if (value == "all") return NameList(AllContactModels());
   std::vector<std::string> contacts;
-  for (const std::string& contact : SplitAtCommas(value)) {
+  for (const std::string& contact : Split(value)) {
     const std::string wrong = WhatIsWrongWith(contact);
     if (!wrong.empty()) {
       const std::string name = contact.substr(0, contact.find(':'));
@@ -275,8 +273,7 @@ std::vector<std::string> ReadContacts(const std::string& value) {
                        (known ? "" : Suggestion(name, NameList(AllContactModels()))));
     }
     std::vector<std::string> set;
-    std::stringstream options(contact);
-    for (std::string option; std::getline(options, option, ':');) {
+    for (const std::string& option : Split(contact, ':')) {
       set.push_back(option.substr(0, option.find('=')));
       if (std::ranges::count(set, set.back()) < 2) continue;
       throw InputError("--contact=" + value + ": found '" + set.back() + "' twice, expected it once");

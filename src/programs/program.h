@@ -66,8 +66,8 @@ inline constexpr char kMemoryRanOut[] = "memory ran out";
 // ran out, if there is any by now.
 void HoldMemoryBackAgain();
 
-// The items of a comma-separated list; none of an empty one.
-std::vector<std::string> SplitAtCommas(const std::string& list);
+// The items of a list, between separators; none of an empty one.
+std::vector<std::string> Split(const std::string& list, char separator = ',');
 
 // The names of contact models, solvers or the like.
 template <typename Entries>

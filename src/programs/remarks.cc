@@ -2,11 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "base/number_text.h"
-#include "programs/solve.h"
-#include "saltus/control/control_rows.h"
 #include "saltus/simulate/events.h"
 
 namespace saltus {

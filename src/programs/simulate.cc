@@ -18,7 +18,7 @@ namespace {
 Offer ReadOffer() {
   Offer offer{false, false, false};
   if (FLAGS_offer == "none") return offer;
-  for (const std::string& name : SplitAtCommas(FLAGS_offer)) {
+  for (const std::string& name : Split(FLAGS_offer)) {
     bool* given = name == "gradient" ? &offer.gradient : name == "step" ? &offer.step : &offer.states;
     if (given == &offer.states && name != "states") {
       throw InputError("--offer=" + FLAGS_offer + ": found '" + name + "', expected gradient, step, states or none");

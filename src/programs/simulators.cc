@@ -46,8 +46,7 @@ std::vector<std::string> LinesOf(const std::string& path) {
   const StatusOr<std::string> text = ReadFile(path, kMostListBytes);
   if (!text.ok()) throw InputError("--simulate=@" + path + ": " + text.status().message());
   std::vector<std::string> lines;
-  std::stringstream stream(*text);
-  for (std::string line; std::getline(stream, line);) {
+  for (const std::string& line : Split(*text, '\n')) {
     const std::size_t begin = line.find_first_not_of(" \t\r");
     if (begin != std::string::npos && line[begin] != '#') lines.push_back(line.substr(begin));
   }

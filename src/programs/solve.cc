@@ -5,13 +5,10 @@
 #include <new>
 
 #include "base/interrupt.h"
-#include "base/table.h"
 #include "control/surrogate_names.h"
 #include "feedback/noisy_states.h"
 #include "programs/parallel.h"
-#include "programs/program.h"
 #include "programs/remarks.h"
-#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -583,13 +583,9 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       if (run.exact.ok) item["exact_loss"] = run.exact.loss;
     }
     if (!report.losses.empty()) {
-      item["initial_loss"] = report.initial_loss;
-      item["final_loss"] = report.final_loss;
+      SALTUS_ADD_MEMBERS(&item, report, initial_loss, final_loss);
       if (run.exact.ok) item["exact_loss"] = run.exact.loss;
-      item["losses"] = report.losses;
-      item["iterations"] = report.iterations;
-      item["evaluations"] = report.evaluations;
-      item["seconds"] = report.seconds;
+      SALTUS_ADD_MEMBERS(&item, report, losses, iterations, evaluations, seconds);
       if (!report.defects.empty()) item["defect"] = LargestDefect(report);
       if (report.best) {
         item["best_loss"] = report.best->loss;

@@ -3,7 +3,6 @@
 #include <glog/logging.h>
 
 #include "contact/event/learned_events.h"
-#include "contact/event/neural_event.h"
 #include "saltus/simulate/own_contact.h"
 
 namespace saltus {

@@ -10,7 +10,6 @@
 #include "programs/simulators.h"
 #include "programs/solve.h"
 #include "saltus/scene/scene_parameter.h"
-#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "sweep/results.h"
 #include "sweep/study.h"

@@ -11,17 +11,13 @@
 #include <cstring>
 #include <filesystem>
 #include <limits>
-#include <map>
-#include <string>
 #include <string_view>
 #include <tuple>
 
 #include "base/csv.h"
 #include "base/file.h"
 #include "base/number_text.h"
-#include "base/table.h"
 #include "scene/control_problems.h"
-#include "sweep/study.h"
 
 namespace saltus {
 namespace {

@@ -3,7 +3,6 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <sstream>
 
 #include "base/number_text.h"
 #include "base/table.h"
@@ -29,13 +28,6 @@ SweepBlock WordBlock(const std::string& option, const std::vector<std::string>& 
   block.options = {option};
   for (const std::string& word : words) block.rows.push_back({word});
   return block;
-}
-
-std::vector<std::string> Lines(const std::string& text) {
-  std::vector<std::string> lines;
-  std::stringstream stream(text);
-  for (std::string line; std::getline(stream, line);) lines.push_back(line);
-  return lines;
 }
 
 // Returns the sequence as a value of the flag --sequence.
@@ -185,7 +177,7 @@ std::string SweepStudy::Description() const {
   Json blocks = Json::array();
   for (const SweepBlock& block : blocks_) blocks.push_back({{"options", block.options}, {"rows", block.rows}});
   Json description = {{"version", SALTUS_VERSION},
-                      {"scene", Lines(WriteScene(request_.scene))},
+                      {"scene", Split(WriteScene(request_.scene), '\n')},
                       {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
                       {"iterations", request_.options.iterations},
                       {"learning_rate", request_.options.learning_rate},

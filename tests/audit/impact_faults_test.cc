@@ -1,8 +1,7 @@
 // The closed form of one impact against the event-driven model, which knows nothing of it.
-#include "audit/attribution/impact_faults.h"
-
 #include <gtest/gtest.h>
 
+#include "audit/attribution/step_map.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

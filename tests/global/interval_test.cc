@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "base/random.h"
-#include "global/jet.h"
 
 namespace saltus::global {
 namespace {

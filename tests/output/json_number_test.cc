@@ -1,5 +1,3 @@
-#include "output/json_number.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,6 +6,8 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
+
+#include "output/page.h"
 
 namespace saltus {
 namespace {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"

@@ -4,7 +4,7 @@
 #include <cstdlib>
 
 #include "base/csv.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "test_scenes.h"
 
 namespace saltus {

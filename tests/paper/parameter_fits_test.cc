@@ -3,7 +3,7 @@
 
 #include <cstdlib>
 
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "paper_tables.h"
 
 namespace saltus {

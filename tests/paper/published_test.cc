@@ -1,6 +1,4 @@
 // Every number that the paper prints, at its precision and within its tolerance, from what saltus_reproduce runs.
-#include "paper/published.h"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 #include <cstdlib>
 
 #include "folders.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "paper_tables.h"
 #include "saltus/simulate/registry.h"
 

@@ -7,7 +7,7 @@
 #include <set>
 
 #include "folders.h"
-#include "paper/sections.h"
+#include "paper/experiments.h"
 #include "paper_tables.h"
 #include "test_scenes.h"
 

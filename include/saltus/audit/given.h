@@ -1,7 +1,6 @@
 // Externally computed gradients, by another simulator or by hand, compared with the exact gradient entry by entry.
 #pragma once
 
-#include <optional>
 #include <string>
 #include <vector>
 

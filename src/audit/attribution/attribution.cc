@@ -8,27 +8,22 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <cstdio>
-#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <numeric>
 #include <optional>
-#include <string>
 #include <utility>
-#include <vector>
 
-#include "audit/attribution/impact_faults.h"
 #include "audit/attribution/step_map.h"
 #include "base/number_text.h"
 #include "base/parallel_for.h"
+#include "base/statistics.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/exact_run.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "solve/phases/phase_run.h"
 
@@ -566,10 +561,10 @@ class Attributor {
       return "contact is soft: it lasts " + ToText(lasts * h() * scene_.units.time, 2) +
              " s, and smaller steps do not help";
     }
-    char percent[8];
-    std::snprintf(percent, sizeof percent, "%.0f", 100 * fine_error / coarse_error);
-    return "contact force not resolved by its " + std::to_string(lasts) + " steps (" +
-           std::to_string(FinerSteps(interval)) + " times as many leave " + percent + " % of the error)";
+    return FormatNumbers("contact force not resolved by its %.0f steps (%.0f times as many leave %.0f %% of the error)",
+                         lasts,
+                         FinerSteps(interval),
+                         100 * fine_error / coarse_error);
   }
 
   // Drops touches that no chain of touches connects with the interval; collects the moving discs of the others.
@@ -601,12 +596,8 @@ class Attributor {
 
   double Norm(const Eigen::VectorXd& costate, const std::vector<int>& bodies) const {
     const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
-    double sum = 0;
-    for (int i = 0; i < costate.size(); ++i) {
-      const double entry = costate[i] / scales[i];
-      sum += entry * entry;
-    }
-    return std::sqrt(sum);
+    const Eigen::VectorXd scaled = costate.cwiseQuotient(scales);
+    return saltus::Norm({scaled.begin(), scaled.end()});
   }
 
   std::string PairName(const Candidate& pair) const {

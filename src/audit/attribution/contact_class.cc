@@ -11,7 +11,6 @@
 #include "base/statistics.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {

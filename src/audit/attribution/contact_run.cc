@@ -11,7 +11,6 @@
 #include "audit/attribution/step_map.h"
 #include "saltus/scene/geometry.h"
 #include "saltus/scene/walls.h"
-#include "saltus/simulate/registry.h"
 #include "simulate/impact.h"
 
 namespace saltus {

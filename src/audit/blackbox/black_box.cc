@@ -9,7 +9,6 @@
 #include <limits>
 #include <utility>
 
-#include "audit/blackbox/black_box_head_on.h"
 #include "audit/blackbox/black_box_simulator.h"
 #include "audit/gradient/step_study.h"
 #include "base/number_text.h"

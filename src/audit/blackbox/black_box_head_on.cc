@@ -1,9 +1,8 @@
-#include "audit/blackbox/black_box_head_on.h"
-
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
+#include "audit/blackbox/black_box_simulator.h"
 #include "base/statistics.h"
 
 namespace saltus {

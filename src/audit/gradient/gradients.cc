@@ -3,12 +3,10 @@
 #include <glog/logging.h>
 
 #include <algorithm>
-#include <cmath>
 
 #include "control/smoothed_gradient.h"
 #include "saltus/control/objective.h"
 #include "saltus/control/single_shooting.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {

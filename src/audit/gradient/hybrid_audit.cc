@@ -1,9 +1,7 @@
 #include "saltus/audit/hybrid_audit.h"
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
 #include <ranges>
 #include <span>

@@ -5,8 +5,6 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
-#include <limits>
-#include <span>
 #include <utility>
 
 #include "base/number_text.h"

@@ -1,10 +1,5 @@
-// Impacts with planes by event functions and updates that have parameters (saltus/contact/event_functions.h); impacts
-// between discs as in event.h. Free flight is exact. An event function is evaluated kLooks times within a step, and
-// where it has fallen below zero its zero is found to rounding: a function that falls and rises again in between is
-// missed.
-//
-// Derivatives by the functions' parameters: as in neural_event.h, restitution, stiffness and damping stand for the
-// parameters `first`, first + 1 and first + 2. There is none by the restitution of impacts between discs.
+// Event-driven simulation with functions that are learned from recordings: a law of impact, or event functions of
+// planes and their updates.
 #pragma once
 
 #include <ceres/cost_function.h>
@@ -13,14 +8,130 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <span>
 #include <utility>
 
 #include "contact/event/event.h"
 #include "saltus/contact/event_functions.h"
+#include "saltus/contact/impact_law.h"
 
 namespace saltus {
 
-struct LearnedEvents {
+// The base of the models with functions that are learned. They fly as `event` does, and have derivatives by parameters
+// of what is learned. A contact model is differentiated by restitution, stiffness and damping of the scene, which these
+// do not read. They stand for the parameters `first`, first + 1 and first + 2.
+struct LearnedModel {
+  static constexpr int kRotation = 0;
+  template <typename T>
+  using State = BodyState<T, kRotation>;
+
+  LearnedModel(int first_parameter, const Units& units)
+      : first(first_parameter),
+        unit(units),
+        slot_units{1, units.force() / units.length, units.force() / units.speed()} {}
+
+  template <typename T, typename H>
+  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
+    return EventDriven().Free(in, i, x);
+  }
+
+  // Adds the derivatives of a number in the unit `out`, which are those in SI by all parameters.
+  template <typename T>
+  void AddByParameters(const StepInput<T>& in, std::span<const double> by_parameters, double out, T* number) const {
+    const T* const slots[3] = {&in.contact.restitution, &in.contact.stiffness, &in.contact.damping};
+    for (std::size_t k = 0; k < 3 && first + k < by_parameters.size(); ++k) {
+      *number += by_parameters[first + k] * slot_units[k] / out * (*slots[k] - Value(*slots[k]));
+    }
+  }
+
+  int first;
+  Units unit;            // of the step's numbers
+  double slot_units[3];  // in SI, of restitution, stiffness and damping
+};
+
+// Event-driven simulation with an impact law that is a function with parameters, such as a network: it gives
+// restitution, and friction if the law has it, by the speeds at each impact (impact_law.h). All else is as in event.h.
+// The parameters are learned from recordings by Ceres (Identify()), through the exact event times.
+//
+// Sustained contacts, and the last of the bounces that come to rest, have the restitution and the friction of the law
+// at the speeds 0. With a constant law the model is `event`, bit by bit except for the rounding of its evaluation.
+//
+// After Chen, Amos, Nickel 2021, Learning neural event functions, whose updates at events are networks; here a network
+// gives the two numbers that make an update an impulse. Event functions are the gaps.
+struct NeuralEvent : LearnedModel {
+  static constexpr ModelTraits kTraits = {.name = "neural_event",
+                                          .summary = "exact events, with a law of impact that is learned",
+                                          .source = "after Chen, Amos, Nickel 2021",
+                                          .double_engine = true,
+                                          .chains = true,
+                                          .event_driven = true,
+                                          .rebound = Rebound::kEmergent,
+                                          .sequential = true,
+                                          .relative = true};
+
+  NeuralEvent(ImpactLaw learned, int first_parameter, const Units& units)
+      : LearnedModel(first_parameter, units), law(std::make_shared<const ImpactLaw>(std::move(learned))) {}
+
+  static std::string WhyNot(const Scene& scene) { return EventDriven::WhyNot(scene); }
+
+  template <typename T>
+  void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
+    if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
+    StepInput<T> at_rest = in;
+    const PairConstants<T> numbers = At(in, T(0.0), T(0.0));
+    at_rest.contact.restitution = numbers.restitution;
+    at_rest.contact.friction = numbers.friction;
+    internal::TakeEventStep(*this, at_rest, SpeedLaw<T>{*this, in}, x, next);
+  }
+
+  std::shared_ptr<const ImpactLaw> law;
+
+ private:
+  template <typename T>
+  struct SpeedLaw {
+    const NeuralEvent& model;
+    const StepInput<T>& in;
+    PairConstants<T> At(const Candidate& /*c*/, const Vec2<T>& normal, const Vec2<T>& w) const {
+      const T sliding = Dot(Perpendicular(normal), w);
+      return model.At(in, T(-Dot(normal, w)), Value(sliding) < 0 ? T(-sliding) : sliding);
+    }
+  };
+
+  // Returns restitution and friction at the given speeds, which are in the units of the step.
+  template <typename T>
+  PairConstants<T> At(const StepInput<T>& in, const T& speed, const T& sliding) const {
+    const std::size_t count = law->parameters.size();
+    const double speed_unit = unit.speed();
+    const double speeds[2] = {Value(speed) * speed_unit, Value(sliding) * speed_unit};
+    const double* blocks[2] = {speeds, law->parameters.data()};
+    constexpr bool kDerivatives = !std::is_same_v<T, double>;
+    double value[2] = {0, 0}, by_speeds[4];
+    const std::span<double> by_parameters = in.template Array<double>(kDerivatives ? 2 * count : 0);
+    double* jacobians[2] = {by_speeds, by_parameters.data()};
+    const bool has_value = law->function->Evaluate(blocks, value, kDerivatives ? jacobians : nullptr);
+    const bool ok = has_value && value[0] >= 0 && value[0] <= 1 && value[1] >= 0;
+    if (!ok) {
+      in.Fail("the law of impact gives no restitution in [0, 1] and friction >= 0");
+      value[0] = value[1] = std::numeric_limits<double>::quiet_NaN();
+    }
+    const auto output = [&](int r) {
+      T number(value[r]);
+      if constexpr (kDerivatives) {
+        number += by_speeds[2 * r] * speed_unit * (speed - Value(speed));
+        number += by_speeds[2 * r + 1] * speed_unit * (sliding - Value(sliding));
+        AddByParameters<T>(in, by_parameters.subspan(r * count, count), /*out=*/1, &number);
+      }
+      return number;
+    };
+    return {output(0), law->HasFriction() ? output(1) : in.contact.friction};
+  }
+};
+
+// Impacts with planes by event functions and updates that have parameters (saltus/contact/event_functions.h); impacts
+// between discs as in event.h. Free flight is exact. An event function is evaluated kLooks times within a step, and
+// where it has fallen below zero its zero is found to rounding: a function that falls and rises again in between is
+// missed. There is no derivative by the restitution of impacts between discs.
+struct LearnedEvents : LearnedModel {
   static constexpr ModelTraits kTraits = {.name = "learned_events",
                                           .summary = "event functions of planes and updates that are learned",
                                           .source = "after Chen, Amos, Nickel 2021",
@@ -31,28 +142,17 @@ struct LearnedEvents {
                                           .sequential = true,
                                           // Planes are at the zeros of their event functions.
                                           .push_gap = std::numeric_limits<double>::infinity()};
-  static constexpr int kRotation = 0;
   static constexpr int kLooks = 8;         // at an event function, in a step
   static constexpr int kMostEvents = 100;  // in a step
-  template <typename T>
-  using State = BodyState<T, kRotation>;
 
   LearnedEvents(EventFunctions learned, int first_parameter, const Units& units)
-      : events(std::make_shared<const EventFunctions>(std::move(learned))),
-        first(first_parameter),
-        unit(units),
-        slot_units{1, units.force() / units.length, units.force() / units.speed()} {}
+      : LearnedModel(first_parameter, units), events(std::make_shared<const EventFunctions>(std::move(learned))) {}
 
   static std::string WhyNot(const Scene& scene) {
     if (scene.table || scene.HasEdges() || !scene.pockets.empty()) {
       return "walls that end, pockets, or a table: event functions are those of planes";
     }
     return "";
-  }
-
-  template <typename T, typename H>
-  State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
-    return EventDriven().Free(in, i, x);
   }
 
   template <typename T>
@@ -62,9 +162,6 @@ struct LearnedEvents {
   }
 
   std::shared_ptr<const EventFunctions> events;
-  int first;
-  Units unit;            // of the step's numbers
-  double slot_units[3];  // in SI, of restitution, stiffness and damping
 
  private:
   template <typename T>
@@ -228,11 +325,7 @@ struct LearnedEvents {
             number += by_disc[5 * r + j] * model_.unit.length / out * (p[j] - at[j]);
             number += by_disc[5 * r + 2 + j] * model_.unit.speed() / out * (v[j] - moving[j]);
           }
-          const T* const slots[3] = {&in_.contact.restitution, &in_.contact.stiffness, &in_.contact.damping};
-          for (std::size_t k = 0; k < 3 && model_.first + k < count; ++k) {
-            number += by_parameters[r * count + model_.first + k] * model_.slot_units[k] / out *
-                      (*slots[k] - Value(*slots[k]));
-          }
+          model_.AddByParameters<T>(in_, by_parameters.subspan(r * count, count), out, &number);
         }
         result[r] = number;
       }
