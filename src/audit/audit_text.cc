@@ -58,16 +58,11 @@ std::string NameOf(const Scene& scene, const OneSided& entry) {
   return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
 }
 
-std::string WhyNotJudged(OneSided::Side side) {
-  switch (side) {
-    case OneSided::Side::kAbove:
-      return "the exact one exists from above only, and is not judged";
-    case OneSided::Side::kBelow:
-      return "the exact one exists from below only, and is not judged";
-    case OneSided::Side::kNone:
-      break;
-  }
-  return "the exact one does not exist";
+const char* WhyNotJudged(OneSided::Side side) {
+  constexpr const char* kReasons[] = {"the exact one exists from above only, and is not judged",
+                                      "the exact one exists from below only, and is not judged",
+                                      "the exact one does not exist"};
+  return kReasons[static_cast<int>(side)];
 }
 
 }  // namespace
@@ -80,23 +75,10 @@ ModelGradient StandardErrorsOf(ModelGradient gradient) {
 }
 
 Tone ToneOf(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::kRight:
-    case Verdict::kConsistent:
-      return Tone::kGood;
-    case Verdict::kWrong:
-    case Verdict::kWrongSign:
-      return Tone::kBad;
-    case Verdict::kBiased:
-    case Verdict::kIllConditioned:
-    case Verdict::kAmbiguous:
-    case Verdict::kOneSided:
-      return Tone::kWarning;
-    case Verdict::kNotApplicable:
-    case Verdict::kUnknown:
-      break;
-  }
-  return Tone::kMuted;
+  using enum Tone;
+  constexpr Tone kTones[] = {
+      kGood, kGood, kBad, kBad, kMuted, kWarning, kWarning, kMuted, kWarning, kWarning};  // in the order of the enum
+  return kTones[static_cast<int>(verdict)];
 }
 
 Table GradientTable(const Scene& scene, const AuditReport& report) {

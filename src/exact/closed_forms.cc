@@ -9,17 +9,7 @@
 namespace saltus {
 namespace {
 
-using exact_internal::ContactLaw;
-using exact_internal::DiscPair;
-using exact_internal::DiscPath;
-using exact_internal::FlyBoth;
-using exact_internal::InitialMotion;
-using exact_internal::kGrazing;
-using exact_internal::kTouching;
-using exact_internal::Motion;
-using exact_internal::PairParameters;
-using exact_internal::Polynomial;
-using exact_internal::Refuse;
+using namespace exact_internal;  // NOLINT: the parts of the closed forms
 
 // A phase between two collisions, with the derivatives of the loss by a change of the motion at its start.
 struct Phase {
@@ -93,7 +83,7 @@ void Complete(const Scene& scene, double terminal, const std::vector<Motion<doub
 using DiscJet = ceres::Jet<double, 6>;
 
 std::optional<ClosedForm> DiscAmongPlanes(const Scene& scene, std::string* why_not) {
-  const std::optional<DiscPath> path = exact_internal::FollowDisc(scene, why_not);
+  const std::optional<DiscPath> path = FollowDisc(scene, why_not);
   if (!path) return std::nullopt;
   const ContactLaw<DiscJet> law = {DiscJet(scene.contact.restitution, 4), DiscJet(scene.contact.friction, 5)};
   ClosedForm form;
@@ -105,10 +95,10 @@ std::optional<ClosedForm> DiscAmongPlanes(const Scene& scene, std::string* why_n
   for (size_t j = 0; j < path->phase_start.size(); ++j) {
     const double start = j == 0 ? 0 : path->events[j - 1].time;
     const double end = j < path->hits.size() ? path->events[j].time : scene.duration;
-    const exact_internal::PlaneSequence left(path->hits.begin() + static_cast<long>(j), path->hits.end());
-    const auto end_motion = exact_internal::FlyAlong(scene, law, left, Seed<DiscJet>(path->phase_start[j], 0), start);
+    const PlaneSequence left(path->hits.begin() + static_cast<long>(j), path->hits.end());
+    const auto end_motion = FlyAlong(scene, law, left, Seed<DiscJet>(path->phase_start[j], 0), start);
     if (!end_motion) return Refuse(why_not, "the disc grazes a plane");
-    const DiscJet loss = exact_internal::TerminalLoss<DiscJet>(scene.objective, {*end_motion});
+    const DiscJet loss = TerminalLoss<DiscJet>(scene.objective, {*end_motion});
     phases.push_back({start, end, {Costate(loss, 0)}});
     if (j > 0) continue;
     whole = loss;
@@ -129,8 +119,8 @@ PairParameters MakePair(const Scene& scene) {
   return {scene.bodies[0].radius + scene.bodies[1].radius,
           scene.bodies[0].mass,
           scene.bodies[1].mass,
-          exact_internal::InitialAcceleration(scene, 0),
-          exact_internal::InitialAcceleration(scene, 1)};
+          InitialAcceleration(scene, 0),
+          InitialAcceleration(scene, 1)};
 }
 
 // Returns |first - second|^2 - (contact distance)^2 as a polynomial in the time from now. It is exactly 0 at time 0 if
@@ -157,7 +147,7 @@ Meeting FindMeeting(const PairParameters& pair, const DiscPair<double>& discs, d
     gap.erase(gap.begin());  // the root at time 0
     if (speed < kGrazing) gap.erase(gap.begin());
   }
-  const std::vector<double> roots = exact_internal::RootsBetween(gap, 0, remaining);
+  const std::vector<double> roots = RootsBetween(gap, 0, remaining);
   if (roots.empty()) return Meeting::kNone;
   *when = roots.front();
   return Meeting::kImpact;
@@ -179,7 +169,7 @@ DiscPair<PairJet> SeedPair(const DiscPair<double>& discs) {
 // Returns the last phase, which has no collision, from `discs` at `start` to the end of the scene.
 Phase LastPhase(const Scene& scene, const PairParameters& pair, const DiscPair<double>& discs, double start) {
   const DiscPair<PairJet> end = FlyBoth(pair, SeedPair(discs), PairJet(scene.duration - start));
-  const PairJet loss = exact_internal::TerminalLoss<PairJet>(scene.objective, {end.first, end.second});
+  const PairJet loss = TerminalLoss<PairJet>(scene.objective, {end.first, end.second});
   return PairPhase(loss, start, scene.duration);
 }
 
@@ -194,21 +184,20 @@ std::optional<ClosedForm> TwoDiscs(const Scene& scene, std::string* why_not) {
   if (meeting == Meeting::kNone) {
     const DiscPair<double> end = FlyBoth(pair, start, scene.duration);
     const std::vector<Motion<double>> final = {end.first, end.second};
-    Complete(
-        scene, exact_internal::TerminalLoss(scene.objective, final), final, {LastPhase(scene, pair, start, 0)}, &form);
+    Complete(scene, TerminalLoss(scene.objective, final), final, {LastPhase(scene, pair, start, 0)}, &form);
     return form;
   }
   if (!Approaches(FlyBoth(pair, start, impact))) return Refuse(why_not, "the discs graze each other");
   const ContactLaw<double> law = {scene.contact.restitution, scene.contact.friction};
   ExactEvent event = {impact, scene.bodies[0].name, scene.bodies[1].name, {}};
-  const DiscPair<double> after = exact_internal::CollideOnce(pair, law, start, impact, impact, &event.mode);
+  const DiscPair<double> after = CollideOnce(pair, law, start, impact, impact, &event.mode);
   double again = 0;
   if (FindMeeting(pair, after, scene.duration - impact, &again) != Meeting::kNone) {
     return Refuse(why_not, "the discs collide twice, or stay in contact");
   }
   const ContactLaw<PairJet> seeded_law = {PairJet(scene.contact.restitution, 8), PairJet(scene.contact.friction, 9)};
-  const DiscPair<PairJet> end = exact_internal::CollideOnce(pair, seeded_law, SeedPair(start), impact, scene.duration);
-  const PairJet loss = exact_internal::TerminalLoss<PairJet>(scene.objective, {end.first, end.second});
+  const DiscPair<PairJet> end = CollideOnce(pair, seeded_law, SeedPair(start), impact, scene.duration);
+  const PairJet loss = TerminalLoss<PairJet>(scene.objective, {end.first, end.second});
   const DiscPair<double> final = FlyBoth(pair, after, scene.duration - impact);
   Complete(scene,
            loss.a,
@@ -243,7 +232,7 @@ ClosedForm Convert(ClosedForm form, const Units& from, const Units& to) {
 }  // namespace
 
 std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not) {
-  if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
+  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
   if (const std::string beyond = BeyondTerminalLoss(scene.objective); !beyond.empty()) {
     return Refuse(why_not, "the scene has " + beyond + "; the closed forms are of terminal costs and effort");
   }

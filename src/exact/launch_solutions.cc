@@ -9,10 +9,7 @@
 namespace saltus {
 namespace {
 
-using exact_internal::ContactLaw;
-using exact_internal::DiscPath;
-using exact_internal::Motion;
-using exact_internal::PlaneSequence;
+using namespace exact_internal;  // NOLINT: the parts of the closed forms
 
 // Returns all sequences of at most `hits` impacts.
 std::vector<PlaneSequence> Sequences(int planes, int hits) {
@@ -38,9 +35,9 @@ struct Miss {
 std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const Vec2d& velocity) {
   using Jet = ceres::Jet<double, 2>;
   const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(scene.contact.friction)};
-  Motion<Jet> disc = exact_internal::Cast<Jet>({scene.bodies[0].position, velocity});
+  Motion<Jet> disc = Cast<Jet>({scene.bodies[0].position, velocity});
   for (int c = 0; c < 2; ++c) disc.velocity[c].v[c] = 1;
-  const std::optional<Motion<Jet>> end = exact_internal::FlyAlong(scene, law, hits, disc, 0);
+  const std::optional<Motion<Jet>> end = FlyAlong(scene, law, hits, disc, 0);
   if (!end) return std::nullopt;
   Miss miss;
   for (int c = 0; c < 2; ++c) {
@@ -75,10 +72,9 @@ bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
 Vec2d StraightLaunch(const Scene& scene, const PlaneSequence& hits) {
   Vec2d image = Target(scene).target;
   for (auto hit = hits.rbegin(); hit != hits.rend(); ++hit) {
-    image = exact_internal::Mirror(scene.planes[*hit], scene.bodies[0].radius, image);
+    image = Mirror(scene.planes[*hit], scene.bodies[0].radius, image);
   }
-  return (image - scene.bodies[0].position) / scene.duration -
-         0.5 * scene.duration * exact_internal::InitialAcceleration(scene, 0);
+  return (image - scene.bodies[0].position) / scene.duration - 0.5 * scene.duration * InitialAcceleration(scene, 0);
 }
 
 // Adds the solution that Newton's method finds from `velocity`, if it is new and the disc does strike `hits`.
@@ -89,7 +85,7 @@ void Try(const Scene& scene, const PlaneSequence& hits, Vec2d velocity, std::vec
   }
   Scene launched = scene;
   launched.bodies[0].velocity = velocity;
-  const std::optional<DiscPath> path = exact_internal::FollowDisc(launched, nullptr);
+  const std::optional<DiscPath> path = FollowDisc(launched, nullptr);
   if (path && path->hits == hits) solutions->push_back({velocity, path->events});
 }
 
@@ -118,12 +114,12 @@ std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits
   }
   constexpr int kLattice = 3;  // starts to either side, per direction
   std::vector<LaunchSolution> solutions;
-  if (std::string wrong = exact_internal::WhatIsWrongWith(scene); !wrong.empty()) {
-    exact_internal::Refuse(why_not, wrong);
+  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) {
+    Refuse(why_not, wrong);
     return solutions;
   }
   if (const char* reason = WhyNotLaunch(scene)) {
-    exact_internal::Refuse(why_not, reason);
+    Refuse(why_not, reason);
     return solutions;
   }
   for (const PlaneSequence& hits : Sequences(static_cast<int>(scene.planes.size()), max_hits)) {
@@ -136,7 +132,7 @@ std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits
   std::sort(solutions.begin(), solutions.end(), [](const LaunchSolution& a, const LaunchSolution& b) {
     return a.velocity.norm() < b.velocity.norm();
   });
-  if (solutions.empty()) exact_internal::Refuse(why_not, "no velocity of zero loss was found");
+  if (solutions.empty()) Refuse(why_not, "no velocity of zero loss was found");
   return solutions;
 }
 

@@ -12,10 +12,13 @@
 #include "exact/flow.h"
 #include "scene/units.h"
 
+namespace saltus {
+namespace {
+
+using namespace exact_internal;  // NOLINT: the parts of the closed forms
+
 // The common part of both optima: the loss as a function of the time and the angle of the impact, Newton's method on
 // it, and a check of the paths.
-namespace saltus::exact_internal {
-namespace {
 
 // Makes a constant in T, which may be a Jet over Jets.
 template <typename T>
@@ -280,26 +283,6 @@ bool PathsAreClear(const Scene& scene, const std::vector<PathPiece>& pieces) {
   return true;
 }
 
-}  // namespace
-}  // namespace saltus::exact_internal
-
-namespace saltus {
-namespace {
-
-using exact_internal::CollideOnce;
-using exact_internal::ContactLaw;
-using exact_internal::DiscPair;
-using exact_internal::EvaluateTwoDisc;
-using exact_internal::Fly;
-using exact_internal::Motion;
-using exact_internal::PairParameters;
-using exact_internal::Path;
-using exact_internal::PathPiece;
-using exact_internal::Polynomial;
-using exact_internal::TwoDiscLoss;
-using exact_internal::TwoDiscProblem;
-using exact_internal::TwoDiscState;
-
 // ---- In continuous time
 
 // Returns the paths of both discs from time 0 to the impact at s.
@@ -367,15 +350,15 @@ std::optional<TwoDiscOptimum> CandidateAt(const Scene& scene, TwoDiscSequence se
   o.control_start = problem.mass * (loss.beta + s * loss.alpha);
   o.control_slope = -problem.mass * loss.alpha;
   o.target_velocity = problem.start.v2 + problem.kappa * loss.speed * loss.n;
-  const auto after = exact_internal::PathsAfterImpact(scene, sequence, s, loss, &o.plane_time);
+  const auto after = PathsAfterImpact(scene, sequence, s, loss, &o.plane_time);
   if (!after) return std::nullopt;
   std::vector<PathPiece> pieces = {PathsBeforeImpact(problem, s, o.control_start, o.control_slope)};
   pieces.insert(pieces.end(), after->begin(), after->end());
-  if (!exact_internal::PathsAreClear(scene, pieces)) return std::nullopt;
+  if (!PathsAreClear(scene, pieces)) return std::nullopt;
   const PathPiece& last = pieces.back();
-  for (int c = 0; c < 2; ++c) o.target_final[c] = exact_internal::Evaluate(last.second[c], last.end - last.start);
+  for (int c = 0; c < 2; ++c) o.target_final[c] = Evaluate(last.second[c], last.end - last.start);
   FillCostates(problem, &o);
-  const Eigen::Matrix2d hessian = exact_internal::DifferentiateTwoDisc(problem, s, phi).hessian;
+  const Eigen::Matrix2d hessian = DifferentiateTwoDisc(problem, s, phi).hessian;
   o.curvature = hessian(0, 0) - hessian(0, 1) * hessian(1, 0) / hessian(1, 1);
   return o;
 }
@@ -417,7 +400,7 @@ std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequ
   }
   constexpr int kTimes = 16;
   constexpr int kAngles = 12;
-  const auto problem = exact_internal::MakeTwoDiscProblem(scene, sequence, why_not);
+  const auto problem = MakeTwoDiscProblem(scene, sequence, why_not);
   if (!problem) return std::nullopt;
   const Vec2d way = problem->start.p2 - problem->start.p1;
   std::optional<TwoDiscOptimum> best;
@@ -425,12 +408,12 @@ std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequ
     for (int j = 0; j < kAngles; ++j) {
       double s = problem->duration * (i + 0.5) / kTimes;
       double phi = std::atan2(way[1], way[0]) + std::numbers::pi * ((j + 0.5) / kAngles - 0.5);
-      if (!exact_internal::MinimizeTwoDisc(*problem, true, &s, &phi)) continue;
+      if (!MinimizeTwoDisc(*problem, true, &s, &phi)) continue;
       const std::optional<TwoDiscOptimum> candidate = CandidateAt(scene, sequence, *problem, s, phi);
       if (candidate && (!best || candidate->loss < best->loss)) best = candidate;
     }
   }
-  if (!best) return exact_internal::Refuse(why_not, "no minimum with these collisions was found");
+  if (!best) return Refuse(why_not, "no minimum with these collisions was found");
   return best;
 }
 
@@ -445,7 +428,7 @@ struct Grid {
 };
 
 std::optional<Grid> MakeGrid(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
-  const auto problem = exact_internal::MakeTwoDiscProblem(scene, sequence, why_not);
+  const auto problem = MakeTwoDiscProblem(scene, sequence, why_not);
   if (!problem) return std::nullopt;
   const auto optimum = FindTwoDiscOptimum(scene, sequence, why_not);
   if (!optimum) return std::nullopt;
@@ -458,16 +441,16 @@ std::optional<Grid> MakeGrid(const Scene& scene, TwoDiscSequence sequence, std::
 std::optional<TwoDiscLoss<double>> BestAtNode(const Grid& grid, int node) {
   double s = node * grid.problem.step;
   double phi = grid.angle;
-  if (!exact_internal::MinimizeTwoDisc(grid.problem, false, &s, &phi)) return std::nullopt;
-  const auto loss = exact_internal::EvaluateTwoDisc(grid.problem, grid.problem.start, s, phi);
+  if (!MinimizeTwoDisc(grid.problem, false, &s, &phi)) return std::nullopt;
+  const auto loss = EvaluateTwoDisc(grid.problem, grid.problem.start, s, phi);
   if (!(loss.speed > 0)) return std::nullopt;
   return loss;
 }
 
 std::vector<PathPiece> PathsBeforeImpact(const Scene& scene, const GridOptimum& o) {
   std::vector<PathPiece> pieces;
-  Motion<double> first = exact_internal::InitialMotion(scene, 0);
-  Motion<double> second = exact_internal::InitialMotion(scene, 1);
+  Motion<double> first = InitialMotion(scene, 0);
+  Motion<double> second = InitialMotion(scene, 1);
   for (int i = 0; i < o.node; ++i) {
     const Vec2d a = o.control[i] / scene.bodies[0].mass;
     PathPiece piece = {i * scene.dt(), (i + 1) * scene.dt(), {}, {}};
@@ -493,7 +476,7 @@ std::array<Vec2d, 2> ImpactCostate(const Scene& scene, const TwoDiscProblem& pro
   const Vec2d& w = o.striker_velocity;
   DiscPair<Jet> discs;
   discs.first = {{Jet(p1[0], 0), Jet(p1[1], 1)}, {Jet(w[0], 2), Jet(w[1], 3)}};
-  discs.second = exact_internal::Cast<Jet>({p2, second.velocity});
+  discs.second = Cast<Jet>({p2, second.velocity});
   const PairParameters pair = {problem.contact_distance, first.mass, second.mass, force / first.mass, Vec2d(0, 0)};
   const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(0.0)};
   const DiscPair<Jet> end = CollideOnce(pair, law, discs, 0, problem.duration - o.impact_time);
@@ -546,11 +529,11 @@ std::optional<GridOptimum> MakeOptimum(const Scene& scene, TwoDiscSequence seque
     const double left = o.impact_time - (i + 0.5) * grid.problem.step;
     o.control[i] = grid.problem.mass * (loss.beta + left * loss.alpha);
   }
-  const auto after = exact_internal::PathsAfterImpact(scene, sequence, o.impact_time, loss, &o.plane_time);
-  if (!after) return exact_internal::Refuse(why_not, "the second disc does not reach the plane");
+  const auto after = PathsAfterImpact(scene, sequence, o.impact_time, loss, &o.plane_time);
+  if (!after) return Refuse(why_not, "the second disc does not reach the plane");
   std::vector<PathPiece> pieces = PathsBeforeImpact(scene, o);
   pieces.insert(pieces.end(), after->begin(), after->end());
-  if (!exact_internal::PathsAreClear(scene, pieces)) return exact_internal::Refuse(why_not, "something else is struck");
+  if (!PathsAreClear(scene, pieces)) return Refuse(why_not, "something else is struck");
   FillCertificate(scene, grid.problem, &o);
   return o;
 }
@@ -586,7 +569,7 @@ std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSeque
   if (!grid) return std::nullopt;
   CHECK(node >= 2 && node < scene.steps) << "no such node for an impact: " << node;
   const auto loss = BestAtNode(*grid, node);
-  if (!loss) return exact_internal::Refuse(why_not, "no minimum with the impact on this node was found");
+  if (!loss) return Refuse(why_not, "no minimum with the impact on this node was found");
   return MakeOptimum(scene, sequence, *grid, node, *loss, why_not);
 }
 
@@ -604,7 +587,7 @@ std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence s
     best_node = node;
     best = *loss;
   }
-  if (best_node == 0) return exact_internal::Refuse(why_not, "no minimum with the impact on a node was found");
+  if (best_node == 0) return Refuse(why_not, "no minimum with the impact on a node was found");
   return MakeOptimum(scene, sequence, *grid, best_node, best, why_not);
 }
 

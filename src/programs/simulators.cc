@@ -135,10 +135,8 @@ std::vector<std::string> KeepSimulators(std::vector<SimulatorCommand> simulators
 }
 
 const SimulatorCommand* FindSimulator(const std::string& contact) {
-  for (const SimulatorCommand& simulator : Kept()) {
-    if (simulator.name == contact) return &simulator;
-  }
-  return nullptr;
+  const auto found = std::ranges::find(Kept(), contact, &SimulatorCommand::name);
+  return found == Kept().end() ? nullptr : &*found;
 }
 
 Contact ContactNamed(const std::string& contact, const Scene& scene) {

@@ -42,59 +42,40 @@ std::string MeaningOfStationary(const Certificate& certificate) {
   if (!certificate.curvature) {
     return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
   }
-  switch (certificate.curvature->kind) {
-    case Curvature::Kind::kMinimum:
-      return "no small change of " + which + " lowers the loss";
-    case Curvature::Kind::kSaddle:
-      return "no minimum: along one change of " + which + " the loss falls, both ways";
-    case Curvature::Kind::kFlat:
-      return "perhaps no minimum: along one change of " + which + " the loss hardly changes";
-  }
-  return "";
+  const Curvature::Kind kind = certificate.curvature->kind;
+  if (kind == Curvature::Kind::kMinimum) return "no small change of " + which + " lowers the loss";
+  if (kind == Curvature::Kind::kSaddle)
+    return "no minimum: along one change of " + which + " the loss falls, both ways";
+  return "perhaps no minimum: along one change of " + which + " the loss hardly changes";
 }
 
 // Returns the relative residual of the certificate: the worst one under its verdict, std::nullopt if there is nothing
 // to certify.
 std::optional<double> ResidualOf(const Certificate& certificate) {
-  switch (certificate.verdict) {
-    case kStationaryOnGrid:
-      return certificate.gradient;
-    case kStationary:
-    case kGlobal:
-    case kNotStationary: {
-      double residual = std::max({certificate.stationarity,
-                                  certificate.costate_jump,
-                                  std::abs(certificate.hamiltonian),
-                                  certificate.transversality,
-                                  certificate.initial.value_or(0)});
-      for (const ParameterCertificate& entry : certificate.parameters) residual = std::max(residual, entry.residual);
-      return residual;
-    }
-    case kAmbiguous:
-    case kNotApplicable:
-      return std::nullopt;
-  }
-  return std::nullopt;
+  if (certificate.verdict == kStationaryOnGrid) return certificate.gradient;
+  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return std::nullopt;
+  double residual = std::max({certificate.stationarity,
+                              certificate.costate_jump,
+                              std::abs(certificate.hamiltonian),
+                              certificate.transversality,
+                              certificate.initial.value_or(0)});
+  for (const ParameterCertificate& entry : certificate.parameters) residual = std::max(residual, entry.residual);
+  return residual;
 }
 
 bool HasCurvature(const Certificate& certificate) { return certificate.IsStationary() && certificate.curvature; }
 
 // Explains the verdict about the control, in a sentence or two.
 std::string MeaningOf(const Certificate& certificate) {
-  switch (certificate.verdict) {
-    case kNotStationary:
-      return std::string("small changes of ") + (certificate.initial ? "what is optimized" : "the control") +
-             (certificate.parameters.empty() || certificate.initial ? "" : " or the parameters") +
-             " lower the loss: " + certificate.reason;
-    case kAmbiguous:
-    case kNotApplicable:
-      return certificate.reason;
-    case kGlobal:
-      return certificate.reason.empty() ? "a lower bound proves that no control on as many intervals has a lower loss"
-                                        : certificate.reason;
-    case kStationary:
-    case kStationaryOnGrid:
-      break;
+  if (certificate.verdict == kNotStationary) {
+    return std::string("small changes of ") + (certificate.initial ? "what is optimized" : "the control") +
+           (certificate.parameters.empty() || certificate.initial ? "" : " or the parameters") +
+           " lower the loss: " + certificate.reason;
+  }
+  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return certificate.reason;
+  if (certificate.verdict == kGlobal) {
+    return certificate.reason.empty() ? "a lower bound proves that no control on as many intervals has a lower loss"
+                                      : certificate.reason;
   }
   const std::string searched =
       certificate.scope == Certificate::Scope::kBestOfSearched

@@ -224,15 +224,8 @@ std::string DescribeDifference(const std::string& before, const std::string& now
 }
 
 const char* ToString(PointStatus status) {
-  switch (status) {
-    case PointStatus::kComputed:
-      return "done";
-    case PointStatus::kFailed:
-      return "failed";
-    case PointStatus::kNotApplicable:
-      return "not_applicable";
-  }
-  LOG(FATAL) << "no such status";
+  constexpr const char* kNames[] = {"done", "failed", "not_applicable"};
+  return kNames[static_cast<int>(status)];
 }
 
 std::optional<PointStatus> FindPointStatus(const std::string& text) {

@@ -531,10 +531,8 @@ const char* VerdictToString(Verdict verdict) {
 bool IsWrong(Verdict verdict) { return verdict == Verdict::kWrong || verdict == Verdict::kWrongSign; }
 
 const QuantityStudy* RefinementStudy::Find(Quantity quantity) const {
-  for (const QuantityStudy& study : quantities) {
-    if (study.quantity == quantity) return &study;
-  }
-  return nullptr;
+  const auto found = std::ranges::find(quantities, quantity, &QuantityStudy::quantity);
+  return found == quantities.end() ? nullptr : &*found;
 }
 
 const char* WidthFindingToString(WidthFinding finding) {
