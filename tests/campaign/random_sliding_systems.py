@@ -18,7 +18,7 @@ import numpy as np
 import saltus
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-from reference_motions import Ends, arguments, extrapolated, run, step, verdict  # noqa: E402
+from reference_motions import Ends, arguments, extrapolated, limited, run, step, verdict  # noqa: E402
 
 IMAGINARY = 1e-30  # of derivatives by complex numbers
 
@@ -118,23 +118,24 @@ class System:
         return x, changes
 
 
-def compare(seed):
+def compare(seed, seconds=0):
     """What became of one system, and a text about it."""
     system = System(np.random.default_rng(seed))
     p = np.array([0.2, 1.0])
     try:
-        exact, changes = system.final(system.initial, p)
-        columns = []
-        for i in range(system.n + 2):
-            ends = []
-            for step in (1e-5, -1e-5):
-                x, q = system.initial.copy(), p.copy()
-                (x if i < system.n else q)[i if i < system.n else i - system.n] += step
-                end, its_changes = system.final(x, q)
-                if [c[1:] for c in its_changes] != [c[1:] for c in changes]:
-                    raise Ends("other changes nearby")
-                ends.append(end)
-            columns.append((ends[0] - ends[1]) / 2e-5)
+        with limited(seconds):
+            exact, changes = system.final(system.initial, p)
+            columns = []
+            for i in range(system.n + 2):
+                ends = []
+                for step in (1e-5, -1e-5):
+                    x, q = system.initial.copy(), p.copy()
+                    (x if i < system.n else q)[i if i < system.n else i - system.n] += step
+                    end, its_changes = system.final(x, q)
+                    if [c[1:] for c in its_changes] != [c[1:] for c in changes]:
+                        raise Ends("other changes nearby")
+                    ends.append(end)
+                columns.append((ends[0] - ends[1]) / 2e-5)
     except Ends as end:
         return "no reference", str(end)
     if not any(side == 0 for _, _, side in changes):

@@ -19,7 +19,7 @@ import numpy as np
 import saltus
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
-from reference_motions import CLOSE, Ends, arguments, extrapolated, run, step, verdict  # noqa: E402
+from reference_motions import CLOSE, Ends, arguments, extrapolated, limited, run, step, verdict  # noqa: E402
 
 STEP = 1e-30  # of derivatives by complex numbers
 
@@ -279,18 +279,18 @@ class Reference:
 
 # ---------------------------------------------------------------------------------------------------------------------
 
-def compare(seed):
+def compare(seed, seconds=0):
     """What became of one system, and a text about it. Where results differ, the reference is computed again with shorter
     steps."""
-    kind, text = compare_with(seed, 0.5)
-    return compare_with(seed, 0.02) if kind == "DIFFERS" else (kind, text)
+    kind, text = compare_with(seed, 0.5, seconds)
+    return compare_with(seed, 0.02, 10 * seconds) if kind == "DIFFERS" else (kind, text)
 
 
-def compare_with(seed, part):
+def compare_with(seed, part, seconds):
     system = System(np.random.default_rng(seed))
     reference = Reference(system, part)
     try:
-        with np.errstate(all="ignore"):
+        with limited(seconds), np.errstate(all="ignore"):
             reference.run()
     except Ends as end:
         return "no reference", str(end)

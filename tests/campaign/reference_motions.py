@@ -6,6 +6,8 @@ its rate, at the state y after a part s of a step; advance(s) returns that state
 
 import argparse
 import collections
+import contextlib
+import signal
 
 import numpy as np
 
@@ -98,6 +100,21 @@ def step(advance, numbers, y, h, just=()):
     return when, advance(when), begin[i][0]
 
 
+@contextlib.contextmanager
+def limited(seconds):
+    """Ends the reference after so many seconds; 0 is no limit."""
+    def end(*_):
+        raise Ends(f"it takes more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def verdict(worst, by, most, most_by, remark, text):
     """What became of a system whose states differ by `worst` and derivatives by `by`."""
     if worst <= most and by <= most_by:
@@ -110,6 +127,7 @@ def arguments(count):
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=count)
     parser.add_argument("--first", type=int, default=0, help="seed of the first system")
+    parser.add_argument("--seconds", type=int, default=0, help="the longest time of a reference; 0: no limit")
     parser.add_argument("--verbose", action="store_true")
     return parser
 
@@ -120,7 +138,7 @@ def run(compare, options):
     counts, reasons = collections.Counter(), collections.Counter()
     seed = options.first
     while sum(counts.values()) - counts["no reference"] < options.count:
-        kind, text = compare(seed)
+        kind, text = compare(seed, options.seconds)
         counts[kind] += 1
         if kind == "no reference":
             reasons[text] += 1
