@@ -136,6 +136,9 @@ class Expression:
     def __rmod__(self, other: Any) -> Any:
         return other - self * _floor(other / self)
 
+    def __round__(self) -> Any:
+        return _floor(self + 0.5)
+
     def __neg__(self) -> Expression:
         return self._apply("negate", self)
 
@@ -528,6 +531,8 @@ _RECORDED: dict[str, Callable[..., Any]] = {
     "hypot": _hypot,
     "copysign": _copysign,
     "ceil": lambda a: -_floor(-a),
+    "rint": round,
+    "trunc": lambda a: where(a >= 0, _floor(a), -_floor(-a)),
     "fmod": lambda a, b: a - b * where(a / b >= 0, _floor(a / b), -_floor(-(a / b))),
     "degrees": lambda a: a * (180 / math.pi),
     "radians": lambda a: a * (math.pi / 180),

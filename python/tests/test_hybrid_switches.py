@@ -94,6 +94,7 @@ def test_quadratic_drag_has_the_derivatives_of_its_closed_form():
     (lambda t, c: np.floor(c * t), 1.3), (lambda t, c: (c * t) % 1.0, 0.66), (lambda t, c: c * t // 1, 1.3),
     (lambda t, c: np.maximum(t - c / 2, 0), 0.08), (lambda t, c: np.minimum(c * t, 1), 1.15), (lambda t, c: abs(t - c / 2), 0.58),
     (lambda t, c: np.clip(t, c / 4, c / 2), 0.25 + 0.375 + 0.4), (lambda t, c: np.sign(t - c / 4), 0.4), (lambda t, c: (t > c / 4) * 1.0, 0.9),
+    (lambda t, c: np.round(c * t), 1.95), (lambda t, c: round(c * t), 1.95), (lambda t, c: np.trunc(1.5 - c * t), 0.1),
     (lambda t, c: np.ceil(c * t), 2.7), (lambda t, c: math.copysign(1.0, t - c / 4), 0.4), (lambda t, c: math.fabs(t - c / 2), 0.58),
     (lambda t, c: saltus.where((t > c / 4) & ~(t > c / 2), 1.0, 0.0), 0.5),
     (lambda t, c: saltus.where((t > c / 4) ^ (t > c / 2), 1.0, 0.0), 0.5),
