@@ -345,6 +345,17 @@ def test_a_flow_that_is_not_smooth_is_refused_with_the_place():
     assert_allclose(before + after, duration, rtol=2e-6)
 
 
+def test_a_tank_that_fills_from_empty_is_not_called_stiff():
+    tank = one_mode(lambda x: [1 - 0.5 * np.sqrt(x[0])], ["h"])
+    with pytest.raises(RuntimeError, match=r"twice as many lower the error only by a factor of 2.* in mode 'm' at t = 0, as sqrt"):
+        saltus.rollout(saltus.HybridProblem(tank, mode="m", initial=[0], duration=2.0))
+
+
+def test_a_motion_along_a_step_of_floor_ends_with_the_reason():
+    system = one_mode(lambda x: [0.3 - np.floor(4 * x[0]) / 4], sliding="filippov")
+    with pytest.raises(RuntimeError, match=r"points at it in mode 'm' at t = 2.7376.* and the switch is no step of floor or %"):
+        saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1.9], duration=20.0))
+
 
 def test_tables_and_steps_are_recorded():
     """x' is k times a table of x, 1 + x to x = 1, 2 x to x = 2, and c beyond: closed forms. y' steps at t = s."""

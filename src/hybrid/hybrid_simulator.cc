@@ -188,7 +188,8 @@ class HybridSimulator::Impl {
     const double fall = std::pow(before / now, 1.0 / kSlowDoublings);
     const double needed = num_steps * std::exp2(std::log(now / options.tolerance) / std::log(fall));
     const TapeEntry* culprit = FirstToDiffer(coarse, fine, now);
-    if (!(needed > kMargin * kMostSteps) || culprit == nullptr) return "";
+    const bool may_reach = !(needed > kMargin * kMostSteps) && 2 * num_steps <= kMostSteps;
+    if (may_reach || culprit == nullptr) return "";
     return "the steps do not reach the tolerance: twice as many lower the error only by a factor of " +
            ToText(fall, 2) + ", to " + ToText(now, 2) + " with " + ToText(num_steps, 10) +
            ". The flow is not smooth in mode '" + system.ModeName(culprit->mode) + "' at t = " + ToText(culprit->t, 6) +
@@ -313,8 +314,11 @@ class HybridSimulator::Impl {
       }
       if (2.0 * n * input.num_intervals > kMostSteps) {
         if (end == RolloutEnd::kDone) {
-          why = "an explicit method needs more than " + std::to_string(kMostSteps) +
-                " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
+          if (finer) why = WhySlow(errors, static_cast<double>(n) * input.num_intervals, *finer, *run);
+          if (why.empty()) {
+            why = "an explicit method needs more than " + std::to_string(kMostSteps) +
+                  " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
+          }
         } else {
           why = run->why() +
                 (same_failures >= kSameFailures

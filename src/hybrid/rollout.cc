@@ -370,7 +370,7 @@ bool RolloutRun::SettleSides() {
                Where() +
                ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
                "the change of the flow gradual; in Python sliding='filippov' goes on along it, where Filippov's "
-               "convention determines the flow");
+               "convention determines the flow and the switch is no step of floor or %");
         // A piece that the motion has just left: errors of long steps may be the reason.
         if (along >= 0 && tape_.num_nodes < kShortSteps) {
           end_ = RolloutEnd::kNotFinite;
