@@ -200,6 +200,43 @@ def test_steps_that_are_too_few_have_a_remark():
     assert "above the tolerance 1e-12" in motion.remark
 
 
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 3e-4])
+def test_a_pulse_in_time_within_a_step_is_seen(width):
+    system = one_mode(lambda t, x, p: [np.exp(-((t - p[0]) / width) ** 2) / width], parameters=["time"])
+    motion, d = derivatives(system, [0.0], [7.3], 10.0)
+    assert_allclose(motion.final, [math.sqrt(math.pi)], rtol=1e-11)
+    assert_allclose(d.by_parameters, [[0.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("width", [4e-2, 1e-2])
+def test_a_pulse_along_the_motion_within_a_step_is_seen(width):
+    system = one_mode(lambda x: [1 + 20 * np.exp(-((x[0] - 3) / width) ** 2)])
+    motion, _ = derivatives(system, [0.0], [], 10.0)
+    s = np.linspace(-9, 9, 2001)  # the rule of trapezoids has no error for such functions
+    saved = np.sum(1 - 1 / (1 + 20 * np.exp(-s**2))) * (s[1] - s[0]) * width
+    assert_allclose(motion.final, [10 + saved], rtol=1e-11)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-3, 3e-4])
+def test_a_guard_that_falls_and_returns_within_a_step_has_its_event(width):
+    system = saltus.HybridSystem(
+        states={"before": ["x"], "after": ["x"]}, flow={"before": lambda: [1.0], "after": lambda: [3.0]},
+        guards={"before": {"g": lambda t: 1 - 2 * np.exp(-((t - 7.3) / width) ** 2)}},
+        resets={"before": {"g": lambda x: ("after", x)}})
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="before", initial=[0.0], duration=10.0))
+    event = 7.3 - width * math.sqrt(math.log(2))
+    assert_allclose([time for time, *_ in motion.events], [event], rtol=1e-12)
+    assert_allclose(motion.final, [30 - 2 * event], rtol=1e-12)
+
+
+def test_a_pulse_that_no_number_of_steps_resolves_is_named():
+    for rate, guard, what in ((lambda t: np.exp(-((t - 7.3) / 1e-9) ** 2) * 1e9, lambda: 1.0, "the derivative of x"),
+                              (lambda t: 1.0, lambda t: 1 - 2 * np.exp(-((t - 7.3) / 1e-9) ** 2), "guard 'g'")):
+        system = one_mode(lambda t, rate=rate: [rate(t)], guards={"m": {"g": guard}}, resets={"m": {"g": lambda x: ("m", x)}})
+        motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0.0], duration=10.0))
+        assert f"{what} changes faster than the steps resolve, in mode 'm' at t = 7." in motion.remark
+
+
 @pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs", "ceres_phases"])
 def test_solvers_see_the_jump(solver):
     """An infusion until t = c, which no step of a solver takes beyond the end; x(2) is to be 0.75."""

@@ -9,6 +9,7 @@
 
 #include "base/number_text.h"
 #include "base/statistics.h"
+#include "hybrid/hidden_changes.h"
 #include "hybrid/motion_derivatives.h"
 #include "hybrid/rollout.h"
 
@@ -48,7 +49,7 @@ constexpr double kLeastFall = 1.2, kMostFall = 7;  // factors by which they fall
 constexpr double kMargin = 4;                      // of the number of steps that such a fall leads to
 constexpr int kScanned = 128;                      // points in a step
 constexpr int kBisections = 46;
-constexpr double kJump = 1e-6;           // of a slope, relative
+constexpr double kJump = 1e-6;           // of a slope, relative, and of what it does to the motion
 constexpr double kPole = 1e6;            // of the slopes at the ends of the step: beside a pole
 constexpr double kSamePlace = 1e-12;     // relative: on both sides of a jump
 constexpr double kConverges = 0.3;       // at most, an error in comparison to that of half as many steps
@@ -149,6 +150,7 @@ class HybridSimulator::Impl {
         error = std::min(*error, but);
       }
       unresolved = finer.unresolved().what;
+      if (unresolved.empty()) unresolved = FindHiddenChange(system, input, run->tape()).what;
     }
     return *error;
   }
@@ -243,7 +245,10 @@ class HybridSimulator::Impl {
       (before ? to : from) = middle;
       (before ? high : low) = at;
     }
-    if (!(most > 0) || std::abs(high[component] - low[component]) <= kJump * sizes[component] + rounding) return "";
+    if (!(most > 0)) return "";
+    const double jump = std::abs(high[component] - low[component]);
+    const double largest = Largest(std::span(&a.numbers[a.final_state], system.state_size(a.final_mode)));
+    if (jump <= kJump * sizes[component] + rounding || jump * culprit->h <= kJump * difference * largest) return "";
     const std::string what = "the flow of mode '" + system.ModeName(culprit->mode) + "' ";
     const std::string where = " at t = " + ToText(culprit->t + from, 10);
     const double beside = std::max(std::abs(slopes.front()[component]), std::abs(slopes.back()[component]));
@@ -360,10 +365,15 @@ class HybridSimulator::Impl {
         }
         if (least <= options.tolerance || (least < kRoundingOfMotion && stalls >= kStalls)) {
           const double of_cut_steps = ErrorOfCutSteps(*best);
-          if (of_cut_steps <= std::max(least, options.tolerance) || n * input.num_intervals >= kMostWithoutEnd) {
-            return Accept(std::move(best), std::max(least, of_cut_steps), *finer);
+          const HiddenChange hidden = FindHiddenChange(system, input, best->tape());
+          const bool is_resolvable = hidden.length * kMostForGuards > input.duration;
+          if (!is_resolvable &&
+              (of_cut_steps <= std::max(least, options.tolerance) || n * input.num_intervals >= kMostWithoutEnd)) {
+            Accept(std::move(best), std::max(least, of_cut_steps), *finer);
+            if (unresolved.empty()) unresolved = hidden.what;
+            return true;
           }
-          least = reference = std::numeric_limits<double>::infinity();  // blind to the cut steps
+          least = reference = std::numeric_limits<double>::infinity();  // blind to cut steps or changes
           stalls = 0;
         }
         const RolloutRun& coarse = run ? *run : *best;
@@ -406,6 +416,7 @@ class HybridSimulator::Impl {
   // with half the steps tells.
   bool KeepsAccuracy() {
     const double most = std::max(options.tolerance, kSameAccuracy * reached);
+    if (unresolved.empty() && FindHiddenChange(system, input, run->tape()).length > 0) return false;
     if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most && ErrorOfCutSteps(*run) <= most) return true;
     return Error() <= most;
   }

@@ -6,7 +6,9 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <limits>
 #include <map>
+#include <numbers>
 #include <numeric>
 #include <tuple>
 #include <type_traits>
@@ -93,6 +95,56 @@ class Memory {
 
 double Apply(Operation operation, double a, double b, double c) {
   return kOperations[static_cast<int>(operation)].value(a, b, c);
+}
+
+Bounds ApplyToBounds(Operation operation, Bounds a, Bounds b, Bounds c) {
+  using enum Operation;
+  constexpr double kInfinity = std::numeric_limits<double>::infinity(), kPi = std::numbers::pi;
+  constexpr Bounds kAll{-kInfinity, kInfinity};
+  const auto has_zero = [](Bounds of) { return of.low <= 0 && of.high >= 0; };
+  // Whether an angle has `angle` plus a whole number of periods.
+  const auto has_angle = [](Bounds of, double angle, double period) {
+    return angle + period * std::ceil((of.low - angle) / period) <= of.high;
+  };
+  if (operation == kAdd) return {a.low + b.low, a.high + b.high};
+  if (operation == kSubtract) return {a.low - b.high, a.high - b.low};
+  if (operation == kMultiply || (operation == kDivide && !has_zero(b))) {
+    if (operation == kDivide) b = {1 / b.high, 1 / b.low};
+    const double products[] = {a.low * b.low, a.low * b.high, a.high * b.low, a.high * b.high};
+    if (std::isnan(products[0] + products[1] + products[2] + products[3])) return kAll;
+    return {std::min(std::min(products[0], products[1]), std::min(products[2], products[3])),
+            std::max(std::max(products[0], products[1]), std::max(products[2], products[3]))};
+  }
+  const bool is_whole = b.low == b.high && b.low == std::round(b.low);
+  if (operation == kLarger || operation == kAnd || operation == kOr || operation == kNot) return {0, 1};
+  if (operation == kWhere) {
+    if (!has_zero(a)) return b;
+    return a.low == a.high ? c : Bounds{std::min(b.low, c.low), std::max(b.high, c.high)};
+  }
+  if (operation == kDivide || (operation == kTan && has_angle(a, kPi / 2, kPi)) ||
+      (operation == kPower && !(is_whole ? b.low > 0 || !has_zero(a) : a.low > 0 || (a.low == 0 && b.low > 0)))) {
+    return kAll;
+  }
+  if (operation == kAtan2 && has_zero(a) && !(b.low > 0)) return {-kPi, kPi};
+  // The rest is monotone in each operand, but for crests.
+  Bounds bounds{kInfinity, -kInfinity};
+  const auto add = [&](double value) {
+    bounds = std::isnan(value) ? kAll : Bounds{std::min(bounds.low, value), std::max(bounds.high, value)};
+  };
+  const int operands = NumOperands(operation);
+  for (const double of_a : {a.low, a.high}) {
+    add(Apply(operation, of_a, b.low, c.low));
+    if (operands > 1) add(Apply(operation, of_a, b.high, c.low));
+  }
+  const bool is_even =
+      operation == kAbs || operation == kCosh || (operation == kPower && is_whole && std::fmod(b.low, 2) == 0);
+  if (is_even && has_zero(a)) add(Apply(operation, 0, b.low, 0));
+  const double crest = operation == kSin ? kPi / 2 : 0;
+  if (operation == kSin || operation == kCos) {
+    if (has_angle(a, crest, 2 * kPi)) add(1);
+    if (has_angle(a, crest + kPi, 2 * kPi)) add(-1);
+  }
+  return bounds;
 }
 
 std::string_view NameOf(Operation operation) { return kOperations[static_cast<int>(operation)].name; }
@@ -666,6 +718,29 @@ void RecordedFunction::Evaluate(std::span<const Part> inputs, double* outputs) c
   Evaluation(*this, false, inputs).Run(outputs);
 }
 
+void RecordedFunction::Bound(std::span<const Bounds> inputs, Bounds* outputs) const {
+  std::vector<Bounds> slots(inputs.begin(), inputs.begin() + num_inputs_);
+  slots.reserve(values_.size);
+  for (const double constant : values_.constants) slots.push_back({constant, constant});
+  for (const Tape::Instruction& at : values_.instructions) {
+    slots.push_back(ApplyToBounds(at.operation, slots[at.a], slots[at.b], slots[at.c]));
+  }
+  for (const int slot : values_.outputs) *outputs++ = slots[slot];
+}
+
+bool RecordedFunction::IsExponential() const {
+  using enum Operation;
+  constexpr double kLargePower = 16;
+  return std::ranges::any_of(values_.instructions, [&](const Tape::Instruction& at) {
+    if (at.operation == kPower) {
+      const auto number = static_cast<std::size_t>(at.b - num_inputs_);
+      return number >= values_.constants.size() || std::abs(values_.constants[number]) >= kLargePower;
+    }
+    return at.operation == kExp || at.operation == kExpm1 || at.operation == kSinh || at.operation == kCosh ||
+           at.operation == kTanh || at.operation == kErf;
+  });
+}
+
 void RecordedFunction::Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const {
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
@@ -748,6 +823,8 @@ std::optional<LinearFlow> RecordedSystem::LinearFlowOf(int base, const RecordedF
 // Precondition: mutex_ is held, or no other thread knows of this object.
 int RecordedSystem::Keep(Evaluated mode) const {
   const int index = num_modes_;
+  const auto is_exponential = [](const RecordedFunction* function) { return function->IsExponential(); };
+  mode.has_bounds = mode.flow->IsExponential() || std::ranges::any_of(mode.guards, is_exponential);
   const auto number = static_cast<unsigned>(index) + 1;
   const int block = std::bit_width(number) - 1;
   CHECK_LT(block, kBlocks);
@@ -945,6 +1022,19 @@ bool RecordedSystem::ReadsControl(int mode, int guard) const {
 
 void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
   this->at(at.mode).flow->Evaluate(InputsAt(at), xdot);
+}
+
+void RecordedSystem::Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) const {
+  const Evaluated& mode = at(box.mode);
+  std::vector<Bounds> inputs(box.x, box.x + size(box.mode));
+  inputs.push_back(box.t);
+  const ModePoint known{box.mode, 0, nullptr, box.u, box.p};
+  const Inputs rest = InputsAt(known);
+  for (const RecordedFunction::Part& part : std::span(rest).subspan(2)) {
+    for (int i = 0; i < part.size; ++i) inputs.push_back({part.data[i], part.data[i]});
+  }
+  mode.flow->Bound(inputs, slopes);
+  for (const RecordedFunction* guard : mode.guards) guard->Bound(inputs, guards++);
 }
 
 void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const {

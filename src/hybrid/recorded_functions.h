@@ -72,6 +72,8 @@ enum class Operation : std::uint8_t {
 
 // The operation's value on numbers; constants and inputs have none.
 double Apply(Operation operation, double a, double b, double c);
+// Bounds of the operation's value, given those of its operands, but for rounding.
+Bounds ApplyToBounds(Operation operation, Bounds a, Bounds b, Bounds c);
 std::string_view NameOf(Operation operation);
 // The operation of a name in lower case without "k" ("add", "less_equal" ...); false if there is none.
 bool FindOperation(std::string_view name, Operation* operation);
@@ -120,6 +122,11 @@ class RecordedFunction {
     int size;
   };
   void Evaluate(std::span<const Part> inputs, double* outputs) const;
+  // Sets bounds of the outputs, given those of the inputs, of which there may be more.
+  void Bound(std::span<const Bounds> inputs, Bounds* outputs) const;
+  // Whether it has an exponential, or what behaves so: it may change within any time and be flat beside it to the last
+  // bit. Other functions have tails that steps see.
+  bool IsExponential() const;
   // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
@@ -209,6 +216,8 @@ class RecordedSystem final : public HybridFunctions {
   double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
   void AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const override;
+  void Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) const override;
+  bool HasBounds(int mode) const override { return at(mode).has_bounds; }
   int OnAccumulation(int mode, int guard) const override {
     return IsSwitch(mode, guard) ? -1 : transition(mode, guard).accumulation_mode;
   }
@@ -237,6 +246,7 @@ class RecordedSystem final : public HybridFunctions {
     std::vector<int> sides;
     std::vector<End> switches;  // the last guards
     std::vector<double> floors;
+    bool has_bounds = false;
   };
 
   // Modes do not move: the first of all blocks has one, each further one twice as many as the one before.

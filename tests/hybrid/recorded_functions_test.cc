@@ -5,7 +5,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <memory>
+#include <random>
 
 #include "problems/hybrid_systems.h"
 
@@ -61,6 +63,37 @@ TEST(RecordedFunction, BadRecordingsAreRefused) {
   recording = Example();
   recording.outputs = {11};
   EXPECT_THAT(WhatIsWrongWith(recording), testing::HasSubstr("found output 11"));
+}
+
+TEST(RecordedFunction, BoundsHoldTheValuesOfAllOperations) {
+  std::mt19937_64 random(1);
+  std::uniform_real_distribution<double> at(0, 1);
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  int finite = 0, narrow = 0, all = 0;
+  for (int number = static_cast<int>(kAdd); number <= static_cast<int>(kErf); ++number) {
+    const auto operation = static_cast<Operation>(number);
+    for (int trial = 0; trial < 500; ++trial) {
+      const auto draw = [&](bool whole) {
+        const double low = std::round((8 * at(random) - 4) * 4) / (whole ? 2 : 4), width = 2 * at(random) * at(random);
+        return Bounds{low, trial % 3 == 0 || whole ? low : low + width};
+      };
+      const Bounds a = draw(false), b = draw(operation == kPower && trial % 2 == 0), c = draw(false);
+      const Bounds bounds = ApplyToBounds(operation, a, b, c);
+      for (int point = 0; point < 20; ++point) {
+        const auto within = [&](Bounds of) { return of.low + (of.high - of.low) * at(random); };
+        const double value = Apply(operation, within(a), within(b), within(c));
+        if (!std::isfinite(value)) continue;
+        const double rounding = 1e-14 * std::abs(value);
+        EXPECT_LE(bounds.low, value + rounding) << NameOf(operation) << " of " << a.low << " to " << a.high;
+        EXPECT_GE(bounds.high, value - rounding) << NameOf(operation) << " of " << a.low << " to " << a.high;
+      }
+      ++all;
+      finite += bounds.low > -kInfinity && bounds.high < kInfinity ? 1 : 0;
+      narrow += bounds.high - bounds.low < 1 ? 1 : 0;
+    }
+  }
+  EXPECT_GT(finite, all * 3 / 4);
+  EXPECT_GT(narrow, all / 3);
 }
 
 TEST(RecordedCost, FillsTheJacobiansOfItsBlocks) {

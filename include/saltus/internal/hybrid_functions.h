@@ -49,6 +49,17 @@ inline void AppendTerms(const double* row, int n, int columns, std::vector<Guard
   }
 }
 
+struct Bounds {
+  double low = 0, high = 0;
+};
+// Points with times and states within bounds.
+struct ModeBox {
+  int mode;
+  Bounds t;
+  const Bounds* x;
+  const double *u, *p;
+};
+
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
 // the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
 //
@@ -106,6 +117,11 @@ class HybridFunctions {
       values[guard] = GuardGradient(at, guard, gradients + guard * columns);
     }
   }
+
+  // Sets bounds of x' and of all guards of a mode, which may be wide. Precondition: HasBounds(box.mode).
+  virtual void Bound(const ModeBox& /*box*/, Bounds* /*slopes*/, Bounds* /*guards*/) const {}
+  // Whether a mode has functions that may change within any time and are flat beside it, and whose bounds are known.
+  virtual bool HasBounds(int /*mode*/) const { return false; }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
   // none, and WhyNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the largest
