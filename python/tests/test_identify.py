@@ -351,3 +351,12 @@ class TestOutliersThatFollowEachOther:
         fit = saltus.identify(self.scene(), recording, "restitution,friction")
         assert fit.verdict == "fits"
         assert fit.estimates["friction"] == pytest.approx(self.FRICTION, abs=0.006)
+
+
+def test_a_ball_that_lies_on_the_ground_tells_nothing_of_gravity(scene):
+    """Without gravity its motion is the same, and changes to one side only."""
+    time = np.linspace(0, 0.98, 40)
+    position = np.stack([0.3 * time + 1e-3 * np.random.default_rng(1).normal(size=40), np.full(40, RADIUS)], axis=1)
+    fit = saltus.identify(scene, {"time": time, "body": ["ball"] * 40, "position": position}, "restitution,gravity.y", threads=1)
+    assert fit.verdict == "not determined" and np.all(np.isnan(list(fit.estimates.values())))
+    assert any("as well as those with" in remark and "one-sided" in remark for remark in fit["remarks"])

@@ -30,6 +30,9 @@ constexpr double kFarOff = 10;               // sigmas, that are estimated, beyo
 constexpr double kTooMany = 0.5;             // from which on the other samples are no better
 constexpr double kMostScatter = 0.1;         // estimated sigma, of the extent of the motion, of a fit that is judged
 constexpr double kMostWaves = 0.01;          // the same, if residuals are systematic
+constexpr double kFlat = 0.25;               // of the rise of the cost to an end of an interval: less is none
+constexpr double kOfRounding = 1e-6;         // of a change that matters: an interval within which the cost is rounding
+constexpr double kGainOfProbe = 1e-3;        // of the cost, in an iteration of the fit of the others there
 constexpr double kAsWell = 2;   // squares of the interval's quantile by which a motion explains samples as well
 constexpr int kScreened = 100;  // starts that are compared, by kind of line
 constexpr int kFitted = 5;      // times the starts, of which these are fitted a little
@@ -407,6 +410,7 @@ class Identification {
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
     LeaveOpenWhatOthersDeny(fit);
+    LeaveOpenWhatIsFlat(fit);
     problem_.model->AddLearned(
         fit.point.segments, problem_.ValuesAt(fit.point.coordinates), confidence_.covariance, &report_);
     ReportResiduals(fit);
@@ -595,6 +599,34 @@ class Identification {
         report_.remarks.push_back("the samples fit a motion with " + estimate.name + " " +
                                   ToText(value(other.point, u), 4) + " about as well as one with " +
                                   ToText(estimate.value, 4) + "; take more samples");
+        estimate.determination = Determination::kUndetermined;
+      }
+    }
+  }
+
+  // An interval follows from derivatives at the minimum. Where the motion changes there, as that of a disc that lies on
+  // the ground without gravity, these are of one side, and the cost may be flat on the other. A parameter is not
+  // determined if a motion with the value at an end of its interval explains the samples as well.
+  void LeaveOpenWhatIsFlat(const FitResult& fit) {
+    const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
+    const double most = fit.cost + kFlat * quantile * quantile * confidence_.scatter / 2;
+    for (std::size_t u = 0; u < report_.estimates.size(); ++u) {
+      const FitUnknown& unknown = problem_.unknowns[u];
+      Estimate& estimate = report_.estimates[u];
+      if (estimate.high - estimate.low < kOfRounding * unknown.ScaleAt(estimate.value)) continue;
+      for (const double end : {estimate.low, estimate.high}) {
+        if (estimate.determination != Determination::kDetermined || Interrupted()) break;
+        if (end <= unknown.low || end >= unknown.high) continue;
+        std::vector<bool> held;
+        for (const Determination at : open_.determination) held.push_back(at != Determination::kDetermined);
+        held[u] = true;
+        FitPoint point = fit.point;
+        point.coordinates[u] = unknown.ToCoordinate(end);
+        const FitResult other = MinimizeFrom(problem_, point, problem_.options.loss_scale, held, kGainOfProbe);
+        if (!other.ok || other.cost >= most) continue;
+        report_.remarks.push_back("the samples fit motions with " + estimate.name + " " + ToText(end, 4) +
+                                  " as well as those with " + ToText(estimate.value, 4) +
+                                  ", where the motion changes: its derivative is one-sided");
         estimate.determination = Determination::kUndetermined;
       }
     }
