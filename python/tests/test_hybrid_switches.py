@@ -237,6 +237,21 @@ def test_a_pulse_that_no_number_of_steps_resolves_is_named():
         assert f"{what} changes faster than the steps resolve, in mode 'm' at t = 7." in motion.remark
 
 
+def test_a_quotient_of_numbers_that_vanish_together_is_no_pulse():
+    """The neuron of Hodgkin and Huxley: quotients in the rates of its gates have no digits left near -40 and -55 mV."""
+    def flow(x):
+        V, m, h, n = x
+        on_m, off_m = 0.1 * (V + 40) / (1 - np.exp(-(V + 40) / 10)), 4 * np.exp(-(V + 65) / 18)
+        on_n, off_n = 0.01 * (V + 55) / (1 - np.exp(-(V + 55) / 10)), 0.125 * np.exp(-(V + 65) / 80)
+        on_h, off_h = 0.07 * np.exp(-(V + 65) / 20), 1 / (1 + np.exp(-(V + 35) / 10))
+        return [10 - 120 * m**3 * h * (V - 50) - 36 * n**4 * (V + 77) - 0.3 * (V + 54.387),
+                on_m * (1 - m) - off_m * m, on_h * (1 - h) - off_h * h, on_n * (1 - n) - off_n * n]
+
+    neuron = one_mode(flow, ["V", "m", "h", "n"])
+    motion = saltus.rollout(saltus.HybridProblem(neuron, mode="m", initial=[-65, 0.05, 0.6, 0.32], duration=30.0))
+    assert motion.remark == ""
+
+
 @pytest.mark.parametrize("solver", ["ceres_lm", "ceres_lbfgs", "ceres_phases"])
 def test_solvers_see_the_jump(solver):
     """An infusion until t = c, which no step of a solver takes beyond the end; x(2) is to be 0.75."""

@@ -12,6 +12,7 @@ namespace saltus {
 namespace {
 
 constexpr int kMostParts = 96;        // of a step that are looked at
+constexpr double kShortest = 1e-11;   // of the duration: of shorter parts quotients may have no digits
 constexpr double kWide = 3;           // of a slope's size in a step: bounds that are looked into
 constexpr double kSeen = 0.5;         // likewise, a difference from the slope that the ends of a part lead to
 constexpr double kNegligible = 1e-9;  // of the largest number of a motion: what such a difference changes
@@ -65,6 +66,7 @@ class Search {
     for (std::size_t looked = 0; looked < count && looked < kMostParts; ++looked) {
       const Part& part = parts_[looked];
       const double length = part.to - part.from, middle = 0.5 * (part.from + part.to);
+      if (length <= kShortest * input_.duration) continue;
       for (int i = 0; i < n; ++i) {
         // The cubic through the ends lies between the smallest and the largest of its Bezier coefficients.
         const double second = part.begin[i] + length / 3 * part.slope[i];
@@ -97,7 +99,7 @@ class Search {
         const double mean = (part.end[i] - part.begin[i]) / length;
         const double expected = 1.5 * mean - 0.25 * (part.slope[i] + part.slope_after[i]);
         const double off = std::abs(first.slope_after[i] - expected);
-        if (!is_wide(i) || off <= kSeen * sizes_[i] || off * length <= negligible_) continue;
+        if (!is_wide(i) || !std::isfinite(off) || off <= kSeen * sizes_[i] || off * length <= negligible_) continue;
         const std::string what = "the derivative of " + system_.StateName(step.mode, i);
         return Keep(what, step, middle, length, "what it adds is missed");
       }
