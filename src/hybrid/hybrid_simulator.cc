@@ -97,7 +97,8 @@ class HybridSimulator::Impl {
     return std::max(difference, RelativeChange(one.tape(), rounding, [&](int i) { return std::abs(at[i] - to[i]); }));
   }
 
-  // Returns the largest change of a component of the final state, relative to its largest value in the final mode.
+  // Returns the largest change of a component of the final state, relative to its largest value in the modes that have
+  // it: in the final mode or, of a system that creates its modes, in all of them.
   double RelativeChange(const MotionTape& tape, double rounding, const auto& change_of) const {
     const int mode = tape.final_mode, n = system.state_size(mode);
     const double* at = &tape.numbers[tape.final_state];
@@ -108,7 +109,8 @@ class HybridSimulator::Impl {
       if (change <= rounding * largest) continue;
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : tape.entries) {
-        if (entry.mode == mode) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
+        const bool has_it = entry.mode == mode || system.functions().CreatesModes();
+        if (has_it) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
       }
       if (size > 0) relative = std::max(relative, change / size);
     }
@@ -179,7 +181,8 @@ class HybridSimulator::Impl {
   }
 
   // Says why the tolerance is out of reach: errors of the last doublings fall like a low power of the step, as they do
-  // where the flow is not smooth. Empty if they do not. `errors`: of each number of steps up to `num_steps`.
+  // where the flow is not smooth. Empty if they do not. `errors`: of each number of steps up to `num_steps`, infinite
+  // where the motions have other events.
   std::string WhySlow(const std::vector<double>& errors, double num_steps, const RolloutRun& coarse,
                       const RolloutRun& fine) const {
     if (num_steps < kMostWithoutEnd || errors.size() <= kSlowDoublings) return "";
@@ -383,9 +386,8 @@ class HybridSimulator::Impl {
           steps = n;
           return Accept(run ? std::move(run) : std::move(best), but_rounding, *finer);
         }
-        if (n * input.num_intervals >= kMostWithoutJump && HaveSameEvents(coarse, *finer)) {
-          why = FindJump(coarse, *finer, now);
-        }
+        const bool same_events = HaveSameEvents(coarse, *finer);
+        if (n * input.num_intervals >= kMostWithoutJump && same_events) why = FindJump(coarse, *finer, now);
         // Impacts may amplify rounding errors until no number of steps lowers what is left of them.
         if (why.empty() && stalls >= kScatters && scatter <= kMostScatter && system.functions().EndsAccumulations() &&
             n * input.num_intervals >= kFewestForScatter) {
@@ -394,7 +396,7 @@ class HybridSimulator::Impl {
           scatter = std::max(scatter, ErrorOfCutSteps(*run));
           return Accept(std::move(run), scatter, *finer);
         }
-        errors.push_back(now);
+        errors.push_back(same_events ? now : std::numeric_limits<double>::infinity());
         if (why.empty()) why = WhySlow(errors, 2.0 * n * input.num_intervals, coarse, *finer);
         if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
