@@ -390,6 +390,7 @@ TEST(BlockInCorner, ComesToRestInIt) {
       EXPECT_NEAR(simulator.events()[0].time, time, 1e-13);
       for (const double entry : simulator.final_state()) EXPECT_NEAR(entry, 0, 1e-15);
       for (const double entry : simulator.Sensitivity().final_state) EXPECT_TRUE(std::isfinite(entry));
+      EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
     }
   }
 }
@@ -423,6 +424,12 @@ TEST(RockingBox, LiesStillAtTheEnd) {
     EXPECT_NEAR(simulator.final_state()[2], 0, 1e-15);
     EXPECT_NEAR(simulator.events().back().time, 0.162123749473585, 1e-5);
     EXPECT_LT(simulator.events().size(), 60u);
+    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    // Where it ends by the angle at which it begins to fall on the same corner.
+    const std::vector<double> by = simulator.Adjoint(std::vector<double>{1, 0, 0, 0, 0, 0}).initial;
+    const double height_by_angle = 0.05 * std::cos(0.3) - 0.05 * std::sin(0.3);
+    EXPECT_NEAR(by[0], 1, 1e-12);
+    EXPECT_NEAR(by[1] * height_by_angle + by[2], 0.05 * std::sin(0.3) + 0.05 * std::cos(0.3), 1e-9);
   }
 }
 

@@ -450,6 +450,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
       sticks.push_back(CanStick(impact.contacts[i], at.p) && std::abs(impact.before[2 * i + 1]) < slow);
     }
     solutions.push_back(HoldContacts(problem, sticks));
+    impact.held = true;
   } else {
     solutions = SolveContactProblem(problem);
   }
@@ -1109,7 +1110,10 @@ std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) 
     } else if (impact.impulse[row] > kNearly * impact.impulse.maxCoeff() && touches(impact.contacts[i])) {
       touching += (touching.empty() ? "'" : ", '") + ContactName(impact.contacts[i]) + "'";
     }
-    // Measures how far the end of the impact is from another branch.
+    // Measures how far the end of the impact is from another branch, unless the contact has none: it is held, or
+    // nothing moves it along its normal.
+    const double pressing = impact.W.row(row).cwiseAbs().dot(impact.impulse.cwiseAbs());
+    if (impact.held || pressing <= kNearly * impact.W(row, row) * impact.impulse.maxCoeff()) continue;
     const double speeds = impact.W.row(row + 1).cwiseAbs().dot(impact.impulse.cwiseAbs());
     const double bound = functions_->Friction(impact.contacts[i], from.p) * impact.impulse[row];
     const bool at_bound =

@@ -73,7 +73,8 @@ class MechanicalHybrid final : public HybridFunctions {
     std::vector<char> restores;  // of these: its restitution counts
     std::vector<char> rebounds;  // of these: v_n+ > 0, as its restitution is
     bool ends_bouncing = false;
-    std::string next;  // status of all contacts after it
+    bool held = false;  // its contacts are, whatever the signs of its impulses
+    std::string next;   // status of all contacts after it
     // With Poisson's law: the state after compression.
     std::string compressed;
     Eigen::VectorXd compression, v_compressed;
