@@ -1,4 +1,5 @@
-// Boxes that are tossed until they rest, and scenes that rest from the start (resting_boxes.h): what goes wrong, a line
+// Boxes that are tossed until they rest, scenes that rest from the start, and columns that move (resting_boxes.h): what
+// goes wrong, a line
 // each, and how often what was found. Fails if anything goes wrong, or if more than 1 % of the tosses have no motion.
 #include "campaign/resting_boxes.h"
 
@@ -8,6 +9,7 @@
 
 DEFINE_int32(tosses, 2000, "how many boxes are tossed");
 DEFINE_int32(scenes, 500, "how many scenes that rest from the start");
+DEFINE_int32(columns, 0, "how many columns of boxes that move along the ground");
 DEFINE_int32(seed, 1, "of the first of each; the next has the next");
 DEFINE_int32(compare_every, 20, "compare one toss in so many with time stepping");
 
@@ -49,7 +51,7 @@ struct Counts {
 
 int main(int argc, char** argv) {
   gflags::ParseCommandLineFlags(&argc, &argv, /*remove_flags=*/true);
-  Counts tosses, scenes;
+  Counts tosses, scenes, columns;
   for (int i = 0; i < FLAGS_tosses; ++i) {
     const int seed = FLAGS_seed + i;
     const bool compare = FLAGS_compare_every > 0 && i % FLAGS_compare_every == 0;
@@ -59,8 +61,14 @@ int main(int argc, char** argv) {
     const int seed = FLAGS_seed + i;
     scenes.Add("scene", seed, saltus::RestingScene(seed).Run());
   }
+  for (int i = 0; i < FLAGS_columns; ++i) {
+    const int seed = FLAGS_seed + i;
+    columns.Add("column", seed, saltus::MovingColumn(seed).Run(/*duration=*/1, /*steps=*/0));
+  }
   tosses.Print("tosses");
   std::printf("  %d compared with time stepping\n", tosses.compared);
   scenes.Print("scenes");
-  return tosses.wrong + scenes.wrong + scenes.refused == 0 && 100 * tosses.refused <= tosses.all ? 0 : 1;
+  columns.Print("columns");
+  return tosses.wrong + scenes.wrong + columns.wrong + scenes.refused == 0 && 100 * tosses.refused <= tosses.all ? 0
+                                                                                                                 : 1;
 }

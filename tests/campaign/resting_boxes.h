@@ -1,4 +1,5 @@
-// Boxes that are tossed until they rest, and bodies that rest from the start; what must hold of each.
+// Boxes that are tossed until they rest, bodies that rest from the start, and columns that move; what must hold of
+// each.
 #pragma once
 
 #include <algorithm>
@@ -337,6 +338,53 @@ class RestingScene {
   RigidScene2D scene_;
   std::vector<double> control_;
   double angle_ = 0;
+};
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Boxes on top of each other, on the ground or above it, of which the lowest or all move along it: they slide, tip and
+// fall over.
+class MovingColumn {
+ public:
+  explicit MovingColumn(int seed) {
+    RandomNumbers random(seed);
+    const int count = 2 + random.Below(4);
+    scene_.friction = random.Below(4) == 0 ? 0 : random.Uniform(0.05, 1.2);
+    scene_.restitution = random.Below(2) * random.Uniform(0, 0.9);
+    double top = random.Below(2) * random.Uniform(0, 0.1), place = 0;
+    const double speed = random.Below(2) * random.Uniform(-2, 2);
+    const bool all_move = random.Below(2) != 0, equal = random.Below(2) != 0;
+    for (int i = 0; i < count; ++i) {
+      const double width = equal ? 0.1 : random.Uniform(0.05, 0.2), height = equal ? 0.05 : random.Uniform(0.03, 0.1);
+      if (i > 0 && !equal) place += random.Uniform(-0.05, 0.05);
+      scene_.bodies.push_back({.name = "box" + std::to_string(i),
+                               .polygon = BoxPolygon(width, height),
+                               .mass = equal ? 1 : random.Uniform(0.3, 3),
+                               .position = {place, top + height},
+                               .velocity = {all_move || i == 0 ? speed : 0, 0}});
+      top += 2 * height;
+    }
+  }
+
+  // `steps`: of the motion; 0: chosen.
+  RestingReport Run(double duration, int steps) const {
+    const RigidBodies2D bodies(scene_);
+    const MechanicalSystem system(bodies);
+    HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = duration};
+    RestingReport report;
+    const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
+    input.mode = start.mode;
+    report.refused = start.why;
+    if (start.mode < 0) return report;
+    HybridSimulator simulator(system.hybrid(), {.steps_per_interval = steps, .most_events = 20000});
+    if (!simulator.Rollout(input)) report.refused = simulator.WhyFailed();
+    if (!report.refused.empty()) return report;
+    CheckMotion(bodies, system, simulator, input, &report);
+    report.rests = Rests(simulator.final_state(), 1e-9);
+    return report;
+  }
+
+ private:
+  RigidScene2D scene_{.bodies = {}, .planes = {{}}};
 };
 
 }  // namespace saltus

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <random>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "campaign/resting_boxes.h"
@@ -571,6 +572,17 @@ TEST(RestingBoxes, StepsThatAreTooLongAreRefused) {
   EXPECT_FALSE(simulator.Rollout(input));
   EXPECT_THAT(simulator.WhyFailed(), HasSubstr("steps of the integration are too long"));
   EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Take more steps"));
+}
+
+// Up to ten contacts take part in an impact, and tip bodies whose relative accelerations are far below that of gravity.
+TEST(RestingBoxes, ColumnsTipAndFallOver) {
+  for (const auto& [seed, duration, steps] : {std::tuple{17, 1.0, 16}, {5, 0.003, 64}}) {
+    SCOPED_TRACE(seed);
+    const RestingReport report = MovingColumn(seed).Run(duration, steps);
+    EXPECT_EQ(report.refused, "");
+    EXPECT_EQ(report.wrong, "");
+    EXPECT_GT(report.impacts, 50);
+  }
 }
 
 TEST(RestingBoxes, ScenesInEquilibriumRest) {

@@ -56,7 +56,7 @@
 // control and where sliding stops. If it has no solution or several that differ (Painleve; Genot and Brogliato 1999),
 // or an impact has, the motion ends there with a reason. Of accelerations that several modes have, the mode counts in
 // which most contacts are closed and stick. Up to four coupled contacts all possibilities are tried; of more, one
-// solution is found by Lemke's method, whether or not there are others.
+// solution is found by Lemke's method or projected Gauss-Seidel, whether or not there are others.
 //
 // If forces are not unique, as those of two corners of a box that stick, those farthest from the limits of all contacts
 // are taken, so that the mode lasts as long as any forces satisfy the conditions. Internal stresses count only if

@@ -15,11 +15,15 @@ namespace {
 
 constexpr double kRedundant = 1e-10;  // pivots of rows that depend on others, of the largest
 constexpr double kAtLimit = 1e-12;    // of forces: the distance to a limit that is none
+constexpr double kOfLargest = 1e-16;  // of the largest force: forces that are zero, as those of bodies at rest
 constexpr double kTolerance = 1e-10;  // of accelerations that are zero, of the largest term
 constexpr double kOfTerms = 1e-14;    // rounding errors of what is given, of its terms
 constexpr double kDiffers = 1e-7;     // accelerations of two solutions, of the largest term
-// Tolerances for zero accelerations in a solution of Lemke's method: the first that gives a solution counts.
-constexpr std::array kStands = {1e-10, 1e-8, 1e-6};
+// Tolerances for zero accelerations in a solution that a search finds: the first that gives one with the conditions
+// counts. The smallest are those of bodies that part little, beside others that press.
+constexpr std::array kStands = {1e-10, 1e-8, 1e-6, 1e-12, 1e-14};
+constexpr int kMostSweeps = 10000;     // of projected Gauss-Seidel
+constexpr double kRelaxed = 1e-14;     // of forces: their change in the last one
 constexpr double kCoupled = 1e-12;     // |matrix_ij| / sqrt(matrix_ii matrix_jj) that is not rounding
 constexpr double kMovesNothing = 0.5;  // eigenvalues of a projection are 0 or 1
 constexpr double kPivot = 1e-9;        // pivots of a basis that are zero, of the largest
@@ -108,7 +112,8 @@ std::optional<TriedForces> ForcesOf(const ContactProblem& problem, const std::st
       tolerance = ForceTolerances(matrix, solution, terms);
     }
   }
-  for (Eigen::Index i = 0; i < r; ++i) tried.tolerance[rows[i]] = tolerance[i];
+  const double rounding = kOfLargest * solution.cwiseAbs().maxCoeff();
+  for (Eigen::Index i = 0; i < r; ++i) tried.tolerance[rows[i]] = std::max(tolerance[i], rounding);
   tried.force += forces * solution;
   return tried;
 }
@@ -158,6 +163,25 @@ std::string StatusOfMotion(const ContactProblem& problem, const Eigen::VectorXd&
     }
   }
   return status;
+}
+
+// Returns the forces to which projected Gauss-Seidel leads, which often finds some where Lemke's method does not, as
+// where several contacts neither approach nor part; whether they solve the problem is for the caller to see.
+Eigen::VectorXd RelaxForces(const ContactProblem& problem) {
+  Eigen::VectorXd force = Eigen::VectorXd::Zero(problem.given.size());
+  const auto relax = [&](std::ptrdiff_t row) {
+    if (!(problem.W(row, row) > 0)) return 0.0;
+    const std::ptrdiff_t contact = row / 2;
+    const double before = force[row], limit = problem.friction[contact] * force[2 * contact];
+    const double free = before - (problem.W.col(row).dot(force) + problem.given[row]) / problem.W(row, row);
+    const int sliding = problem.sliding[contact];
+    force[row] = row % 2 == 0 ? std::max(free, 0.0) : sliding != 0 ? -sliding * limit : std::clamp(free, -limit, limit);
+    return std::abs(force[row] - before);
+  };
+  for (int count = 0; count < kMostSweeps; ++count) {
+    if (GaussSeidelSweep(force.size(), relax) <= kRelaxed * force.cwiseAbs().maxCoeff()) break;
+  }
+  return force;
 }
 
 // Maximizes the smallest number of constants + slopes y by the dual simplex method. Returns y and the rows that are the
@@ -522,11 +546,13 @@ std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem) 
     } else {
       try_status(StatusOfMotion(problem, Eigen::VectorXd::Zero(2 * k), 0));
     }
-    std::optional<Eigen::VectorXd> found;
-    if (all.empty()) found = SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding);
-    for (std::size_t i = 0; found && all.empty() && i < kStands.size(); ++i) {
-      try_status(StatusOfMotion(problem, accelerations(*found), kStands[i] * LargestTerm(problem, *found) + terms));
-    }
+    const auto try_motion = [&](const std::optional<Eigen::VectorXd>& found) {
+      for (std::size_t i = 0; found && all.empty() && i < kStands.size(); ++i) {
+        try_status(StatusOfMotion(problem, accelerations(*found), kStands[i] * LargestTerm(problem, *found) + terms));
+      }
+    };
+    if (all.empty()) try_motion(SolveFrictionalLcp(friction, problem.W, problem.given, problem.sliding));
+    if (all.empty()) try_motion(RelaxForces(problem));
   }
   const bool needs_stress = std::ranges::all_of(all, &Found::stressed);
   std::vector<ContactSolution> solutions;

@@ -69,9 +69,10 @@ inline int TangentSign(char status) {
 inline constexpr int kMostTriedContacts = 4;
 
 // All solutions that differ in w, of problems of up to kMostTriedContacts contacts; of larger ones that in which all
-// stay closed and stick, or else that which Lemke's method finds. The status has as many contacts closed, and of these
-// as many sticking, as w allows. Forces that are not unique are those of SplitForces. A solution that needs internal
-// stresses counts only if there is none without. Precondition: larger problems have no floors.
+// stay closed and stick, or else that which Lemke's method or projected Gauss-Seidel finds. The status has as many
+// contacts closed, and of these as many sticking, as w allows. Forces that are not unique are those of SplitForces. A
+// solution that needs internal stresses counts only if there is none without. Precondition: larger problems have no
+// floors.
 std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem);
 
 // Whether a problem is too large for SolveContactProblem.
