@@ -9,6 +9,7 @@ namespace saltus {
 namespace {
 
 constexpr double kAtZero = 1e-11;      // of a guard, relative to the size of its terms
+constexpr double kShortest = 1e-9;     // of a step: how far ahead is looked at least
 constexpr double kNoRate = 1e-9;       // of its rate, likewise: higher derivatives decide
 constexpr double kIntegrated = 1e-12;  // error of states that are integrated, relative
 constexpr double kGrazes = 1e-12;      // depth of a minimum that counts as zero, relative
@@ -161,10 +162,16 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
   elapsed = std::min(elapsed, step.h);
   double at_zero = ErrorBy(step, terms, now.rate, elapsed, kAtZero);
   if (now.value > at_zero) return Standing::kArmed;
-  const GuardValue later = After(step, slope, guard, 0.5 * step.h);
+  double ahead = 0.5 * step.h;
+  GuardValue later = After(step, slope, guard, ahead);
+  // Steps that are too long for the flow lead to no numbers.
+  while (!std::isfinite(later.value + later.rate) && ahead > kShortest * step.h) {
+    ahead *= 0.0625;
+    later = After(step, slope, guard, ahead);
+  }
   at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
   if (now.value < -at_zero) return Standing::kBehind;
-  if (StaysAtZero(step, slope, guard, now, later, 0.5 * step.h)) return Standing::kRising;
+  if (StaysAtZero(step, slope, guard, now, later, ahead)) return Standing::kRising;
   if (flow_scales_.empty()) {
     flow_scales_.resize(n);
     jacobian_.resize(static_cast<std::size_t>(n) * columns);

@@ -695,7 +695,9 @@ bool RolloutRun::StepTo(int node) {
     functions_.GuardRates(end, next_slope_.data(), next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
       if (std::isfinite(next_guards_[guard].value)) continue;
-      return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
+      Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
+      if (functions_.Projects(at_.mode)) failure_time_ = target;  // to which a step that is too long may lead
+      return false;
     }
     if (compare_guards_) CompareGuards(step);
     Due due = EarliestEvent(step, next_guards_);

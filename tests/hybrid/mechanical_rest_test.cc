@@ -10,6 +10,7 @@
 #include <random>
 #include <string>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "campaign/resting_boxes.h"
@@ -583,6 +584,29 @@ TEST(RestingBoxes, ColumnsTipAndFallOver) {
     EXPECT_EQ(report.wrong, "");
     EXPECT_GT(report.impacts, 50);
   }
+}
+
+// A box slides to the left, and one that stands on it with much friction tips at once to its right corner. The sliding
+// stops within a thousandth of a second, and longer steps lead to no numbers: they tell nothing about the left corner,
+// and are no reason to refuse the motion unless they are given.
+TEST(RestingBoxes, ABoxTipsWhereTheOneBelowSlides) {
+  const auto run = [](double speed, const HybridOptions& options) {
+    const RigidBodies2D bodies(
+        {.bodies = {{.name = "low", .polygon = BoxPolygon(0.1, 0.05), .position = {0, 0.05}, .velocity = {speed, 0}},
+                    {.name = "high", .polygon = BoxPolygon(0.1, 0.2), .mass = 4, .position = {0, 0.3}}},
+         .planes = {{}},
+         .friction = 1.05});
+    const MechanicalSystem system(bodies);
+    HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 1};
+    input.mode = system.FindMode(input.initial, {}, input.parameters).mode;
+    HybridSimulator simulator(system.hybrid(), options);
+    simulator.Rollout(input);
+    return std::pair(simulator.WhyFailed(), simulator.events().size());
+  };
+  const auto [why_given, events] = run(-0.05, {.steps_per_interval = 16});
+  EXPECT_THAT(why_given, HasSubstr("is not a finite number"));
+  EXPECT_EQ(events, 0u);
+  EXPECT_THAT(run(-0.5, {.most_events = 5}).first, HasSubstr("more than 5 events"));
 }
 
 TEST(RestingBoxes, ScenesInEquilibriumRest) {
