@@ -65,17 +65,18 @@ class TossedBoxes {
     std::string why_no_derivative;
     int impacts = 0, closed = 0, gains = 0;  // closed: steps with a closed contact
     double lowest_gap = 0;                   // m
+    double slowest = 0;                      // m/s: the smallest v_n after an impact
     double energy = 0;                       // gained over what the law of impact allows, of the largest
     bool gradient_compared = false;
     double gradient_error = 0;  // of the largest entry
   };
 
-  Result Run(bool with_gradient) {
-    constexpr double kPenetration = 1e-9, kEnergy = 1e-9, kGradient = 1e-5;
+  Result Run(bool with_gradient, int most_events = 1000) {
+    constexpr double kPenetration = 1e-9, kEnergy = 1e-9, kGradient = 1e-5, kApproaches = 1e-9;
     Result result;
     const HybridInput input{.initial = scene_.InitialState(), .parameters = scene_.Parameters(), .duration = 0.9};
     // Flights are polynomials, which need no small steps.
-    HybridSimulator simulator(system_.hybrid(), {.steps_per_interval = 100, .most_events = 1000});
+    HybridSimulator simulator(system_.hybrid(), {.steps_per_interval = 100, .most_events = most_events});
     const bool done = simulator.Rollout(input);
     if (!done) {
       result.refused = simulator.WhyFailed();
@@ -84,6 +85,11 @@ class TossedBoxes {
     const MechanicalReport report = system_.Examine(simulator, input);
     result.impacts = static_cast<int>(report.impacts.size());
     result.gains = static_cast<int>(report.energy_gains.size());
+    for (const MechanicalImpact& impact : report.impacts) {
+      for (const MechanicalImpact::Contact& contact : impact.contacts) {
+        result.slowest = std::min(result.slowest, contact.normal_after);
+      }
+    }
     // Energy, which impacts of Newton's law may raise by what the report says, and gaps.
     const double* p = input.parameters.data();
     const double size = std::abs(scene_.EnergyOf(input.initial.data(), p)) + 1;
@@ -105,6 +111,10 @@ class TossedBoxes {
     char text[160];
     if (result.lowest_gap < -kPenetration) {
       std::snprintf(text, sizeof text, "penetration by %.3g; ", -result.lowest_gap);
+      result.wrong += text;
+    }
+    if (result.slowest < -kApproaches) {
+      std::snprintf(text, sizeof text, "approaches by %.3g after an impact; ", -result.slowest);
       result.wrong += text;
     }
     if (result.energy > kEnergy) {

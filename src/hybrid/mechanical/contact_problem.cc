@@ -479,13 +479,14 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
   return split;
 }
 
-ContactSolution HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks) {
+std::optional<ContactSolution> HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks) {
   ContactProblem held = problem;
   std::fill(held.friction.begin(), held.friction.end(), 0.0);
   std::string status;
   for (const char stick : sticks) status += stick != 0 ? 's' : 'n';
   const std::optional<TriedForces> tried = ForcesOf(held, status);
-  return {status, tried ? tried->force : Eigen::VectorXd::Zero(problem.given.size())};
+  if (!tried) return std::nullopt;
+  return ContactSolution{status, tried->force};
 }
 
 bool IsTooLarge(const ContactProblem& problem) {

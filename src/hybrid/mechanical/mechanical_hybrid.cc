@@ -7,6 +7,7 @@
 #include <iterator>
 #include <mutex>
 #include <numeric>
+#include <optional>
 #include <utility>
 
 #include "base/linear_algebra.h"
@@ -449,7 +450,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     for (Eigen::Index i = 0; i < k; ++i) {
       sticks.push_back(CanStick(impact.contacts[i], at.p) && std::abs(impact.before[2 * i + 1]) < slow);
     }
-    solutions.push_back(HoldContacts(problem, sticks));
+    if (std::optional<ContactSolution> held = HoldContacts(problem, sticks)) solutions.push_back(std::move(*held));
     impact.held = true;
   } else {
     solutions = SolveContactProblem(problem);
