@@ -11,12 +11,12 @@
 namespace saltus {
 namespace {
 
-constexpr int kMostParts = 96;        // of a step that are looked at
-constexpr double kShortest = 1e-11;   // of the duration: of shorter parts quotients may have no digits
-constexpr double kWide = 3;           // of a slope's size in a step: bounds that are looked into
-constexpr double kSeen = 0.5;         // likewise, a difference from the slope that the ends of a part lead to
-constexpr double kNegligible = 1e-9;  // of the largest number of a motion: what such a difference changes
-constexpr double kBelow = 1e-12;      // of the width of its bounds: how far a guard is below zero
+constexpr int kMostParts = 96;           // of a step that are looked at
+constexpr double kShortestPart = 1e-11;  // of the duration: of shorter parts quotients may have no digits
+constexpr double kWide = 3;              // of a slope's size in a step: bounds that are looked into
+constexpr double kSeen = 0.5;            // likewise, a difference from the slope that the ends of a part lead to
+constexpr double kNegligible = 1e-9;     // of the largest number of a motion: what such a difference changes
+constexpr double kBelow = 1e-12;         // of the width of its bounds: how far a guard is below zero
 
 // A part of a step between two states of the motion and the slopes there.
 struct Part {
@@ -66,7 +66,7 @@ class Search {
     for (std::size_t looked = 0; looked < count && looked < kMostParts; ++looked) {
       const Part& part = parts_[looked];
       const double length = part.to - part.from, middle = 0.5 * (part.from + part.to);
-      if (length <= kShortest * input_.duration) continue;
+      if (length <= kShortestPart * input_.duration) continue;
       for (int i = 0; i < n; ++i) {
         // The cubic through the ends lies between the smallest and the largest of its Bezier coefficients.
         const double second = part.begin[i] + length / 3 * part.slope[i];
