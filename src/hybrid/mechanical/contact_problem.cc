@@ -479,14 +479,18 @@ ForceSplit SplitForces(const Eigen::VectorXd& force, const Eigen::MatrixXd& stre
   return split;
 }
 
-std::optional<ContactSolution> HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks) {
+std::optional<ContactSolution> HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks,
+                                            double still) {
   ContactProblem held = problem;
   std::fill(held.friction.begin(), held.friction.end(), 0.0);
   std::string status;
   for (const char stick : sticks) status += stick != 0 ? 's' : 'n';
   const std::optional<TriedForces> tried = ForcesOf(held, status);
-  if (!tried) return std::nullopt;
-  return ContactSolution{status, tried->force};
+  if (tried) return ContactSolution{status, tried->force};
+  for (int i = 0; i < problem.size(); ++i) {
+    if (std::abs(problem.given[2 * i]) > still || (sticks[i] && std::abs(problem.given[2 * i + 1]) > still)) return {};
+  }
+  return ContactSolution{status, Eigen::VectorXd::Zero(problem.given.size())};
 }
 
 bool IsTooLarge(const ContactProblem& problem) {

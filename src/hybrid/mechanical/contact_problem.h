@@ -79,8 +79,10 @@ std::vector<ContactSolution> SolveContactProblem(const ContactProblem& problem);
 bool IsTooLarge(const ContactProblem& problem);
 
 // The forces under which no contact accelerates along its normal, and those that stick not along their tangents either,
-// whatever their signs; without friction at the others. Returns std::nullopt where rounding leaves none.
-std::optional<ContactSolution> HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks);
+// whatever their signs; without friction at the others. Returns std::nullopt where rows that nearly depend on each
+// other leave none, but zeros if nothing accelerates by more than `still`.
+std::optional<ContactSolution> HoldContacts(const ContactProblem& problem, const std::vector<char>& sticks,
+                                            double still);
 
 // ---------------------------------------------------------------------------------------------------------------------
 // Forces that are not unique.

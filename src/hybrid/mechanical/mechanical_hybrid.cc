@@ -21,6 +21,7 @@ constexpr double kTouches = 1e-9;     // of gaps and speeds at the start, likewi
 constexpr double kUncoupled = 1e-12;  // |W_ij| / sqrt(W_ii W_jj) that is rounding
 constexpr double kRests = 1e-10;      // speeds that are zero, of the size of their terms
 constexpr double kMostHeld = 10;      // speeds of contacts that close together, of rest_speed
+constexpr double kStill = 1e-6;       // likewise: speeds that need no impulse
 constexpr double kNearly = 1e-9;      // distance to another branch of an impact that is none, relative
 constexpr double kPast = 1e6;         // of the tolerance of a force: where it is looked at past its limit
 
@@ -450,7 +451,8 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
     for (Eigen::Index i = 0; i < k; ++i) {
       sticks.push_back(CanStick(impact.contacts[i], at.p) && std::abs(impact.before[2 * i + 1]) < slow);
     }
-    if (std::optional<ContactSolution> held = HoldContacts(problem, sticks)) solutions.push_back(std::move(*held));
+    std::optional<ContactSolution> held = HoldContacts(problem, sticks, kStill * options_.rest_speed);
+    if (held) solutions.push_back(std::move(*held));
     impact.held = true;
   } else {
     solutions = SolveContactProblem(problem);
