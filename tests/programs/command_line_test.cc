@@ -144,6 +144,8 @@ TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
       {"saltus_audit --surrogate=complementarity_aware --contact=direct" + SceneFlag("two_balls"), "complementarity"},
       {"saltus_solve --surrogate=smoothed_zeroth --contact=event --solver=hmp" + SceneFlag("two_balls"), "surrogate"},
       {"saltus_reproduce --surrogate=smoothed_zeroth", "--surrogate"},
+      {"saltus_solve --warm_start=" + SceneFlag("two_balls"), "--warm_start is empty"},
+      {"saltus_solve --contact=" + SceneFlag("two_balls"), "--contact is empty"},
       {"saltus_sweep --sweep=stiffness" + SceneFlag("two_balls"), "stiffness"},
       {"saltus_sweep --sweep=colour=1,2" + SceneFlag("two_balls"), "colour"},
       {"saltus_sweep --sweep=stiffness=-1:1:log:3" + SceneFlag("two_balls"), "logarithmic"},
@@ -153,6 +155,15 @@ TEST(CommandLine, WrongInputIsExitCodeTwoAndNamesThePlace) {
     EXPECT_EQ(outcome.exit_code, 2) << command << "\n" << outcome.errors;
     EXPECT_THAT(outcome.errors, HasSubstr(message)) << command;
   }
+}
+
+TEST(CommandLine, NamesThatAreGivenTwiceCountOnce) {
+  const Outcome outcome = RunProgram(
+      "saltus_solve --contact=event,direct_toi,event --solver=gd,gd --iterations=1 --json" + SceneFlag("two_balls"));
+  const json document = json::parse(outcome.output);
+  ASSERT_EQ(document["runs"].size(), 2u) << outcome.output;
+  EXPECT_EQ(document["runs"][0]["contact"], "event");
+  EXPECT_EQ(document["runs"][1]["contact"], "direct_toi");
 }
 
 TEST(CommandLine, ListsAndHelpAreNoErrors) {
