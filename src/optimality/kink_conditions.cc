@@ -343,6 +343,7 @@ class KinkCertifier {
     }
     rest.guess = input;
     rest.guess.begin = 0;
+    rest.integration.wait_behind_guards = true;  // the touch is at a guard of zero within rounding
     HybridShooting shooting(rest);
     HybridShooting::Outcome outcome;
     return shooting.Simulate(input, &outcome) ? outcome.loss : std::numeric_limits<double>::quiet_NaN();

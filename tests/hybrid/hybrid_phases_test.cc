@@ -656,6 +656,66 @@ TEST(HybridCertificate, HoldsOnBothSidesOfAnEventAtTheFinalTime) {
   EXPECT_FALSE(Certify(above, above.guess).IsStationary());
 }
 
+// A ball without weight that just touches the floor at 0.45, within an interval. Stationary is a control
+//
+//   u_k = alpha a_k + beta b_k,   a_k = D x(1) / D u_k,   b_k = D x(0.45) / D u_k,   beta >= 0
+//
+// where alpha is 10 weight (target - x(1)), and 0.2 beta the multiplier of the touch; alpha and beta are those for
+// which position and speed are zero at 0.45. A push up at the touch changes the loss by -2 weight (target - x(1)) 0.55
+// times the speed that it adds: the loss falls with it if alpha > 0.
+struct TouchingBall {
+  HybridProblem problem;
+  double alpha = 0, beta = 0;
+};
+TouchingBall BallThatTouches(double speed) {
+  constexpr double kTouch = 0.45, kWeight = 100, kGap = 1e-9;
+  std::array<double, 10> a{}, b{}, push{};
+  double aa = 0, ab = 0, bb = 0, bd = 0;  // sums of a d, a b, b b and b d, with d the pushes
+  for (int k = 0; k < 10; ++k) {
+    const double begin = 0.1 * k;
+    push[k] = std::clamp(kTouch - begin, 0.0, 0.1);
+    a[k] = 0.1 * (0.95 - begin);
+    b[k] = push[k] * (kTouch - begin - 0.5 * push[k]);
+    ab += a[k] * b[k];
+    bb += b[k] * b[k];
+    aa += a[k] * push[k];
+    bd += b[k] * push[k];
+  }
+  const double at_touch = kGap - 1 - speed * kTouch, determinant = ab * bd - bb * aa;
+  TouchingBall ball{PushedDown(0, kWeight)};
+  ball.alpha = (at_touch * bd + speed * bb) / determinant;
+  ball.beta = (-ab * speed - aa * at_touch) / determinant;
+  double end = 1 + speed;
+  for (int k = 0; k < 10; ++k) {
+    ball.problem.guess.control[k] = ball.alpha * a[k] + ball.beta * b[k];
+    end += a[k] * ball.problem.guess.control[k];
+  }
+  ball.problem.guess.initial = {1, speed};
+  ball.problem.terms = {MakeTerminalCost(0, end + ball.alpha * 0.1 / kWeight, kWeight, 2), MakeEffortCost(1, 1)};
+  return ball;
+}
+
+TEST(HybridCertificate, HoldsOnBothSidesOfATouch) {
+  const TouchingBall ball = BallThatTouches(-6.6);
+  ASSERT_LT(ball.alpha, 0);
+  ASSERT_GT(ball.beta, 0);
+  const Certificate certificate = Certify(ball.problem, ball.problem.guess);
+  EXPECT_EQ(certificate.verdict, kStationaryOnGrid) << VerdictInWords(certificate);
+  EXPECT_THAT(certificate.reason, HasSubstr("just touches: a kink"));
+  ASSERT_EQ(certificate.impacts.size(), 1u);
+  EXPECT_NEAR(certificate.impacts[0].time, 0.45, 1e-6);
+  EXPECT_NEAR(certificate.impacts[0].multiplier, 0.2 * ball.beta, 1e-4 * ball.beta);
+}
+
+TEST(HybridCertificate, DeniesATouchWhereAnEventLowersTheLoss) {
+  const TouchingBall ball = BallThatTouches(-6);
+  ASSERT_GT(ball.alpha, 0);
+  ASSERT_GT(ball.beta, 0);
+  const Certificate certificate = Certify(ball.problem, ball.problem.guess);
+  EXPECT_EQ(certificate.verdict, kNotStationary) << VerdictInWords(certificate);
+  EXPECT_THAT(certificate.reason, HasSubstr("just touches, and the loss falls with an event"));
+}
+
 TEST(HybridCertificate, AppliesOnlyToEventsThatCrossZero) {
   HybridProblem problem = ControlledBall(50);
   problem.guess.initial = {-0.1, 3};
