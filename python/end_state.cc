@@ -36,14 +36,7 @@ class EndState {
   Array Evaluate(const py::object& initial, const py::object& control) {
     const Motion motion = Read(initial, control);
     Array final(FinalShape());
-    std::string failure;
-    Computation computation;
-    computation.Run([&] {
-      const OneUser::Use use(&user_, &computation);
-      failure = Simulate(motion);
-      if (failure.empty()) Read(MutableView(final));
-    });
-    Check(computation, failure);
+    Compute(motion, [&] { Read(MutableView(final)); });
     return final;
   }
 
@@ -64,18 +57,12 @@ class EndState {
     const Array by_final = ReadArray(cotangent, "cotangent", FinalShape());
     std::vector<double> by_initial(InitialSize(scene_));
     std::vector<double> by_control(simulator_->control_size());
-    std::string failure;
-    Computation computation;
-    computation.Run([&] {
-      const OneUser::Use use(&user_, &computation);
-      failure = Simulate(motion);
-      if (!failure.empty()) return;
+    Compute(motion, [&] {
       SensitivityView out;
       out.initial = by_initial;
       out.control = by_control;
       simulator_->AdjointInto(View(by_final), out);
     });
-    Check(computation, failure);
     return py::make_tuple(ToArray(ToState(by_initial, scene_.num_bodies()), InitialShape()),
                           ToArray(RowsOfGradient(scene_, by_control), ControlShape()));
   }
@@ -115,10 +102,21 @@ class EndState {
     ConvertPositions(final, simulator_->body_size(), near_.units, scene_.units);
   }
 
-  void Check(const Computation& computation, const std::string& failure) const {
+  // Simulates, and computes what is wanted of the motion, as the only user of the simulator. Throws without a motion.
+  template <typename Function>
+  void Compute(const Motion& motion, const Function& function) {
+    std::string failure;
+    int unresolved = 0;
+    Computation computation;
+    computation.Run([&] {
+      const OneUser::Use use(&user_, &computation);
+      failure = Simulate(motion);
+      if (failure.empty()) function();
+      unresolved = NumUnresolvedSteps(*simulator_);
+    });
     computation.Rethrow();
     if (!failure.empty()) throw std::runtime_error("the rollout fails: " + failure);
-    WarnOfUnresolved(NumUnresolvedSteps(*simulator_), simulator_->num_steps());
+    WarnOfUnresolved(unresolved, simulator_->num_steps());
   }
 
   Scene scene_, near_;

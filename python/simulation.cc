@@ -111,17 +111,19 @@ Array Simulation::Variables(const py::object& z) const {
 template <typename Evaluate>
 void Simulation::Compute(const Evaluate& evaluate) {
   std::string failure;
+  int unresolved = 0;  // read as the only user, too
   Computation computation;
   computation.RunOrThrow([&] {
     const OneUser::Use use(&user_, &computation);
     const bool ok = evaluate();
+    unresolved = NumUnresolvedSteps(shooting_.simulator());
     const std::string why = shooting_.WhyFailed();
     if (ok && why.empty()) return;
     failure = why.empty() ? contact_ + ": the loss is not finite"
                           : (ok ? "the gradient is not finite: " : "the rollout fails: ") + why;
   });
   if (!failure.empty()) throw std::runtime_error(failure);
-  WarnOfUnresolved(NumUnresolvedSteps(shooting_.simulator()), shooting_.simulator().num_steps());
+  WarnOfUnresolved(unresolved, shooting_.simulator().num_steps());
 }
 
 template <typename Evaluate>
