@@ -25,6 +25,11 @@ std::string Computation::WhyTimedOut() const {
   return "the limit of " + ToText(seconds_) + " s was reached; raise seconds, or go on from what was found";
 }
 
+void Computation::AddWhyTimedOut(std::string* reason) const {
+  const std::string why = WhyTimedOut();
+  if (!why.empty()) *reason += (reason->empty() ? "" : "; ") + why;
+}
+
 void Computation::StopCurrent(std::exception_ptr error) {
   if (current_ != nullptr) current_->StopFor(std::move(error));
 }

@@ -62,6 +62,8 @@ class Computation {
   bool Stopped();
   // Returns the reason why it has ended before it was done, if that was the limit of time, otherwise an empty text.
   std::string WhyTimedOut() const;
+  // Adds it to a reason.
+  void AddWhyTimedOut(std::string* reason) const;
 
   // Runs `call` with the GIL, from any thread; stops the computation if it throws. False then, and without a call if it
   // has been stopped before.

@@ -649,7 +649,7 @@ class Problem {
     }
     computation.Run([&] {
       report = saltus::Solve(solver, problem, options);
-      if (report.termination == Termination::kInterrupted) report.reason += computation.WhyTimedOut();
+      if (report.termination == Termination::kInterrupted) computation.AddWhyTimedOut(&report.reason);
       if (report.termination != Termination::kNotApplicable) document = HybridRunToJson(problem, report, true);
     });
     if (report.termination == Termination::kNotApplicable) throw py::value_error(report.reason);

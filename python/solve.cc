@@ -123,7 +123,7 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   const Precision arithmetic = ReadPrecision(precision);
   computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
-  if (run.report.termination == Termination::kInterrupted) run.report.reason += computation.WhyTimedOut();
+  if (run.report.termination == Termination::kInterrupted) computation.AddWhyTimedOut(&run.report.reason);
   py::dict result = RunToPython(scene, run);
   return py::make_tuple(result, PageOfRun(scene, contact, std::move(run), arithmetic), computation.StoppedBy());
 }

@@ -74,3 +74,27 @@ def test_what_such_problems_do_not_have_is_refused():
         saltus.hybrid_problem(scene)
     with pytest.raises(TypeError):
         saltus.hybrid_problem(3)
+
+
+def test_bounds_on_both_sides_of_an_impact():
+    """At a bound the control goes on over an impact at the end of an interval. Intervals as they are: no control lowers the loss."""
+    scene = saltus.Scene({
+        "name": "bounded", "duration": 1.4848, "steps": 24,
+        "bodies": [{"name": "striker", "radius": 0.1452, "mass": 1.0416, "position": [0, 0]},
+                   {"name": "target", "radius": 0.0871, "mass": 0.6337, "position": [-0.1931, 1.1219]}],
+        "planes": [{"name": "wall", "point": [0.0209, 1.534], "normal": [1.0009, -0.8838]}], "contact": {"restitution": 0.6797},
+        "control": {"bodies": ["striker"], "initial": [[-0.52, 1.75]], "max": 1.75},
+        "objective": {"terminal": [
+            {"body": "target", "quantity": "position", "target": [-0.4464, 1.3408], "weight": 1},
+            {"body": "striker", "quantity": "velocity", "target": [0, 0], "weight": 0.0245},
+            {"body": "striker", "quantity": "velocity", "target": [-2.408, -2.6045], "weight": 0.6705}], "effort": 0.002},
+        "optimize": "control"})
+    problem = saltus.hybrid_problem(scene)
+    run = saltus.solve(problem)
+    assert run.termination == "converged", run.reason
+    plan = saltus.hybrid_problem(scene)
+    plan.start_from(run)
+    found = saltus.loss_and_gradient(plan)
+    inside = np.abs(run.control) < 1.75 - 1e-3
+    assert inside.any()
+    assert np.abs(np.asarray(found.gradient.control)[inside]).max() < 1e-5

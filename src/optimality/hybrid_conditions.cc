@@ -1238,7 +1238,9 @@ class HybridConditions {
       ImpactCertificate& impact = result->impacts[k];
       impact.theta.reset();
       impact.concave = false;
-      if (!on_node_[k] || !FallsOnBothSides(k) || HoldsAlways() != nullptr) continue;
+      // Where a free control goes on at the node, as between two intervals at a bound, both sides have one multiplier.
+      const bool judged = on_node_[k] || (node_[k] > 0 && problem_.free.control);
+      if (!judged || !FallsOnBothSides(k) || HoldsAlways() != nullptr) continue;
       // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
       const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });

@@ -75,7 +75,6 @@ class KinkCertifier {
     if (leaves_node && certificate.verdict == Certificate::Verdict::kNotStationary) return certificate;
     if (!certificate.IsStationary()) return {};
     certificate.verdict = Certificate::Verdict::kStationaryOnGrid;
-    certificate.curvature.reset();
     std::string names;
     for (const Kink& kink : kinks_) {
       const std::string guard = problem_.system.GuardName(kink.mode, kink.guard);
@@ -89,6 +88,7 @@ class KinkCertifier {
       return certificate;
     }
     certificate.reason = names + ": a kink, with multipliers of the right sign on both sides";
+    if (!certificate.curvature) certificate.curvature = std::move(curvature_);
     return certificate;
   }
 
@@ -268,7 +268,10 @@ class KinkCertifier {
     const double left_out = 100 * std::abs(1 - side->input.duration / input_.duration);
     const double jump = outcome.loss - loss_, noise = std::max(kNoJump, left_out) * std::abs(loss_);
     if (std::abs(jump) > noise) return jump < 0 ? falls : "";
-    return CertifySide(&kink).IsStationary() ? "" : falls;
+    Certificate certificate = CertifySide(&kink);
+    if (!certificate.IsStationary()) return falls;
+    curvature_ = std::move(certificate.curvature);
+    return "";
   }
 
   // Returns the sizes of the components of the state over the motion.
@@ -355,6 +358,9 @@ class KinkCertifier {
   mutable HybridShooting shooting_;
   RungeKutta integrator_;
   std::vector<Kink> kinks_;
+  // The curvature on the other side of a strike. It is along motions whose guard is zero at the final time, on which
+  // the losses of both sides are the same.
+  std::optional<Curvature> curvature_;
   double loss_ = 0;
 };
 

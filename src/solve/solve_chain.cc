@@ -115,7 +115,8 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     if (!converged && report.final_violation <= kFeasible && !report.losses.empty()) {
       lowest = std::min(lowest, {report.final_loss, std::string(name)});
     }
-    if (!best || EndsBetter(report, *best) || lower || interrupted) best = std::move(report);
+    if (!best || EndsBetter(report, *best) || lower) best = std::move(report);
+    if (interrupted) best->termination = Termination::kInterrupted;
     if (interrupted || (converged && lost.empty()) || chain.IsOutOfIterations()) break;
   }
   if (!best) {
@@ -132,7 +133,9 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     if (report.termination == Termination::kNotApplicable) continue;
     chain.Add(report);
     tried += ", then " + std::string(name) + " from the end of " + best->solver;
-    if (EndsBetter(report, *best) || report.termination == Termination::kInterrupted) best = std::move(report);
+    const bool interrupted = report.termination == Termination::kInterrupted;
+    if (EndsBetter(report, *best)) best = std::move(report);
+    if (interrupted) best->termination = Termination::kInterrupted;
   }
   const bool tells = refused && refused->reason != why;
   std::string words = "auto used " + best->solver + ", as " + why;

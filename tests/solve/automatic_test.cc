@@ -130,6 +130,22 @@ TEST(Automatic, RefinesTheBestEndWhereNoSolverHasConverged) {
   EXPECT_THAT(report.reason, HasSubstr("tried: near, then far, then last from the end of near"));
 }
 
+// Where a solve is interrupted, the best end of those before it is returned.
+TEST(Automatic, KeepsTheBestEndWhenItIsInterrupted) {
+  const auto solve = [&](std::string_view name, const SolverOptions&, const SolveReport*) {
+    SolveReport report;
+    report.solver = name;
+    report.final_loss = name == "first" ? 2 : 4;
+    report.losses = {5, report.final_loss};
+    report.termination = name == "first" ? Termination::kNoProgress : Termination::kInterrupted;
+    return report;
+  };
+  const SolveReport report = SolveInTurn({"first", "second"}, {"never"}, "of a test", {}, solve);
+  EXPECT_EQ(report.solver, "first");
+  EXPECT_EQ(report.final_loss, 2);
+  EXPECT_EQ(report.termination, Termination::kInterrupted);
+}
+
 TEST(InteriorPoint, FindsTheClosedFormOfAMovedDisc) {
   if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
   const SolveReport report = Solve("ipopt", {Moved(20), "event"}, {});
