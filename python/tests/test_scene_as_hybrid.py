@@ -98,3 +98,19 @@ def test_bounds_on_both_sides_of_an_impact():
     inside = np.abs(run.control) < 1.75 - 1e-3
     assert inside.any()
     assert np.abs(np.asarray(found.gradient.control)[inside]).max() < 1e-5
+
+
+def test_saddles_at_an_event_at_the_final_time_are_left():
+    """The mass meets the wall at the final time, on the crest between two wells of y at -1 and 1, where the guess is symmetric."""
+    system = saltus.HybridSystem(
+        states={"m": ["x", "y", "vx", "vy"]}, controls=["ux", "uy"], flow={"m": lambda x, u: [x[2], x[3], u[0], u[1]]},
+        guards={"m": {"wall": lambda x: 1 - x[0]}}, resets={"m": {"wall": lambda x: ("m", [x[0], x[1], -0.6 * x[2], x[3]])}})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 0, 0, 0], duration=1.0, control=np.tile([1.0, 0.0], (8, 1)))
+    problem.costs = [saltus.residuals(lambda x: [x[0] - 1.3, x[1]**2 - 1], at="end"), saltus.effort(0.05)]
+    run = saltus.solve(problem, solver="ceres_phases")
+    assert run.termination == "converged", run.reason
+    problem.start_from(run)
+    loss = saltus.loss_and_gradient(problem).loss
+    for change in ([0, 0.1], [0, -0.1], [0, 1e-2]):
+        problem.control = np.asarray(run.control) + change
+        assert saltus.loss_and_gradient(problem).loss > loss

@@ -282,24 +282,28 @@ class HybridConditions {
     return std::clamp(static_cast<int>(next - times_.begin()) - 1, 0, input_.num_intervals - 1);
   }
 
-  // Adds a step, or two if a guard touches zero within it.
+  // Adds a step, divided where guards touch zero within it.
   void AddStep(int i, int phase, double begin, double end) {
     const int mode = simulator().StepMode(i);
-    const auto within = [&](const GuardTouch& touch) {
-      return touch.mode == mode && touch.time > begin && touch.time < end;
-    };
-    const auto touch = std::ranges::find_if(touches_, within);
-    const double middle = touch == touches_.end() ? end : touch->time;
-    steps_.push_back(Linearized(i, IntervalAt(0.5 * (begin + end)), phase, begin, middle));
-    if (touch == touches_.end()) return;
-    Step rest = steps_.back();
-    rest.begin = middle;
-    rest.end = end;
-    const ModePoint from{mode, begin, steps_.back().state.data(), ControlOf(rest.interval), input_.parameters.data()};
-    integrator_.Step({from, middle - begin, rest.projects}, rest.state.data());
-    const ModePoint at{mode, middle, rest.state.data(), from.u, from.p};
-    rest.by = integrator_.Jacobian({at, end - middle, rest.projects});
-    steps_.push_back(std::move(rest));
+    std::vector<double> ends = {end};
+    for (const GuardTouch& touch : touches_) {
+      if (touch.mode == mode && touch.time > begin && touch.time < end) ends.push_back(touch.time);
+    }
+    std::ranges::sort(ends);
+    ends.erase(std::unique(ends.begin(), ends.end()), ends.end());
+    steps_.push_back(Linearized(i, IntervalAt(0.5 * (begin + end)), phase, begin, ends[0]));
+    for (size_t part = 1; part < ends.size(); ++part) {
+      const Step before = steps_.back();
+      Step step = before;
+      step.begin = before.end;
+      step.end = ends[part];
+      const double *u = ControlOf(step.interval), *p = input_.parameters.data();
+      integrator_.Step({{mode, before.begin, before.state.data(), u, p}, before.end - before.begin, step.projects},
+                       step.state.data());
+      const ModePoint at{mode, step.begin, step.state.data(), u, p};
+      step.by = integrator_.Jacobian({at, step.end - step.begin, step.projects});
+      steps_.push_back(std::move(step));
+    }
   }
 
   Step Linearized(int i, int interval, int phase, double begin, double end) {

@@ -64,7 +64,7 @@ PulledCostate PullBackCostate(Simulator* simulator, std::span<const double> begi
 //   dv+  = dv_c +- dP / m - [a dtau]                     P as a function of n and w
 //   dq+  = dq + [(v - v+) dtau]
 //
-// Of discs that spin P follows the sliding of the rims, t . w - [r_a w_a + r_b w_b], and [turns them]:
+// If discs spin, the impulse P follows the sliding of the rims, t . w - [r_a w_a + r_b w_b], and [turns them]:
 //
 //   dw_k+  = dw_k - r_k dP_t / I_k,   dangle_k+ = dangle_k + [(w_k - w_k+) dtau].
 //
