@@ -136,6 +136,8 @@ class SceneSystem final : public HybridFunctions {
     }
   }
 
+  bool IsLinear(int /*mode*/) const override { return scene_.objective.running.empty(); }
+
   void Step(const FlowStep& step, const double* /*slope*/, double* /*scratch*/, double* after,
             double* slope_after) const override {
     Fly(step, after, nullptr);

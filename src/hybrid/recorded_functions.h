@@ -212,6 +212,7 @@ class RecordedSystem final : public HybridFunctions {
             double* slope_after) const override;
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override;
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override;
+  bool IsLinear(int mode) const override { return at(mode).linear != nullptr; }
   double Guard(const ModePoint& at, int guard) const override;
   double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;

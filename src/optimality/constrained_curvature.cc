@@ -3,7 +3,11 @@
 #include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <vector>
+
+#include "base/linear_algebra.h"
+#include "optimality/condensed.h"
 
 namespace saltus {
 namespace {
@@ -11,12 +15,15 @@ namespace {
 using Eigen::VectorXd;
 using Sparse = Eigen::SparseMatrix<double>;
 
-constexpr double kPenalty = 1e6;       // rho, relative to the largest entry of H - s W
-constexpr double kConverged = 1e-8;    // relative, of the curvature
-constexpr int kMostShifts = 60;        // factorizations
-constexpr double kSlack = 1e-9;        // of the equations in factors, which makes up for redundant ones
-constexpr int kMostRefinements = 8;    // of a solve
-constexpr double kNoDirection = 1e-8;  // of a solution, relative to that without equations
+constexpr double kPenalty = 1e6;        // rho, relative to the largest entry of H - s W
+constexpr double kConverged = 1e-8;     // relative, of the curvature
+constexpr int kMostShifts = 60;         // factorizations
+constexpr double kSlack = 1e-9;         // of the equations in factors, which makes up for redundant ones
+constexpr int kMostRefinements = 8;     // of a solve
+constexpr double kNoDirection = 1e-8;   // of a solution, relative to that without equations
+constexpr double kSameAsMetric = 1e-9;  // of the metric: a difference of H and W that is rounding
+constexpr int kMostFunctionals = 150;   // with which a dense matrix takes less time than the sparse ones
+constexpr int kManyPartners = 30;       // entries of an unknown in H - W that one functional combines
 
 // Linear combinations of symmetric matrices. Sum and summands share one pattern of the lower triangle.
 class Combination {
@@ -159,10 +166,179 @@ class LeastCurvatureSearch {
   double sign_ = 1;
 };
 
+// The form as that of few functionals of the variables.
+class CondensedForm {
+ public:
+  CondensedForm(const Sparse& hessian, const Sparse& equations, const Sparse& metric,
+                const std::vector<DefinedUnknown>& defined)
+      : metric_(metric), equations_(equations), defined_(defined), other_(hessian - metric) {}
+
+  // Returns std::nullopt if there are too many functionals, or if the equations do not determine the times.
+  std::optional<ConstrainedCurvature> Find() {
+    Classify();
+    if (!FindFunctionals() || !FactorMetric()) return std::nullopt;
+    const auto functionals = static_cast<Eigen::Index>(rows_.size());
+    AddEquations();
+    const auto all = static_cast<Eigen::Index>(rows_.size()), held = all - functionals;
+    const auto num_times = static_cast<Eigen::Index>(times_.size());
+    MatrixXd of_variables(all, variables_.size()), of_times(all, num_times);
+    for (Eigen::Index i = 0; i < all; ++i) {
+      const VectorXd row = PulledBack(rows_[i]);
+      of_variables.row(i) = row(variables_);
+      of_times.row(i) = row(times_);
+    }
+    // The times follow from the equations; the combinations of these that have no time hold variables.
+    const MatrixXd by_times = of_times.bottomRows(held);
+    const MatrixXd combined = num_times > 0 ? NullSpace(by_times.transpose()) : MatrixXd::Identity(held, held);
+    if (combined.cols() != held - num_times) return std::nullopt;
+    MatrixXd solved(num_times, held);  // t = -solved B_v v
+    for (Eigen::Index i = 0; i < held && num_times > 0; ++i) {
+      solved.col(i) = LeastSquaresSolution(by_times, VectorXd::Unit(held, i));
+    }
+    MatrixXd image = MatrixXd::Identity(functionals, all);
+    image.rightCols(held) = -Multiply(of_times.topRows(functionals), solved);
+    MatrixXd kept = MatrixXd::Zero(combined.cols(), all);
+    kept.rightCols(held) = combined.transpose();
+    const MatrixXd divided = metric_of_variables_.solve(of_variables.transpose());
+    const LeastCurvature least = FindLeastCurvature(
+        Multiply(of_variables, divided), Multiply(MultiplyTransposed(image, Form()), image), kept, /*unit=*/1);
+    const bool has_others = least.rank < of_variables.cols();  // directions that no functional notices
+    if (least.source.size() == 0 && !has_others) return std::nullopt;
+    ConstrainedCurvature found{1, 1, VectorXd::Zero(metric_.rows())};
+    VectorXd along;
+    if (least.source.size() > 0) {
+      found.smallest = 1 + least.smallest;
+      found.largest = 1 + least.largest;
+      along = divided * least.source;
+    }
+    if (has_others && !(found.smallest < 1)) {
+      found.smallest = 1;
+      found.largest = std::max(found.largest, 1.0);
+      const Eigen::Index few = std::min(of_variables.cols(), all + 1);
+      along = VectorXd::Zero(of_variables.cols());
+      along.head(few) = NullSpace(of_variables.leftCols(few)).col(0);
+    }
+    found.direction(variables_) = along;
+    found.direction(times_) = -solved * (of_variables.bottomRows(held) * along);
+    for (const DefinedUnknown& state : defined_) {
+      double sum = 0, own = 0;
+      for (RowMajor::InnerIterator it(equations_, state.equation); it; ++it) {
+        (it.col() == state.unknown ? own : sum) +=
+            it.value() * (it.col() == state.unknown ? 1 : found.direction[it.col()]);
+      }
+      found.direction[state.unknown] = -sum / own;
+    }
+    found.direction /= std::sqrt(found.direction.dot(metric_ * found.direction));
+    return found;
+  }
+
+ private:
+  using MatrixXd = Eigen::MatrixXd;
+  using Row = std::vector<std::pair<int, double>>;
+
+  void Classify() {
+    std::vector<char> is_defined(metric_.rows(), 0);
+    for (const DefinedUnknown& state : defined_) is_defined[state.unknown] = 1;
+    for (int i = 0; i < metric_.rows(); ++i) {
+      if (!is_defined[i]) (metric_.coeff(i, i) > 0 ? variables_ : times_).push_back(i);
+    }
+  }
+
+  // Finds the functionals: unknowns between which H - W has entries, and for each unknown with many such entries the
+  // sum of these.
+  bool FindFunctionals() {
+    other_.prune([&](Eigen::Index i, Eigen::Index j, double value) {
+      return std::abs(value) > kSameAsMetric * std::sqrt(metric_.coeff(i, i) * metric_.coeff(j, j));
+    });
+    std::vector<char> is_hub(other_.cols(), 0);
+    for (int j = 0; j < other_.cols(); ++j) is_hub[j] = other_.innerVector(j).nonZeros() > kManyPartners;
+    std::map<int, int> place;  // of an unknown among the functionals
+    const auto functional_of = [&](int unknown) {
+      const auto [at, is_new] = place.try_emplace(unknown, static_cast<int>(rows_.size()));
+      if (is_new) rows_.push_back({{unknown, 1.0}});
+      return at->second;
+    };
+    for (int j = 0; j < other_.cols(); ++j) {
+      Row sum;
+      for (Sparse::InnerIterator it(other_, j); it; ++it) {
+        if (is_hub[j] && !is_hub[it.row()]) {
+          sum.emplace_back(it.row(), it.value());
+        } else if (is_hub[j] || !is_hub[it.row()]) {
+          form_.emplace_back(functional_of(it.row()), functional_of(j), it.value());
+        }
+      }
+      if (!sum.empty()) {
+        const int at = functional_of(j), of_sum = static_cast<int>(rows_.size());
+        rows_.push_back(std::move(sum));
+        form_.emplace_back(at, of_sum, 1.0);
+        form_.emplace_back(of_sum, at, 1.0);
+      }
+      if (rows_.size() > kMostFunctionals) return false;
+    }
+    return true;
+  }
+  MatrixXd Form() const {
+    Eigen::Index size = 0;
+    for (const auto& entry : form_) size = std::max<Eigen::Index>(size, 1 + std::max(entry.row(), entry.col()));
+    MatrixXd form = MatrixXd::Zero(size, size);
+    for (const auto& entry : form_) form(entry.row(), entry.col()) += entry.value();
+    return form;
+  }
+
+  bool FactorMetric() {
+    std::vector<int> place(metric_.rows(), -1);
+    for (size_t i = 0; i < variables_.size(); ++i) place[variables_[i]] = static_cast<int>(i);
+    std::vector<Eigen::Triplet<double>> entries;
+    for (int j = 0; j < metric_.cols(); ++j) {
+      for (Sparse::InnerIterator it(metric_, j); it; ++it) entries.emplace_back(place[it.row()], place[j], it.value());
+    }
+    Sparse of_variables(static_cast<int>(variables_.size()), static_cast<int>(variables_.size()));
+    of_variables.setFromTriplets(entries.begin(), entries.end());
+    metric_of_variables_.compute(of_variables);
+    return metric_of_variables_.info() == Eigen::Success;
+  }
+
+  // Adds the equations that define no unknown to the functionals.
+  void AddEquations() {
+    std::vector<char> defines(equations_.rows(), 0);
+    for (const DefinedUnknown& state : defined_) defines[state.equation] = 1;
+    for (int i = 0; i < equations_.rows(); ++i) {
+      if (defines[i]) continue;
+      Row& row = rows_.emplace_back();
+      for (RowMajor::InnerIterator it(equations_, i); it; ++it) row.emplace_back(it.col(), it.value());
+    }
+  }
+
+  // Returns a functional of the unknowns that are not defined.
+  VectorXd PulledBack(const Row& row) const {
+    VectorXd all = VectorXd::Zero(metric_.rows());
+    for (const auto& [unknown, value] : row) all[unknown] += value;
+    for (auto state = defined_.rbegin(); state != defined_.rend(); ++state) {
+      if (all[state->unknown] == 0) continue;
+      const double weight = all[state->unknown] / equations_.coeff(state->equation, state->unknown);
+      for (RowMajor::InnerIterator it(equations_, state->equation); it; ++it) all[it.col()] -= weight * it.value();
+      all[state->unknown] = 0;
+    }
+    return all;
+  }
+
+  using RowMajor = Eigen::SparseMatrix<double, Eigen::RowMajor>;
+  const Sparse& metric_;
+  const RowMajor equations_;
+  const std::vector<DefinedUnknown>& defined_;
+  Sparse other_;  // H - W
+  std::vector<int> variables_, times_;
+  std::vector<Row> rows_;                     // of the functionals
+  std::vector<Eigen::Triplet<double>> form_;  // G
+  Eigen::SimplicialLLT<Sparse> metric_of_variables_;
+};
+
 }  // namespace
 
 std::optional<ConstrainedCurvature> FindConstrainedCurvature(const Sparse& hessian, const Sparse& equations,
-                                                             const Sparse& metric) {
+                                                             const Sparse& metric,
+                                                             const std::vector<DefinedUnknown>& defined) {
+  if (auto condensed = CondensedForm(hessian, equations, metric, defined).Find()) return condensed;
   ConstrainedCurvature found;
   VectorXd of_largest;
   LeastCurvatureSearch search(hessian, equations, metric);

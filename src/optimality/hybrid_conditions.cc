@@ -615,11 +615,19 @@ class HybridConditions {
         equations_.emplace_back(num_equations_, column, value / std::sqrt(square));
       ++num_equations_;
     }
+    // Adds an unknown of this size that equals a combination of unknowns; returns its derivative.
+    SparseRow AddDefined(double size, const SparseRow& image) {
+      const SparseRow unknown = AddUnknown(size);
+      defined_.push_back({unknown[0].first, num_equations_});
+      AddEquation(Combined(1, image, -1, unknown));
+      return unknown;
+    }
 
     int count() const { return count_; }
     Sparse Form() const { return MatrixOf(form_, count_); }
     Sparse Metric() const { return MatrixOf(metric_, count_); }
     Sparse Equations() const { return MatrixOf(equations_, num_equations_); }
+    const std::vector<DefinedUnknown>& defined() const { return defined_; }
 
    private:
     using Triplets = std::vector<Eigen::Triplet<double>>;
@@ -641,6 +649,7 @@ class HybridConditions {
 
     int count_ = 0, num_equations_ = 0;
     Triplets form_, metric_, equations_;
+    std::vector<DefinedUnknown> defined_;
   };
 
   static void AddScaled(double factor, const SparseRow& row, SparseRow* sum) {
@@ -724,12 +733,14 @@ class HybridConditions {
     return Combined(1 - part, to.boundaries[phase], part, to.boundaries[phase + 1]);
   }
 
-  // Returns the second derivative by central differences of a gradient.
+  // Returns the second derivative by central differences of a gradient; that between the numbers before `first` is
+  // zero.
   template <typename Gradient>
-  static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const Gradient& gradient) {
+  static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const Gradient& gradient,
+                                          Eigen::Index first = 0) {
     constexpr double kWidth = 1e-5;
-    Eigen::MatrixXd second(at.size(), at.size());
-    for (Eigen::Index i = 0; i < at.size(); ++i) {
+    Eigen::MatrixXd second = Eigen::MatrixXd::Zero(at.size(), at.size());
+    for (Eigen::Index i = first; i < at.size(); ++i) {
       const double width = kWidth * (sizes[i] > 0 ? sizes[i] : 1.0);
       VectorXd moved = at;
       moved[i] = at[i] + width;
@@ -738,6 +749,7 @@ class HybridConditions {
       second.col(i) -= gradient(moved);
       second.col(i) /= 2 * width;
     }
+    second.topRightCorner(first, at.size() - first) *= 2;  // as it is in the transposed matrix once
     return 0.5 * (second + second.transpose());
   }
 
@@ -751,7 +763,8 @@ class HybridConditions {
     const Sparse second = form.Form(), equations = form.Equations(), metric = form.Metric();
     if (second.nonZeros() > 0 && !second.coeffs().allFinite()) return std::nullopt;
     CurvatureRange found;
-    const std::optional<ConstrainedCurvature> least = FindConstrainedCurvature(second, equations, metric);
+    const std::optional<ConstrainedCurvature> least =
+        FindConstrainedCurvature(second, equations, metric, form.defined());
     if (!least) return std::nullopt;
     found.smallest = least->smallest;
     found.largest = least->largest;
@@ -853,8 +866,7 @@ class HybridConditions {
   static SparseRows AddState(const SparseRows& image, const VectorXd& sizes, QuadraticForm* form) {
     SparseRows state;
     for (size_t i = 0; i < image.size(); ++i) {
-      state.push_back(form->AddUnknown(sizes[static_cast<Eigen::Index>(i)]));
-      form->AddEquation(Combined(1, image[i], -1, state.back()));
+      state.push_back(form->AddDefined(sizes[static_cast<Eigen::Index>(i)], image[i]));
     }
     return state;
   }
@@ -890,18 +902,20 @@ class HybridConditions {
       // The length of a step is scaled by the mean, as a step may be far shorter than others.
       sizes << state_sizes_[step.mode], input_.duration, parameter_sizes_, control_sizes_,
           input_.duration / static_cast<double>(steps_.size());
-      form->Add(SecondDerivative(at,
-                                 sizes,
-                                 [&](const VectorXd& y) {
-                                   VectorXd gradient = VectorXd::Zero(size);
-                                   double* g = gradient.data();
-                                   StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                                   const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
-                                   integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
-                                   gradient[n] = by.t;
-                                   gradient[size - 1] = by.h;
-                                   return gradient;
-                                 }),
+      form->Add(SecondDerivative(
+                    at,
+                    sizes,
+                    [&](const VectorXd& y) {
+                      VectorXd gradient = VectorXd::Zero(size);
+                      double* g = gradient.data();
+                      StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
+                      const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
+                      integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
+                      gradient[n] = by.t;
+                      gradient[size - 1] = by.h;
+                      return gradient;
+                    },
+                    functions_.IsLinear(step.mode) ? size - 1 : 0),
                 along);
       states = AddState(Image(step.by, along), state_sizes_[step.mode], form);
     }

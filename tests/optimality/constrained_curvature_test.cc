@@ -4,7 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <cmath>
 #include <random>
+#include <vector>
 
 namespace saltus {
 namespace {
@@ -42,6 +44,48 @@ TEST(ConstrainedCurvature, AgreesWithDenseEigenvalues) {
     const Eigen::VectorXd& d = found->direction;
     EXPECT_NEAR(d.dot(hessian * d), found->smallest * d.dot(metric * d), 1e-8 * size * d.dot(metric * d));
     EXPECT_LE((equations * d).norm(), 1e-9 * equations.norm() * d.norm());
+  }
+}
+
+// A form of few functionals, with states that follow from others one by one and times that other equations determine.
+TEST(ConstrainedCurvature, OfFewFunctionalsAgreesWithDenseEigenvalues) {
+  std::mt19937 random(2);
+  const auto below = [&](int most) { return static_cast<int>(random() % most); };
+  for (int trial = 0; trial < 200; ++trial) {
+    const int variables = 40 + below(60), times = below(4), states = 60 + below(60), held = times + below(3);
+    const int n = variables + times + states, first_state = variables + times;
+    const MatrixXd factor = RandomMatrix(variables, variables, &random) / std::sqrt(variables);
+    MatrixXd metric = MatrixXd::Zero(n, n);
+    metric.topLeftCorner(variables, variables) = factor * factor.transpose() + MatrixXd::Identity(variables, variables);
+    MatrixXd hessian = metric;
+    const auto add = [&](int i, int j, double value) {
+      hessian(i, j) += value;
+      if (i != j) hessian(j, i) += value;
+    };
+    for (int k = 0; k < 4; ++k) add(below(n), below(n), trial % 2 == 0 ? -2.0 : 3.0);
+    for (int i = 0; i < n && times > 0; ++i) add(i, variables, 0.1 * std::sin(i + 1.0));
+    MatrixXd equations = MatrixXd::Zero(states + held, n);
+    std::vector<DefinedUnknown> defined;
+    for (int i = 0; i < states; ++i) {
+      defined.push_back({first_state + i, i});
+      equations(i, first_state + i) = -1;
+      for (int k = 0; k < 4; ++k) equations(i, below(first_state + i)) += 0.4;
+    }
+    equations.bottomRows(held) = RandomMatrix(held, n, &random);
+
+    const MatrixXd basis = Eigen::FullPivLU<MatrixXd>(equations).kernel();
+    const Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd> dense(basis.transpose() * hessian * basis,
+                                                                   basis.transpose() * metric * basis);
+    const auto found =
+        FindConstrainedCurvature(hessian.sparseView(), equations.sparseView(), metric.sparseView(), defined);
+    ASSERT_TRUE(found) << trial;
+    const double size = dense.eigenvalues().cwiseAbs().maxCoeff();
+    EXPECT_NEAR(found->smallest, dense.eigenvalues()[0], 1e-9 * size) << trial;
+    EXPECT_NEAR(found->largest, dense.eigenvalues().tail<1>()[0], 1e-9 * size) << trial;
+    const Eigen::VectorXd& d = found->direction;
+    EXPECT_NEAR(d.dot(metric * d), 1, 1e-9);
+    EXPECT_NEAR(d.dot(hessian * d), found->smallest, 1e-8 * size) << trial;
+    EXPECT_LE((equations * d).norm(), 1e-9 * equations.norm() * d.norm()) << trial;
   }
 }
 

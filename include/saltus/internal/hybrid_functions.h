@@ -98,6 +98,9 @@ class HybridFunctions {
   // A step by a closed form of the flow; false if the mode has none. Unless `jacobian` is null, also by [x t p u]: n x
   // (n + 1 + P + m). By h its derivative is the flow after it.
   virtual bool Fly(const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const { return false; }
+  // Whether the flow of a mode is affine in [x t p u] with constant coefficients, so that the second derivatives of a
+  // step by these vanish.
+  virtual bool IsLinear(int /*mode*/) const { return false; }
 
   virtual double Guard(const ModePoint& at, int guard) const = 0;
   // Returns a guard, and sets its derivative by time along xdot, under a control that is held.
