@@ -114,8 +114,16 @@ class ConeConditions {
     return largest;
   }
   double Number(size_t i) const { return Left(numbers_[i], theta_); }
-  // Returns force i, as it was added, at theta.
+  // Return force i and number i, as they were added, at theta.
   Vec2d Force(size_t i) const { return forces_[i].value + forces_[i].columns * theta_; }
+  double Value(size_t i) const { return numbers_[i].value + numbers_[i].columns.dot(theta_.transpose()); }
+  // Returns the largest part of a condition that unknown j makes.
+  double LargestPart(Eigen::Index j) const {
+    double largest = 0;
+    for (const Planar& force : forces_) largest = std::max(largest, force.columns.col(j).norm());
+    for (const Scalar& number : numbers_) largest = std::max(largest, std::abs(number.columns[j]));
+    return largest * std::abs(theta_[j]);
+  }
 
  private:
   struct Planar {

@@ -4,6 +4,10 @@
 // initial state, parameters, the times of the events and the final time are affine in theta: one backward sweep through
 // the motion for the objective, and one for each multiplier. ConeConditions (cone_conditions.h) computes the theta that
 // minimises the residual of all conditions.
+//
+// An inequality of the control alone, such as a bound on the norm of a force, has a multiplier in each interval that
+// enters the conditions of that interval only. These then state that the derivative by the control is opposite to the
+// cone of the outward normals of the inequality and the bounds.
 #include "optimality/hybrid_conditions.h"
 
 #include <ceres/cost_function.h>
@@ -44,6 +48,7 @@ constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so sh
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
 constexpr double kNoControl = 1e-6;     // of the size that a component has if it is zero: smaller ones are zero
 constexpr int kMostMultipliers = 1000;  // of which conditions are looked at
+constexpr double kNoMultiplier = 1e-7;  // of the terms that cancel: that of a bound that does not press
 constexpr double kOfGuard = 1e-9;       // of the size of a guard: a value that is not zero
 
 // A step of the motion, from `begin` to `end`, with its derivatives by [x t p u h].
@@ -77,10 +82,11 @@ struct Sweep {
 
 class HybridConditions {
  public:
-  HybridConditions(const HybridProblem& problem, const HybridInput& input, const std::vector<GuardTouch>& touches)
+  HybridConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options)
       : problem_(problem),
         input_(input),
-        touches_(touches),
+        options_(options),
+        touches_(options.touches),
         system_(problem.system),
         functions_(system_.functions()),
         shooting_(problem),
@@ -132,8 +138,7 @@ class HybridConditions {
       ImpactCertificate& impact = result.impacts.emplace_back();
       const HybridEvent& event = events()[k];
       impact.time = event.time;
-      impact.a = system_.ModeName(event.mode);
-      impact.b = system_.GuardName(event.mode, event.guard);
+      Name(event.mode, event.guard, &impact);
       impact.speed = -event.rate;
       impact.on_node = on_node_[k];
       impact.jumps = JumpsAtNode(static_cast<int>(k));
@@ -149,19 +154,19 @@ class HybridConditions {
       JudgeControl(&result);
     }
     if (result.IsStationary() && touches_.empty()) {
-      result.curvature = FindCurvature(moving);
-      JudgeControl(&result);
+      result.curvature = CurvatureAlongFree(moving, &result.reason);
+      if (result.curvature) JudgeControl(&result);
     }
     for (size_t c = 0; c < constraints_.size(); ++c) {
       if (constraints_[c].term >= 0) continue;
       const GuardTouch& touch = touches_[constraints_[c].row];
-      result.impacts.push_back({.time = touch.time,
-                                .a = system_.ModeName(touch.mode),
-                                .b = system_.GuardName(touch.mode, touch.guard),
-                                .multiplier = theta_[num_events() + static_cast<Eigen::Index>(c)],
-                                .on_node = true,
-                                .theta = std::nullopt});
+      ImpactCertificate& impact = result.impacts.emplace_back();
+      impact.time = touch.time;
+      impact.multiplier = theta_[num_events() + static_cast<Eigen::Index>(c)];
+      impact.on_node = true;
+      Name(touch.mode, touch.guard, &impact);
     }
+    if (options_.multipliers != nullptr) *options_.multipliers = TermMultipliers();
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
     }
@@ -184,9 +189,17 @@ class HybridConditions {
   const HybridSimulator& simulator() const { return const_cast<HybridShooting&>(shooting_).simulator(); }
   const std::vector<HybridEvent>& events() const { return simulator().events(); }
   int num_events() const { return static_cast<int>(events().size()); }
-  int num_multipliers() const { return num_events() + static_cast<int>(constraints_.size()); }
+  // The multipliers of events, then of the constraints: of those with a sweep, then of those of one interval.
+  int num_all() const { return num_events() + static_cast<int>(constraints_.size()); }
+  int num_multipliers() const { return num_all() - static_cast<int>(of_interval_.size()); }
   int width() const { return system_.num_controls(); }
   const double* ControlOf(int interval) const { return input_.control.data() + interval * width(); }
+
+  void Name(int mode, int guard, ImpactCertificate* impact) const {
+    impact->a = system_.ModeName(mode);
+    impact->b = system_.GuardName(mode, guard);
+    if (options_.name) options_.name(mode, guard, impact);
+  }
 
   std::string WhyNot() const {
     for (const HybridEvent& event : events()) {
@@ -335,10 +348,74 @@ class HybridConditions {
       }
     }
     for (int i = 0; i < std::ssize(touches_); ++i) constraints_.push_back({-1, i, true});
+    FindConstraintsOfIntervals();
   }
 
+  // An active inequality of the control of one interval, and the at most two components that it reads.
+  struct OfInterval {
+    int interval = 0;
+    std::array<int, 2> components = {-1, -1};  // -1: there is no second one
+    Eigen::Vector2d slope = Eigen::Vector2d::Zero();
+    size_t condition = 0;  // among the forces of ConeConditions
+    double size = 1;       // by which that condition is divided
+  };
+
+  // Puts the inequalities that have a cone last. Others share components with another one, or read more.
+  void FindConstraintsOfIntervals() {
+    std::vector<Constraint> with_sweep, with_cone;
+    cone_of_.assign(input_.control.size(), -1);
+    for (const Constraint& constraint : constraints_) {
+      const std::optional<OfInterval> cone = ConeOf(constraint);
+      const auto is_taken = [&](int c) { return c >= 0 && cone_of_[cone->interval * width() + c] >= 0; };
+      if (!cone || std::ranges::any_of(cone->components, is_taken)) {
+        with_sweep.push_back(constraint);
+        continue;
+      }
+      for (const int c : cone->components) {
+        if (c >= 0) cone_of_[cone->interval * width() + c] = static_cast<int>(of_interval_.size());
+      }
+      with_cone.push_back(constraint);
+      of_interval_.push_back(*cone);
+    }
+    constraints_ = std::move(with_sweep);
+    constraints_.insert(constraints_.end(), with_cone.begin(), with_cone.end());
+  }
+  std::optional<OfInterval> ConeOf(const Constraint& constraint) const {
+    if (constraint.term < 0 || !constraint.inequality) return std::nullopt;
+    const HybridShooting::TermAt& at = terms_[constraint.term];
+    if (!ReadsControlAlone(*at.term) || !problem_.free.control) return std::nullopt;
+    OfInterval cone{.interval = at.interval};
+    int count = 0;
+    for (int c = 0; c < width(); ++c) {
+      const double slope = at.jacobians[0][constraint.row * width() + c];
+      if (slope == 0) continue;
+      if (count == 2) return std::nullopt;
+      cone.components[count] = c;
+      cone.slope[count++] = slope;
+    }
+    if (count == 0) return std::nullopt;
+    return cone;
+  }
+  static bool ReadsControlAlone(const HybridTerm& term) {
+    return term.with_control && !term.with_state && !term.with_initial && !term.with_parameters && !term.with_time &&
+           !term.with_length;
+  }
+  std::vector<TermMultiplier> TermMultipliers() const {
+    std::vector<TermMultiplier> multipliers;
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      if (constraints_[c].term < 0) continue;
+      const HybridShooting::TermAt& at = terms_[constraints_[c].term];
+      multipliers.push_back({static_cast<int>(at.term - problem_terms().data()),
+                             at.interval,
+                             constraints_[c].row,
+                             theta_[num_events() + static_cast<Eigen::Index>(c)]});
+    }
+    return multipliers;
+  }
+  const std::vector<HybridTerm>& problem_terms() const { return shooting_.problem().terms; }
+
   // Returns the weights, over the objective and all multipliers, that select one multiplier.
-  VectorXd WeightsOf(int multiplier) const { return VectorXd::Unit(1 + num_multipliers(), 1 + multiplier); }
+  VectorXd WeightsOf(int multiplier) const { return VectorXd::Unit(1 + num_all(), 1 + multiplier); }
 
   // Returns the derivative of a term's contribution to the Lagrangian by its rows; std::nullopt if it has none.
   std::optional<Eigen::RowVectorXd> RowWeights(size_t term, const VectorXd& residuals, const VectorXd& weights) const {
@@ -676,22 +753,44 @@ class HybridConditions {
   // The derivatives of all quantities of the motion by the unknowns.
   struct Directions {
     bool moving = false;
-    SparseRows boundaries;  // of the boundaries of phases
+    bool with_weak = false;  // also along which bounds and inequalities end that do not press
+    SparseRows boundaries;   // of the boundaries of phases
     SparseRows initial, control, parameters;
     SparseRows variables;  // of those that no bound holds, in the order of variables_
     std::vector<FreeVariable> unbound;
   };
-  Directions DirectionsOf(bool moving, QuadraticForm* form) const {
+  bool IsHeld(size_t constraint, const Directions& to) const { return !(to.with_weak && is_weak_[constraint]); }
+  // Whether an inequality of one interval leaves a direction: bounds of its two components do not.
+  bool HasTangent(const OfInterval& one) const {
+    return std::ranges::all_of(one.components,
+                               [&](int c) { return c >= 0 && SignOfControl(one.interval * width() + c) == 0; });
+  }
+  Directions DirectionsOf(bool moving, bool with_weak, QuadraticForm* form) const {
     const int E = num_events();
     Directions to;
     to.moving = moving;
+    to.with_weak = with_weak;
     to.boundaries.resize(E + 2);
     to.initial.resize(input_.initial.size());
     to.control.resize(input_.control.size());
     to.parameters.resize(system_.num_parameters());
-    for (const auto& [variable, sign] : variables_) {
-      if (sign != 0) continue;
-      const SparseRow row = form->AddUnknown(SizeOfVariable(variable));
+    std::vector<SparseRow> tangents(of_interval_.size());
+    for (size_t i = 0; i < variables_.size(); ++i) {
+      const auto& [variable, sign] = variables_[i];
+      const bool is_weak = std::ranges::count(weak_variables_, i) > 0;
+      if (sign != 0 && !(with_weak && is_weak)) continue;
+      const int cone = variable.kind == Kind::kControl ? cone_of_[variable.index] : -1;
+      SparseRow row;
+      if (cone >= 0 && IsHeld(constraints_.size() - of_interval_.size() + cone, to)) {
+        const OfInterval& one = of_interval_[cone];
+        if (!HasTangent(one)) continue;
+        if (tangents[cone].empty()) tangents[cone] = form->AddUnknown(SizeOfVariable(variable));
+        const bool first = variable.index % width() == one.components[0];
+        AddScaled((first ? -one.slope[1] : one.slope[0]) / one.slope.norm(), tangents[cone], &row);
+        if (row.empty()) row = {{tangents[cone][0].first, 0.0}};
+      } else {
+        row = form->AddUnknown(SizeOfVariable(variable));
+      }
       to.variables.push_back(row);
       to.unbound.push_back(variable);
       if (variable.kind == Kind::kControl) to.control[variable.index] = row;
@@ -753,11 +852,28 @@ class HybridConditions {
     return 0.5 * (second + second.transpose());
   }
 
-  std::optional<Curvature> FindCurvature(bool moving) {
+  // Returns the curvature along directions that keep active bounds and inequalities. Where one of these does not press,
+  // a minimum needs a positive curvature also where it ends; sets the reason if that is not so.
+  std::optional<Curvature> CurvatureAlongFree(bool moving, std::string* reason) {
+    const bool any_weak = !weak_variables_.empty() || std::ranges::count(is_weak_, true) > 0;
+    if (any_weak) {
+      const std::optional<Curvature> wider = FindCurvature(moving, /*with_weak=*/true);
+      if (wider && wider->kind == Curvature::Kind::kMinimum) return wider;
+    }
+    std::optional<Curvature> found = FindCurvature(moving, /*with_weak=*/false);
+    if (!any_weak || (found && found->kind != Curvature::Kind::kMinimum)) return found;
+    *reason = "a bound is active with a multiplier of zero, where the second derivative differs from side to side";
+    return std::nullopt;
+  }
+
+  std::optional<Curvature> FindCurvature(bool moving, bool with_weak) {
     constexpr double kRounding = 1e-8;  // of central differences
     QuadraticForm form;
-    const Directions to = DirectionsOf(moving, &form);
-    if (to.variables.empty()) return std::nullopt;
+    const Directions to = DirectionsOf(moving, with_weak, &form);
+    if (to.variables.empty()) {  // active bounds leave no direction
+      const size_t others = FreeVariables(problem_.free, width(), /*num_intervals=*/0).size();
+      return Curvature{Curvature::Kind::kMinimum, 1, std::vector<double>(input_.control.size() + others)};
+    }
     AddSecondDerivatives(to, &form);
     AddMetric(to, &form);
     const Sparse second = form.Form(), equations = form.Equations(), metric = form.Metric();
@@ -817,7 +933,7 @@ class HybridConditions {
       const FreeVariable& variable = to.unbound[i];
       const bool of_control = variable.kind == Kind::kControl;
       if (of_control && costs[variable.index] > 0) continue;
-      const double size = to.variables[i][0].second;
+      const double of_variable = SizeOfVariable(variable), size = of_variable > 0 ? of_variable : 1;
       const double share = of_control ? LengthOf(variable.index / width()) / input_.duration : 1.0;
       form->AddMetric(Eigen::MatrixXd::Constant(1, 1, unit * share / (size * size)), {to.variables[i]});
     }
@@ -872,7 +988,7 @@ class HybridConditions {
   }
 
   void AddSecondDerivatives(const Directions& to, QuadraticForm* form) const {
-    VectorXd weights(1 + num_multipliers());
+    VectorXd weights(1 + num_all());
     weights << 1, theta_;
     Costates costates{std::vector<VectorXd>(steps_.size()), std::vector<VectorXd>(num_events())};
     SweepOf(weights, &costates);
@@ -1006,7 +1122,7 @@ class HybridConditions {
       if (term.with_parameters) add(to.parameters, {});
       if (term.with_time) add({time}, VectorXd::Constant(1, input_.duration));
       if (term.with_length) add({Combined(1, TimeRow(to, end, PhaseAt(end, true)), -1, time)}, {});
-      AddHeld(i, along, form);
+      AddHeld(i, to, along, form);
       if (!RowWeights(i, Eigen::Map<const VectorXd>(at.residuals.data(), rows), weights)) continue;
       const auto gradient = [&](const VectorXd& y) {
         std::vector<const double*> blocks;
@@ -1029,16 +1145,22 @@ class HybridConditions {
         }
         return out;
       };
-      form->Add(SecondDerivative(values, sizes, gradient), along);
+      const Eigen::MatrixXd second = SecondDerivative(values, sizes, gradient);
+      form->Add(second, along);
+      // A convex inequality of the control alone is measured with the costs of the control.
+      if (term.role == HybridTerm::Role::kInequality && ReadsControlAlone(term) && EigenOf(second).values[0] >= 0) {
+        form->AddMetric(second, along);
+      }
     }
   }
 
-  // Adds the equations of the rows of a term that are held.
-  void AddHeld(size_t term, const SparseRows& along, QuadraticForm* form) const {
+  // Adds the equations of the rows of a term that are held, but for those of one interval, which directions keep.
+  void AddHeld(size_t term, const Directions& to, const SparseRows& along, QuadraticForm* form) const {
     const HybridShooting::TermAt& at = terms_[term];
     const auto rows = static_cast<Eigen::Index>(at.residuals.size());
-    for (const Constraint& constraint : constraints_) {
-      if (constraint.term != static_cast<int>(term)) continue;
+    for (size_t c = 0; c + of_interval_.size() < constraints_.size(); ++c) {
+      const Constraint& constraint = constraints_[c];
+      if (constraint.term != static_cast<int>(term) || !IsHeld(c, to)) continue;
       SparseRow row;
       size_t next = 0;
       for (const std::vector<double>& jacobian : at.jacobians) {
@@ -1095,22 +1217,37 @@ class HybridConditions {
 
   struct Kinds {
     std::vector<size_t> controls, variables, events, duration;
+    std::vector<size_t> at_bound;  // the places in variables_ of those whose derivative needs a sign only
+    std::vector<size_t> signs;     // their conditions
   };
+
+  // Returns the size of the terms that cancel in the derivative by a component of the control, per length.
+  double ControlSize(int component) const {
+    // Where a component has no effect its terms are errors of the solution, which do not cancel.
+    const double size = SizeOf(
+        [&](const Sweep& s) { return std::max(s.control_size[component], kSmallTerms * s.control_size.maxCoeff()); });
+    return std::max(size, LeastSizeOfControl(component));
+  }
 
   void AddVariables(bool moving, ConeConditions* conditions, Kinds* kinds) {
     num_conditions_ = 0;
-    for (const auto& [variable, sign] : variables_) {
+    AddCones(conditions);
+    for (size_t i = 0; i < variables_.size(); ++i) {
+      const auto& [variable, sign] = variables_[i];
       const bool of_control = variable.kind == Kind::kControl, of_duration = variable.kind == Kind::kDuration;
+      if (of_control && cone_of_[variable.index] >= 0) continue;
       const double length = of_control ? LengthOf(variable.index / width()) : 1;
-      double size = SizeOf([&, &variable = variable](const Sweep& s) {
-        // Where a component has no effect its terms are errors of the solution, which do not cancel.
-        return of_control ? std::max(s.control_size[variable.index % width()], kSmallTerms * s.control_size.maxCoeff())
-               : variable.kind == Kind::kInitial   ? s.initial_size[variable.index]
-               : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
-                                                   : s.hamiltonian_size;
-      });
-      if (of_control) size = std::max(size, LeastSizeOfControl(variable.index % width()));
+      double size =
+          of_control ? ControlSize(variable.index % width()) : SizeOf([&, &variable = variable](const Sweep& s) {
+            return variable.kind == Kind::kInitial     ? s.initial_size[variable.index]
+                   : variable.kind == Kind::kParameter ? s.parameters_size[variable.index]
+                                                       : s.hamiltonian_size;
+          });
       if (!of_control && !of_duration) size = std::max(size, std::abs(loss_) / UnitOf(variable));
+      if (sign != 0) {
+        kinds->at_bound.push_back(i);
+        kinds->signs.push_back(num_conditions_);
+      }
       Add([&, &variable = variable](const Sweep& s) { return DerivativeByVariable(s, variable, moving) / length; },
           size,
           sign,
@@ -1120,12 +1257,65 @@ class HybridConditions {
                         : &kinds->variables);
     }
     // Multipliers of inequalities are not negative.
-    for (size_t c = 0; c < constraints_.size(); ++c) {
+    for (size_t c = 0; num_events() + static_cast<int>(c) < num_multipliers(); ++c) {
       if (!constraints_[c].inequality) continue;
       Eigen::RowVectorXd one = Eigen::RowVectorXd::Zero(num_multipliers());
       one[num_events() + static_cast<int>(c)] = 1;
       conditions->AddNumber(0, one, 1);
       ++num_conditions_;
+    }
+  }
+
+  // Adds the conditions of the intervals in which an inequality of the control alone is active.
+  void AddCones(ConeConditions* conditions) {
+    size_t count = 0;
+    for (OfInterval& one : of_interval_) {
+      const double length = LengthOf(one.interval);
+      Vec2d value = Vec2d::Zero();
+      Eigen::Matrix2Xd columns = Eigen::Matrix2Xd::Zero(2, num_multipliers());
+      std::vector<Vec2d> normals = {one.slope.normalized()};
+      one.size = 0;
+      for (const int c : one.components) one.size = std::max(one.size, c < 0 ? 0 : ControlSize(c));
+      one.size = length * (one.size > 0 ? one.size : 1);
+      for (int j = 0; j < 2; ++j) {
+        const int component = one.components[j], index = one.interval * width() + component;
+        const std::optional<int> sign = component < 0 ? std::nullopt : SignOfControl(index);
+        if (!sign) continue;  // the condition of a number that is fixed or absent holds
+        if (*sign != 0) normals.push_back(-*sign * Vec2d::Unit(j));
+        value[j] = sweeps_[0].control[index] / one.size;
+        for (int i = 0; i < num_multipliers(); ++i) columns(j, i) = sweeps_[i + 1].control[index] / one.size;
+      }
+      one.condition = count++;
+      conditions->AddForce(value, columns, std::move(normals));
+    }
+  }
+  std::optional<int> SignOfControl(int index) const {
+    const HybridFree& free = problem_.free;
+    if (LengthOf(index / width()) <= kNoInterval * input_.duration) return std::nullopt;
+    if (free.control_min.empty()) return 0;
+    return SignAt(input_.control[index], free.control_min[index % width()], free.control_max[index % width()]);
+  }
+
+  // Keeps the multipliers that were found, and which bounds and inequalities do not press.
+  void Keep(const ConeConditions& conditions, const Kinds& kinds) {
+    theta_.resize(num_all());
+    theta_.head(num_multipliers()) = conditions.theta();
+    is_weak_.assign(constraints_.size(), false);
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      const Eigen::Index at = num_events() + static_cast<Eigen::Index>(c);
+      double part = 0;
+      if (at < num_multipliers()) {
+        part = conditions.LargestPart(at);
+      } else {
+        const OfInterval& one = of_interval_[at - num_multipliers()];
+        part = std::max(0.0, -conditions.Force(one.condition).dot(one.slope.normalized()));
+        theta_[at] = part * one.size / one.slope.norm();
+      }
+      is_weak_[c] = constraints_[c].inequality && constraints_[c].term >= 0 && part <= kNoMultiplier;
+    }
+    weak_variables_.clear();
+    for (size_t i = 0; i < kinds.signs.size(); ++i) {
+      if (std::abs(conditions.Value(kinds.signs[i])) <= kNoMultiplier) weak_variables_.push_back(kinds.at_bound[i]);
     }
   }
 
@@ -1165,9 +1355,9 @@ class HybridConditions {
       Add([&](const Sweep& s) { return s.times[k + 1]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
     }
     conditions.Solve();
-    theta_ = conditions.theta();
+    Keep(conditions, kinds);
     SetWeights(theta_);
-    result->stationarity = Largest(conditions, kinds.controls);
+    result->stationarity = std::max(Largest(conditions, kinds.controls), conditions.LargestForce());
     result->transversality = Largest(conditions, kinds.variables);
     if (!kinds.duration.empty()) result->final_time = conditions.Number(kinds.duration[0]);
     result->hamiltonian = std::max(Largest(conditions, kinds.events), Largest(conditions, kinds.duration));
@@ -1203,11 +1393,12 @@ class HybridConditions {
       Add([&](const Sweep& s) { return s.event_late[k]; }, HamiltonianSize(), sign, &conditions, &kinds.events);
     }
     conditions.Solve();
+    Keep(conditions, kinds);
     result->gradient = std::max({Largest(conditions, kinds.controls),
+                                 conditions.LargestForce(),
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
-    theta_ = conditions.theta();
     PlaceMultipliers(result);
   }
 
@@ -1271,6 +1462,7 @@ class HybridConditions {
 
   const HybridProblem& problem_;
   HybridInput input_;
+  const ConditionsOptions& options_;
   const std::vector<GuardTouch>& touches_;
   const HybridSystem& system_;
   const HybridFunctions& functions_;
@@ -1285,9 +1477,13 @@ class HybridConditions {
   std::vector<HybridShooting::TermAt> terms_;
   std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)
   std::vector<Constraint> constraints_;
+  std::vector<OfInterval> of_interval_;       // the last of the constraints
+  std::vector<int> cone_of_;                  // of each number of the control: the constraint of its interval, or -1
   std::vector<Sweep> sweeps_;                 // of the objective, and of each multiplier
   std::vector<double> weights_;               // of these, in sizes: 1, and the multipliers' absolute values
-  VectorXd theta_;                            // the multipliers
+  VectorXd theta_;                            // the multipliers, of all constraints
+  std::vector<bool> is_weak_;                 // of each constraint: an inequality that does not press
+  std::vector<size_t> weak_variables_;        // places of variables_ at bounds that do not press
   std::vector<VectorXd> state_sizes_;         // by mode
   VectorXd control_sizes_, parameter_sizes_;  // largest values
   std::vector<bool> is_zero_;                 // of each component of the control: all the time
@@ -1297,9 +1493,9 @@ class HybridConditions {
 
 }  // namespace
 
-Certificate CertifyWithTouches(const HybridProblem& problem, const HybridInput& input,
-                               const std::vector<GuardTouch>& touches) {
-  return HybridConditions(problem, input, touches).Run();
+Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input,
+                              const ConditionsOptions& options) {
+  return HybridConditions(problem, input, options).Run();
 }
 
 Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
@@ -1307,7 +1503,7 @@ Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
   wrong.reason = WhatIsWrongWith(input, problem.system);
   if (wrong.reason.empty() && input.begin != 0) wrong.reason = "the motion does not begin at time 0";
   if (!wrong.reason.empty()) return wrong;
-  Certificate certificate = CertifyWithTouches(problem, input, {});
+  Certificate certificate = CertifyConditions(problem, input, {});
   const bool smooth = certificate.verdict != Certificate::Verdict::kNotApplicable &&
                       certificate.verdict != Certificate::Verdict::kNotStationary;
   if (smooth) return certificate;

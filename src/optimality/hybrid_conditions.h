@@ -1,6 +1,7 @@
 // The conditions of saltus/optimality/hybrid_certificate.h of a motion that stays on one side of its kinks.
 #pragma once
 
+#include <functional>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_problem.h"
@@ -15,9 +16,23 @@ struct GuardTouch {
   double time = 0;  // s
 };
 
-// Certifies as Certify() does, with these constraints and without a look at kinks; with touches there is no curvature.
-// Precondition: WhatIsWrongWith(input, problem.system) is empty, and the motion begins at time 0.
-Certificate CertifyWithTouches(const HybridProblem& problem, const HybridInput& input,
-                               const std::vector<GuardTouch>& touches);
+// The multiplier of a residual of a constraint: an equality, or an inequality that is active.
+struct TermMultiplier {
+  int term = 0;       // HybridProblem::terms
+  int interval = -1;  // at whose beginning it is evaluated, or -1
+  int row = 0;        // of the term
+  double value = 0;   // the loss of the optimum decreases by it per unit by which the residual may grow
+};
+
+struct ConditionsOptions {
+  std::vector<GuardTouch> touches = {};  // with these there is no curvature
+  // Sets the names in the certificate of an event; by default those of its mode and its guard.
+  std::function<void(int mode, int guard, ImpactCertificate* impact)> name = {};
+  std::vector<TermMultiplier>* multipliers = nullptr;  // unless null, it is set
+};
+
+// Certifies as Certify() does, without a look at kinks. Precondition: WhatIsWrongWith(input, problem.system) is empty,
+// and the motion begins at time 0.
+Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options);
 
 }  // namespace saltus

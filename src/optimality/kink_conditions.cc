@@ -241,7 +241,7 @@ class KinkCertifier {
   }
   Certificate CertifySide(const Kink* other) const {
     const std::optional<Side> side = SideOf(other);
-    return side ? CertifyWithTouches(side->problem, side->input, side->touches) : Certificate();
+    return side ? CertifyConditions(side->problem, side->input, {.touches = side->touches}) : Certificate();
   }
 
   // Returns how the other side of a kink has a lower loss; empty if it has not; nothing if that cannot be computed.

@@ -701,8 +701,9 @@ std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridP
   const HybridMotion& guess = run.guess();
   if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
   const Certificate& certificate = run.Certify(guess);
-  // Without a curvature no direction is left that keeps the active bounds and the constraints.
-  const bool is_minimum = !certificate.curvature || certificate.curvature->kind == Curvature::Kind::kMinimum;
+  // With neither a curvature nor a reason no direction is left that keeps the constraints.
+  const bool is_minimum =
+      certificate.curvature ? certificate.curvature->kind == Curvature::Kind::kMinimum : certificate.reason.empty();
   if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
   if (options.callback) options.callback(0, guess.exact.loss);
   run.report().certificate = certificate;
