@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "control/control_bounds.h"
+#include "control/scene_constraints.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/simulate/simulator.h"
 #include "simulate/flight.h"
@@ -406,10 +407,32 @@ struct NormExcess {
   }
 };
 
+// NormExcess of a velocity at the beginning and at the end of an interval, given the state, the control and the length.
+// Under a constant force the speed is largest at one of them.
+struct SpeedExcess {
+  NormExcess of;
+  int force;  // on the body, in the control; -1: none
+  double inverse_mass;
+  Vec2d gravity;
+
+  template <typename T>
+  bool operator()(T const* const* blocks, T* residuals) const {
+    T end[2];
+    for (int j = 0; j < 2; ++j) {
+      T acceleration(gravity[j]);
+      if (force >= 0) acceleration += inverse_mass * blocks[1][force + j];
+      end[j] = blocks[0][of.first + j] + blocks[2][0] * acceleration;
+    }
+    const T* at_end = end;
+    of(blocks, residuals);
+    return NormExcess{0, of.most}(&at_end, residuals + 1);
+  }
+};
+
 template <typename F>
-std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, int block, int residuals) {
+std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, const std::vector<int>& blocks, int residuals) {
   auto made = std::make_shared<ceres::DynamicAutoDiffCostFunction<F, 4>>(new F(std::move(function)));
-  made->AddParameterBlock(block);
+  for (const int block : blocks) made->AddParameterBlock(block);
   made->SetNumResiduals(residuals);
   return made;
 }
@@ -418,12 +441,12 @@ std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, int block, i
 
 std::string WhyNoHybridProblem(const Scene& scene) {
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) return beyond;
-  const auto always = [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; };
-  if (std::ranges::any_of(scene.objective.limits, always)) return "limits of the speed that hold always";
   return scene.design.empty() ? "" : "design parameters";
 }
 
-HybridProblem HybridProblemOf(const Scene& scene) {
+HybridProblem HybridProblemOf(const Scene& scene) { return HybridProblemOf(scene, nullptr); }
+
+HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints) {
   const SceneLayout at(scene);
   const Objective& objective = scene.objective;
   HybridProblem problem{.system = HybridSystem(std::make_shared<SceneSystem>(scene)),
@@ -433,6 +456,12 @@ HybridProblem HybridProblemOf(const Scene& scene) {
                                   .control = InitialControl(scene, scene.steps)}};
   problem.guess.initial.resize(at.size(), 0.0);
 
+  // Says that the term that is added next is a constraint of the scene.
+  const auto tell = [&](SceneConstraint constraint) {
+    if (constraints == nullptr) return;
+    constraint.term = static_cast<int>(problem.terms.size());
+    constraints->push_back(std::move(constraint));
+  };
   // A term of a position, a velocity or a number of spin, at the end or at a waypoint.
   const auto add = [&](HybridTerm term, const auto& of) {
     const bool is_one = of.quantity == Quantity::kAngle || of.quantity == Quantity::kAngularVelocity;
@@ -443,31 +472,55 @@ HybridProblem HybridProblemOf(const Scene& scene) {
     if (of.hard) term.role = HybridTerm::Role::kEquality;
     term.function =
         MakeFunction(Misses{at.IndexOf(of.body, of.quantity), of.hard ? 1.0 : std::sqrt(of.weight), std::move(targets)},
-                     at.size(),
+                     {at.size()},
                      count);
     problem.terms.push_back(std::move(term));
   };
   const auto add_row = [&](const std::string& name, HybridTerm::Role role, auto function) {
-    problem.terms.push_back(
-        {.name = name, .role = role, .with_state = true, .function = MakeFunction(std::move(function), at.size(), 1)});
+    problem.terms.push_back({.name = name,
+                             .role = role,
+                             .with_state = true,
+                             .function = MakeFunction(std::move(function), {at.size()}, 1)});
   };
   const auto add_region = [&](const TerminalTerm& term) {
     const std::string name = "goal region of " + scene.bodies[term.body].name;
     for (int j = 0; j < (term.IsOfSpin() ? 1 : 2); ++j) {
       const int i = at.IndexOf(term.body, term.quantity) + j;
       const double min = term.region->min[j], max = term.region->max[j];
+      const auto add_side = [&](HybridTerm::Role role, double factor, double bound) {
+        tell({.terminal = &term, .by = {factor * Vec2d::Unit(j)}});
+        add_row(name, role, Misses{i, factor, {bound}});
+      };
       if (min == max) {
-        add_row(name, HybridTerm::Role::kEquality, Misses{i, 1, {min}});
+        add_side(HybridTerm::Role::kEquality, 1, min);
         continue;
       }
-      if (std::isfinite(max)) add_row(name, HybridTerm::Role::kInequality, Misses{i, 1, {max}});
-      if (std::isfinite(min)) add_row(name, HybridTerm::Role::kInequality, Misses{i, -1, {min}});
+      if (std::isfinite(max)) add_side(HybridTerm::Role::kInequality, 1, max);
+      if (std::isfinite(min)) add_side(HybridTerm::Role::kInequality, -1, min);
     }
   };
   for (const SpeedLimit& limit : objective.limits) {
-    add_row("limit of the speed of " + scene.bodies[limit.body].name,
-            HybridTerm::Role::kInequality,
-            NormExcess{at.VelocityOf(limit.body), limit.max});
+    const std::string name = "limit of the speed of " + scene.bodies[limit.body].name;
+    const NormExcess excess{at.VelocityOf(limit.body), limit.max};
+    const Vec2d by(2 / limit.max, 0);  // |v|^2 / max^2 at the limit, by the limit
+    if (limit.at == SpeedLimit::At::kEnd) {
+      tell({.limit = &limit, .by = {by}});
+      add_row(name, HybridTerm::Role::kInequality, excess);
+      continue;
+    }
+    tell({.limit = &limit, .by = {by, by}});
+    const Body& body = scene.bodies[limit.body];
+    const Vec2d gravity = body.fixed ? Vec2d::Zero() : scene.gravity;
+    problem.terms.push_back(
+        {.name = name,
+         .at = HybridTerm::At::kEachInterval,
+         .role = HybridTerm::Role::kInequality,
+         .with_state = true,
+         .with_control = true,
+         .with_length = true,
+         .function = MakeFunction(SpeedExcess{excess, at.ForceOn(limit.body), InverseMass(body), gravity},
+                                  {at.size(), scene.control_width(), 1},
+                                  2)});
   }
   for (const TerminalTerm& term : objective.terminal) {
     if (term.region) {
@@ -478,12 +531,14 @@ HybridProblem HybridProblemOf(const Scene& scene) {
               HybridTerm::Role::kValue,
               Misses{component, term.weight, {0.0}});
     } else {
+      if (term.hard) tell({.terminal = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});
       add({.name = "terminal term"}, term);
     }
   }
   const std::vector<double> waypoints = WaypointTimes(scene);
   for (const ViaTerm& term : objective.via) {
     const auto index = static_cast<std::size_t>(std::ranges::find(waypoints, term.time) - waypoints.begin());
+    if (term.hard) tell({.via = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});
     add({.name = WaypointName(index), .at = HybridTerm::At::kEvent, .event = WaypointName(index)}, term);
   }
   if (!objective.running.empty()) add_row("running terms", HybridTerm::Role::kValue, Misses{at.running(), 1, {0.0}});
@@ -515,7 +570,7 @@ HybridProblem HybridProblemOf(const Scene& scene) {
            .role = HybridTerm::Role::kInequality,
            .with_control = true,
            .function =
-               MakeFunction(NormExcess{2 * static_cast<int>(c), control.max_norm[c]}, scene.control_width(), 1)});
+               MakeFunction(NormExcess{2 * static_cast<int>(c), control.max_norm[c]}, {scene.control_width()}, 1)});
     }
   } else if (scene.optimize != Optimize::kNone) {
     for (const int body : scene.free) {

@@ -3,18 +3,26 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <map>
 #include <numeric>
 #include <string>
 
+#include "control/scene_constraints.h"
 #include "optimality/design_gradient.h"
-#include "optimality/optimality_conditions.h"
+#include "optimality/hybrid_conditions.h"
+#include "optimality/kink_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
+#include "simulate/flight.h"
+#include "simulate/impact.h"
 
 namespace saltus {
 namespace {
+
+constexpr double kAtLimit = 1e-6;  // of a limit of the speed: a speed so near is at it
 
 std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   if (scene.optimize != Optimize::kControl || scene.control.bodies.empty()) return "no control is optimized";
@@ -29,25 +37,187 @@ std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
   return "";
 }
 
+// The time at which two discs, or a disc and a plane, are nearest, s, and their gap then, in contact distances.
+struct NearestPass {
+  double time = 0, gap = 0;
+};
+NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candidate& pair) {
+  constexpr int kSamples = 4;  // of a piece
+  constexpr int kRefinements = 60;
+  constexpr double kGolden = 0.6180339887498949;
+  const double contact_distance = MakeImpactConstants(scene, pair).contact_distance;
+  const auto gap = [&](double time) {
+    return SeparationOf(scene, pair, flight.Before(time).p).distance / contact_distance - 1;
+  };
+  NearestPass best{0, std::numeric_limits<double>::infinity()};
+  double width = 0;
+  for (const Flight::Piece& piece : flight.pieces()) {
+    for (int i = 0; i <= kSamples; ++i) {
+      const double time = piece.start + piece.duration * i / kSamples, here = gap(time);
+      if (!(here < best.gap)) continue;
+      best = {time, here};
+      width = piece.duration / kSamples;
+    }
+  }
+  double begin = std::max(best.time - width, 0.0), end = std::min(best.time + width, scene.duration);
+  for (int i = 0; i < kRefinements; ++i) {
+    const double left = end - kGolden * (end - begin), right = begin + kGolden * (end - begin);
+    (gap(left) < gap(right) ? end : begin) = gap(left) < gap(right) ? right : left;
+  }
+  const double time = 0.5 * (begin + end);
+  return {time, gap(time)};
+}
+
+// Returns why a motion has no conditions: it is at the limit of a pair that must not touch.
+std::string WhyTooNear(const Scene& scene, const Flight& flight) {
+  constexpr double kApart = 2e-4;  // of the contact distance
+  for (const NoContact& pair : scene.no_contact) {
+    if (NearestPassOf(scene, flight, {pair.a, pair.b, pair.plane}).gap > kApart) continue;
+    return "a pair that must not touch is at its limit, and the conditions have no multiplier for it";
+  }
+  return "";
+}
+
+// Returns the multipliers of the constraints in the order of Certificate::constraints.
+std::vector<ConstraintCertificate> ConstraintsOf(const Scene& scene, const std::vector<double>& lengths,
+                                                 const std::vector<SceneConstraint>& constraints,
+                                                 const std::vector<TermMultiplier>& multipliers) {
+  std::vector<ConstraintCertificate> found;
+  const auto add = [&](int body, TerminalTerm::Quantity quantity, const auto& is_of) {
+    ConstraintCertificate& entry = found.emplace_back();
+    entry.body = scene.bodies[body].name;
+    entry.quantity = quantity;
+    for (const SceneConstraint& constraint : constraints) {
+      if (!is_of(constraint)) continue;
+      for (const TermMultiplier& one : multipliers) {
+        if (one.term == constraint.term) entry.multiplier += one.value * constraint.by[one.row];
+      }
+    }
+  };
+  const auto add_terminal = [&](bool region) {
+    for (const TerminalTerm& term : scene.objective.terminal) {
+      if (!term.hard || term.region.has_value() != region) continue;
+      add(term.body, term.quantity, [&](const SceneConstraint& one) { return one.terminal == &term; });
+    }
+  };
+  add_terminal(false);
+  for (const ViaTerm& term : scene.objective.via) {
+    if (term.hard) add(term.body, term.quantity, [&](const SceneConstraint& one) { return one.via == &term; });
+  }
+  add_terminal(true);
+  for (const SpeedLimit& limit : scene.objective.limits) {
+    if (limit.at != SpeedLimit::At::kEnd) continue;
+    add(limit.body, TerminalTerm::Quantity::kVelocity, [&](const SceneConstraint& one) { return one.limit == &limit; });
+    found.back().speed_limit = limit.max;
+  }
+  // A limit that always holds is active at the beginnings (row 0) and the ends (row 1) of intervals.
+  std::vector<double> times = {0.0};
+  for (const double length : lengths) times.push_back(times.back() + length);
+  for (const SceneConstraint& constraint : constraints) {
+    if (constraint.limit == nullptr || constraint.limit->at != SpeedLimit::At::kAlways) continue;
+    std::map<int, Vec2d> at_node;
+    for (const TermMultiplier& one : multipliers) {
+      if (one.term != constraint.term) continue;
+      const auto [sum, is_new] = at_node.try_emplace(one.interval + one.row, Vec2d::Zero());
+      sum->second += one.value * constraint.by[one.row];
+    }
+    for (const auto& [node, multiplier] : at_node) {
+      found.push_back({.body = scene.bodies[constraint.limit->body].name,
+                       .quantity = TerminalTerm::Quantity::kVelocity,
+                       .multiplier = multiplier,
+                       .speed_limit = constraint.limit->max,
+                       .time = times[node]});
+    }
+  }
+  return found;
+}
+
+// The times of a motion in natural units, and the scene with its duration.
+struct Motion {
+  ExactRun exact;
+  std::vector<double> lengths;  // of the control intervals, s
+  Scene scene;
+};
+
+// Simulates a control. Returns std::nullopt, with the reason, if there is nothing to certify.
+std::optional<Motion> MotionOf(const Scene& scene, const std::vector<double>& initial,
+                               const std::vector<double>& control, const std::vector<double>& durations,
+                               const StopRequest& stop, std::string* reason) {
+  Motion motion{SimulateExactly(scene, initial, control, durations, stop), durations, scene};
+  *reason = WhyNotCertify(scene, motion.exact);
+  if (!reason->empty()) return std::nullopt;
+  if (durations.empty()) {
+    const size_t intervals = control.size() / scene.control_width();
+    motion.lengths.assign(intervals, scene.duration / static_cast<double>(intervals));
+  }
+  motion.scene.design.clear();
+  if (std::optional<FreeDuration>& free = motion.scene.objective.duration) {
+    motion.scene.duration = std::accumulate(motion.lengths.begin(), motion.lengths.end(), 0.0);
+    if (free->min == free->max) free.reset();  // nothing is asked of a time that cannot be another
+  }
+  return motion;
+}
+
+// Certifies a motion by the conditions of the problem that the scene is as a hybrid system.
+Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, const std::vector<double>& control,
+                            ConditionsOptions options) {
+  Scene& scene = motion.scene;
+  const Flight flight(scene, initial, control, motion.lengths, motion.exact);
+  Certificate certificate;
+  if (certificate.reason = WhyTooNear(scene, flight); !certificate.reason.empty()) return certificate;
+  // Limits that hold always end intervals at events, which those that are not active need not do.
+  std::erase_if(scene.objective.limits, [&](const SpeedLimit& limit) {
+    const auto is_slow = [&](const Flight::Piece& piece) {
+      const auto speed = [&](double t) { return piece.After(limit.body, t).v.norm(); };
+      return std::max(speed(0), speed(piece.duration)) < (1 - kAtLimit) * limit.max;
+    };
+    return limit.at == SpeedLimit::At::kAlways && std::ranges::all_of(flight.pieces(), is_slow);
+  });
+  std::vector<SceneConstraint> constraints;
+  const HybridProblem problem = HybridProblemOf(scene, &constraints);
+  HybridInput input = problem.guess;
+  std::ranges::copy(initial, input.initial.begin());
+  input.control = control;
+  input.lengths = motion.lengths;
+  input.num_intervals = static_cast<int>(motion.lengths.size());
+  input.duration = std::accumulate(motion.lengths.begin(), motion.lengths.end(), 0.0);
+  const ContactSequence pairs = AllPairs(scene);
+  std::vector<TermMultiplier> multipliers;
+  options.multipliers = &multipliers;
+  options.name = [&](int /*mode*/, int guard, ImpactCertificate* impact) {
+    if (guard < static_cast<int>(pairs.size())) NamePair(scene, pairs[guard], impact);
+  };
+  certificate = CertifyConditions(problem, input, options);
+  std::erase_if(certificate.impacts, [](const ImpactCertificate& one) { return one.b.starts_with("waypoint "); });
+  if (certificate.verdict == Certificate::Verdict::kNotApplicable) return certificate;
+  certificate.constraints = ConstraintsOf(scene, motion.lengths, constraints, multipliers);
+  if (!certificate.curvature) return certificate;
+  // The condition of Legendre and Clebsch: where H_uu is zero, the second variation is not positive definite.
+  if (scene.objective.effort == 0) {
+    certificate.curvature.reset();
+    certificate.reason =
+        "without a cost of effort the Hamiltonian is linear in the forces, and no condition of second order proves a "
+        "minimum";
+    return certificate;
+  }
+  std::vector<double>& direction = certificate.curvature->direction;
+  direction.resize(control.size());  // without the final time
+  double square = 0;
+  for (size_t i = 0; i < direction.size(); ++i) {
+    square += motion.lengths[i / scene.control_width()] * direction[i] * direction[i];
+  }
+  for (double& force : direction) force /= square > 0 ? std::sqrt(square) : 1;
+  return certificate;
+}
+
 Certificate CertifyControl(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                            const std::vector<double>& durations, const StopRequest& stop) {
   Certificate certificate;
-  const ExactRun exact = SimulateExactly(scene, initial, control, durations, stop);
-  certificate.reason = WhyNotCertify(scene, exact);
-  if (!certificate.reason.empty()) return certificate;
-  JudgeTies(exact.ambiguous, &certificate);
+  std::optional<Motion> motion = MotionOf(scene, initial, control, durations, stop, &certificate.reason);
+  if (!motion) return certificate;
+  JudgeTies(motion->exact.ambiguous, &certificate);
   if (certificate.verdict == Certificate::Verdict::kAmbiguous) return certificate;
-  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
-  Scene whole = scene;
-  if (std::optional<FreeDuration>& free = whole.objective.duration) {
-    whole.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
-    if (free->min == free->max) free.reset();  // nothing is asked of a time that cannot be another
-  }
-  const Flight flight(whole, initial, control, lengths, exact);
-  const ControlledMotion motion{whole, control, lengths, flight, exact};
-  if (BeyondTerminalCost(whole).empty() && scene.num_turned() == 0) return FreeConditions(motion);
-  certificate.reason = WhyNotConstrainedConditions(whole, flight);
-  return certificate.reason.empty() ? ConstrainedConditions(motion) : certificate;
+  return CertifyAsHybrid(std::move(*motion), initial, control, {});
 }
 
 // Returns the largest derivative by the free part of the initial state (velocity or position).
@@ -140,48 +310,15 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
 
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations) {
-  const ExactRun exact = SimulateExactly(scene, initial, control, durations);
-  if (!WhyNotCertify(scene, exact).empty() || !BeyondTerminalCost(scene).empty() || scene.num_turned() > 0) {
-    return std::nullopt;
-  }
-  const std::vector<double> lengths = IntervalLengths(scene, control, durations);
-  const Flight flight(scene, initial, control, lengths, exact);
-  return FindCurvature(CondensedLoss(scene, flight, control, lengths));
+  std::string reason;
+  std::optional<Motion> motion = MotionOf(scene, initial, control, durations, nullptr, &reason);
+  if (!motion) return std::nullopt;
+  return CertifyAsHybrid(std::move(*motion), initial, control, {.always_curvature = true}).curvature;
 }
 
-std::vector<double> IntervalLengths(const Scene& scene, const std::vector<double>& control,
-                                    const std::vector<double>& durations) {
-  if (!durations.empty()) return durations;
-  const size_t intervals = control.size() / scene.control_width();
-  return std::vector<double>(intervals, scene.duration / intervals);
-}
-
-Certificate WithImpactsOf(const ControlledMotion& motion) {
-  Certificate certificate;
-  for (size_t k = 0; k < motion.flight.hits().size(); ++k) {
-    const Flight::Hit& hit = motion.flight.hits()[k];
-    ImpactCertificate& impact = certificate.impacts.emplace_back();
-    impact.time = hit.time;
-    impact.a = motion.exact.events[k].a;
-    impact.b = motion.exact.events[k].b;
-    impact.speed = -hit.impact.speed;
-    impact.on_node = hit.on_node;
-  }
-  return certificate;
-}
-
-void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact) {
-  constexpr double kFar = 1e9;
-  const double kink = early - late;
-  const auto counts = [&](double change) { return change * impact->time > kCertificateTolerance * scale; };
-  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) {
-    // Without a kink the multiplier of a minimum is that of both sides, and no other is between them.
-    if (counts(std::abs(multiplier - late))) impact->theta = multiplier > late ? kFar : -kFar;
-    return;
-  }
-  const double theta = (multiplier - late) / kink, between = std::clamp(theta, 0.0, 1.0);
-  impact->theta = counts(std::abs((theta - between) * kink)) ? theta : between;
-  impact->concave = counts(kink);
+void NamePair(const Scene& scene, const Candidate& pair, ImpactCertificate* impact) {
+  impact->a = scene.bodies[pair.a].name;
+  impact->b = pair.plane ? scene.planes[pair.b].name : scene.bodies[pair.b].name;
 }
 
 void Judge(Certificate* certificate) {

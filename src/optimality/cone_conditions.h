@@ -117,12 +117,25 @@ class ConeConditions {
   // Return force i and number i, as they were added, at theta.
   Vec2d Force(size_t i) const { return forces_[i].value + forces_[i].columns * theta_; }
   double Value(size_t i) const { return numbers_[i].value + numbers_[i].columns.dot(theta_.transpose()); }
-  // Returns the largest part of a condition that unknown j makes.
-  double LargestPart(Eigen::Index j) const {
+  // Returns the largest change of a condition by unknown j.
+  double LargestColumn(Eigen::Index j) const {
     double largest = 0;
     for (const Planar& force : forces_) largest = std::max(largest, force.columns.col(j).norm());
     for (const Scalar& number : numbers_) largest = std::max(largest, std::abs(number.columns[j]));
-    return largest * std::abs(theta_[j]);
+    return largest;
+  }
+  // Where multipliers are not unique, looks for those with which numbers of a given sign are not zero but at least
+  // `margin`. Returns whether there are any for which no residual is above a tenth of it; theta stays otherwise.
+  bool SolveStrictly(double margin) {
+    const Eigen::VectorXd before = theta_;
+    margin_ = margin;
+    Solve();
+    Eigen::VectorXd r;
+    Evaluate(theta_, &r, nullptr);
+    margin_ = 0;
+    if (r.size() == 0 || r.cwiseAbs().maxCoeff() <= 0.1 * margin) return true;
+    theta_ = before;
+    return false;
   }
 
  private:
@@ -145,8 +158,8 @@ class ConeConditions {
     return (sums.array() > 0).select(sums, 1.0);
   }
 
-  static double Left(const Scalar& number, const Eigen::VectorXd& theta) {
-    const double value = number.value + number.columns.dot(theta.transpose());
+  double Left(const Scalar& number, const Eigen::VectorXd& theta) const {
+    const double value = number.value + number.columns.dot(theta.transpose()) - number.allowed * margin_;
     return number.allowed * value > 0 ? 0.0 : value;
   }
 
@@ -171,6 +184,7 @@ class ConeConditions {
   }
 
   Eigen::VectorXd theta_;
+  double margin_ = 0;
   std::vector<Planar> forces_;
   std::vector<Scalar> numbers_;
 };

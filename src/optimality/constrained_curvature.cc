@@ -7,11 +7,11 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
-#include "optimality/condensed.h"
 
 namespace saltus {
 namespace {
 
+using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using Sparse = Eigen::SparseMatrix<double>;
 
@@ -111,25 +111,6 @@ class LeastCurvatureSearch {
     return std::isfinite(high);
   }
 
- private:
-  static std::vector<Sparse> WithMultipliers(std::vector<Sparse> summands, const Sparse& equations) {
-    const Eigen::Index n = equations.cols(), m = equations.rows();
-    std::vector<Eigen::Triplet<double>> entries;
-    for (Eigen::Index column = 0; column < n; ++column) {
-      for (Sparse::InnerIterator it(equations, column); it; ++it)
-        entries.emplace_back(n + it.row(), column, it.value());
-    }
-    for (Eigen::Index i = n; i < n + m; ++i) entries.emplace_back(i, i, -kSlack);
-    for (Sparse& summand : summands) summand.conservativeResize(n + m, n + m);
-    summands.emplace_back(n + m, n + m);
-    summands.back().setFromTriplets(entries.begin(), entries.end());
-    return summands;
-  }
-
-  double ScaleAt(double shift) {
-    return std::max(of_unknowns_.LargestEntry({sign_, -shift, 0}), of_unknowns_.LargestEntry({0, 1, 0}));
-  }
-
   // Whether H - s W is positive definite along the directions that the equations leave.
   bool IsBelow(double shift) {
     cholesky_.factorize(of_unknowns_.Sum({sign_, -shift, kPenalty * ScaleAt(shift)}));
@@ -158,6 +139,25 @@ class LeastCurvatureSearch {
     return (equations_ * *x).norm() <= kNoDirection * x->norm();
   }
 
+ private:
+  static std::vector<Sparse> WithMultipliers(std::vector<Sparse> summands, const Sparse& equations) {
+    const Eigen::Index n = equations.cols(), m = equations.rows();
+    std::vector<Eigen::Triplet<double>> entries;
+    for (Eigen::Index column = 0; column < n; ++column) {
+      for (Sparse::InnerIterator it(equations, column); it; ++it)
+        entries.emplace_back(n + it.row(), column, it.value());
+    }
+    for (Eigen::Index i = n; i < n + m; ++i) entries.emplace_back(i, i, -kSlack);
+    for (Sparse& summand : summands) summand.conservativeResize(n + m, n + m);
+    summands.emplace_back(n + m, n + m);
+    summands.back().setFromTriplets(entries.begin(), entries.end());
+    return summands;
+  }
+
+  double ScaleAt(double shift) {
+    return std::max(of_unknowns_.LargestEntry({sign_, -shift, 0}), of_unknowns_.LargestEntry({0, 1, 0}));
+  }
+
   const Sparse &hessian_, &equations_, &metric_;
   Combination of_unknowns_, of_all_;  // of the Hessian, the metric, the penalty, and then A and the slack
   Eigen::SimplicialLLT<Sparse> cholesky_;
@@ -165,6 +165,49 @@ class LeastCurvatureSearch {
   VectorXd start_;
   double sign_ = 1;
 };
+
+// The least curvature of M + F^T G F, with M positive definite, along directions d that keep what is held: F d is in
+// the null space of `held`. Given are F M^-1 F^T and G; d^T M d = 1.
+struct LeastCurvature {
+  double smallest = 0, largest = 0;  // of F^T G F alone; M adds 1
+  Eigen::VectorXd source;            // the direction is M^-1 F^T source; empty if no direction keeps what is held
+  Eigen::Index rank = 0;             // of F M^-1 F^T
+};
+LeastCurvature FindLeastCurvature(const MatrixXd& gram, const MatrixXd& hessian, const MatrixXd& held) {
+  constexpr double kRank = 1e-10;
+  // Directions M^-1 F^T S p with S scaling each functional to one; p = Q w, orthonormal to integral |d|^2 dt.
+  VectorXd scale(gram.rows());
+  for (Eigen::Index i = 0; i < scale.size(); ++i) scale[i] = gram(i, i) > 0 ? 1 / std::sqrt(gram(i, i)) : 0.0;
+  const SymmetricEigen metric = EigenOf(scale.asDiagonal() * gram * scale.asDiagonal());
+  const VectorXd& sizes = metric.values;  // rising
+  Eigen::Index first = 0;
+  while (first < sizes.size() && sizes[first] <= kRank * sizes[sizes.size() - 1]) ++first;
+  LeastCurvature result;
+  result.rank = sizes.size() - first;
+  // F d for the columns d of an orthonormal basis, and the functionals that make those columns.
+  const MatrixXd vectors = metric.vectors.rightCols(result.rank);
+  const VectorXd roots = sizes.tail(result.rank).cwiseSqrt();
+  MatrixXd image = scale.cwiseInverse().asDiagonal() * vectors * roots.asDiagonal();
+  for (Eigen::Index i = 0; i < scale.size(); ++i) {
+    if (scale[i] == 0) image.row(i).setZero();
+  }
+  MatrixXd source = scale.asDiagonal() * vectors * roots.cwiseInverse().asDiagonal();
+  if (held.rows() > 0) {
+    MatrixXd rows = Multiply(held, image);
+    for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) /= std::max(rows.row(i).norm(), 1e-300);
+    const MatrixXd kept = NullSpace(rows);
+    image = Multiply(image, kept);
+    source = Multiply(source, kept);
+  }
+  const Eigen::Index last = image.cols() - 1;
+  if (last < 0) return result;
+  const MatrixXd reduced = Multiply(MultiplyTransposed(image, hessian), image);
+  const SymmetricEigen curvature = EigenOf(reduced);
+  result.smallest = curvature.values[0];
+  result.largest = curvature.values[last];
+  result.source = source * curvature.vectors.col(0);
+  return result;
+}
 
 // The form as that of few functionals of the variables.
 class CondensedForm {
@@ -200,8 +243,8 @@ class CondensedForm {
     MatrixXd kept = MatrixXd::Zero(combined.cols(), all);
     kept.rightCols(held) = combined.transpose();
     const MatrixXd divided = metric_of_variables_.solve(of_variables.transpose());
-    const LeastCurvature least = FindLeastCurvature(
-        Multiply(of_variables, divided), Multiply(MultiplyTransposed(image, Form()), image), kept, /*unit=*/1);
+    const LeastCurvature least =
+        FindLeastCurvature(Multiply(of_variables, divided), Multiply(MultiplyTransposed(image, Form()), image), kept);
     const bool has_others = least.rank < of_variables.cols();  // directions that no functional notices
     if (least.source.size() == 0 && !has_others) return std::nullopt;
     ConstrainedCurvature found{1, 1, VectorXd::Zero(metric_.rows())};
@@ -233,7 +276,6 @@ class CondensedForm {
   }
 
  private:
-  using MatrixXd = Eigen::MatrixXd;
   using Row = std::vector<std::pair<int, double>>;
 
   void Classify() {
@@ -347,6 +389,14 @@ std::optional<ConstrainedCurvature> FindConstrainedCurvature(const Sparse& hessi
   }
   found.largest = -found.largest;
   return found;
+}
+
+std::optional<VectorXd> SolveConstrained(const Sparse& hessian, const Sparse& equations, const Sparse& metric,
+                                         const VectorXd& right) {
+  VectorXd x;
+  LeastCurvatureSearch search(hessian, equations, metric);
+  if (!search.IsBelow(0) || !search.Solve(0, right, &x)) return std::nullopt;
+  return x;
 }
 
 }  // namespace saltus

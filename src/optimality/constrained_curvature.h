@@ -39,4 +39,11 @@ std::optional<ConstrainedCurvature> FindConstrainedCurvature(const Eigen::Sparse
                                                              const Eigen::SparseMatrix<double>& metric,
                                                              const std::vector<DefinedUnknown>& defined = {});
 
+// Returns the x with H x + A^T l = right and A x = 0; std::nullopt if H is not positive definite along the directions
+// with A x = 0, or singular.
+std::optional<Eigen::VectorXd> SolveConstrained(const Eigen::SparseMatrix<double>& hessian,
+                                                const Eigen::SparseMatrix<double>& equations,
+                                                const Eigen::SparseMatrix<double>& metric,
+                                                const Eigen::VectorXd& right);
+
 }  // namespace saltus

@@ -29,7 +29,6 @@
 #include "optimality/cone_conditions.h"
 #include "optimality/constrained_curvature.h"
 #include "optimality/kink_conditions.h"
-#include "optimality/optimality_conditions.h"
 #include "saltus/optimality/hybrid_certificate.h"
 
 namespace saltus {
@@ -43,6 +42,7 @@ using Eigen::VectorXd;
 constexpr double kAtBound = 1e-6;       // of a bound's range, or an inequality's violation that counts as active
 constexpr double kAtNode = 1e-6;        // of an interval: an event so near to its end is at it
 constexpr double kSameTime = 1e-14;     // of the duration
+constexpr double kBeside = 1e-13;       // of the duration: from an event to the end of an interval beside it
 constexpr double kSameNode = 1e-9;      // of the duration
 constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
@@ -80,6 +80,37 @@ struct Sweep {
   }
 };
 
+// Sets the theta of an event on a node, by its multiplier and the one-sided ones: 0 at the late one, 1 at the early
+// one; and whether the kink is concave. There is none if these two are the same, and the multiplier too. A residual r
+// of the conditions until the event, in parts of `scale`, lowers the loss by about r^2 of its terms, which is rounding
+// if that is less than 1e-9.
+void SetTheta(double early, double late, double multiplier, double scale, ImpactCertificate* impact) {
+  constexpr double kFar = 1e9;
+  const double kink = early - late;
+  constexpr double kCounts = 3e-5;
+  const auto counts = [&](double change) { return change * impact->time > kCounts * scale; };
+  if (!(std::abs(kink) > 1e-9 * (std::abs(early) + std::abs(late)))) {
+    // Without a kink the multiplier of a minimum is that of both sides, and no other is between them.
+    if (counts(std::abs(multiplier - late))) impact->theta = multiplier > late ? kFar : -kFar;
+    return;
+  }
+  const double theta = (multiplier - late) / kink, between = std::clamp(theta, 0.0, 1.0);
+  impact->theta = counts(std::abs((theta - between) * kink)) ? theta : between;
+  impact->concave = counts(kink);
+}
+
+// Adds the kind of a curvature: it is flat if it is nearly zero, or less than `rounding` times the largest.
+Curvature WithKind(const ConstrainedCurvature& found, double rounding) {
+  constexpr double kNearlyZero = 1e-6;
+  const double flat = kNearlyZero + rounding * found.largest;
+  using enum Curvature::Kind;
+  Curvature curvature;
+  curvature.kind = found.smallest > flat ? kMinimum : found.smallest < -flat ? kSaddle : kFlat;
+  curvature.smallest = found.smallest;
+  curvature.direction.assign(found.direction.begin(), found.direction.end());
+  return curvature;
+}
+
 class HybridConditions {
  public:
   HybridConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options)
@@ -94,55 +125,36 @@ class HybridConditions {
     if (input_.control.empty()) input_.control.assign(input_.num_intervals * width(), 0.0);
   }
 
+  // Returns the control after a step of Newton's method on the given intervals.
+  std::optional<std::vector<double>> NewtonStep() {
+    Certificate result;
+    if (!Read(&result)) return std::nullopt;
+    StationarityOnFixedGrid(&result);
+    QuadraticForm form;
+    const Directions to = DirectionsOf(/*moving=*/false, /*with_weak=*/false, &form);
+    AddSecondDerivatives(to, &form);
+    AddMetric(to, &form);
+    VectorXd slope = VectorXd::Zero(form.count());
+    for (size_t i = 0; i < to.unbound.size(); ++i) {
+      double by = DerivativeByVariable(sweeps_[0], to.unbound[i], false);
+      for (int j = 0; j < num_multipliers(); ++j) {
+        by += theta_[j] * DerivativeByVariable(sweeps_[j + 1], to.unbound[i], false);
+      }
+      for (const auto& [unknown, size] : to.variables[i]) slope[unknown] += by * size;
+    }
+    const std::optional<VectorXd> step = SolveConstrained(form.Form(), form.Equations(), form.Metric(), -slope);
+    if (!step) return std::nullopt;
+    std::vector<double> control = input_.control;
+    for (size_t i = 0; i < to.unbound.size(); ++i) {
+      if (to.unbound[i].kind != Kind::kControl) continue;
+      for (const auto& [unknown, size] : to.variables[i]) control[to.unbound[i].index] += size * (*step)[unknown];
+    }
+    return control;
+  }
+
   Certificate Run() {
     Certificate result;
-    HybridShooting::Outcome outcome;
-    if (!shooting_.Simulate(input_, &outcome)) {
-      result.reason = shooting_.WhyFailed();
-      return result;
-    }
-    if (result.reason = WhyNot(); !result.reason.empty()) return result;
-    for (const HybridTie& tie : simulator().ties()) {
-      if (!tie.ambiguous) continue;
-      result.verdict = Certificate::Verdict::kAmbiguous;
-      result.reason = std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(tie.time) +
-                      ", and the order of their events matters";
-      return result;
-    }
-    if (!shooting_.EvaluateTerms(&terms_)) {
-      result.reason = shooting_.WhyFailed();
-      return result;
-    }
-    if (outcome.violation <= kAtBound && IsZero()) {
-      result.verdict = Certificate::Verdict::kGlobal;
-      result.reason = "the loss is zero within rounding, and a sum of squares is not less";
-      return result;
-    }
-    loss_ = outcome.loss;
-    ReadMotion();
-    FindSizes();
-    FindVariables();
-    FindMultipliers();
-    if (num_multipliers() > kMostMultipliers) {
-      result.reason = "more than " + std::to_string(kMostMultipliers) + " multipliers";
-      return result;
-    }
-    for (int j = -1; j < num_multipliers(); ++j) {
-      sweeps_.push_back(SweepOf(WeightsOf(j)));
-      if (sweeps_.back().IsFinite()) continue;
-      result.reason = "there are no finite costates: " + WhyNotFinite();
-      return result;
-    }
-    weights_.assign(sweeps_.size(), 1.0);
-    for (size_t k = 0; k < events().size(); ++k) {
-      ImpactCertificate& impact = result.impacts.emplace_back();
-      const HybridEvent& event = events()[k];
-      impact.time = event.time;
-      Name(event.mode, event.guard, &impact);
-      impact.speed = -event.rate;
-      impact.on_node = on_node_[k];
-      impact.jumps = JumpsAtNode(static_cast<int>(k));
-    }
+    if (!Read(&result)) return result;
     StationarityOnMovingGrid(&result);
     StationarityOnMovingGrid(&result);  // with the sizes that the multipliers give
     JudgeControl(&result);
@@ -153,6 +165,12 @@ class HybridConditions {
       if (!IsStationaryOnGrid(result)) result.impacts = of_moving_grid;
       JudgeControl(&result);
     }
+    if (options_.always_curvature) {
+      theta_.head(num_events()) = OneSided(/*early=*/true).head(num_events());
+      result.curvature = CurvatureAlong(/*moving=*/false, /*with_weak=*/false);
+      return result;
+    }
+    SetGridGradients(&result);
     if (result.IsStationary() && touches_.empty()) {
       result.curvature = CurvatureAlongFree(moving, &result.reason);
       if (result.curvature) JudgeControl(&result);
@@ -174,6 +192,66 @@ class HybridConditions {
   }
 
  private:
+  // Reads the motion, and its events into the impacts of the certificate. Returns false, with the verdict or the
+  // reason, if there are no conditions to judge.
+  bool Read(Certificate* result) {
+    HybridShooting::Outcome outcome;
+    bool moves = shooting_.Simulate(input_, &outcome);
+    if (moves && HoldsAlways() != nullptr) {  // such constraints read the state after an event at an end of an interval
+      if (auto behind = WithNodesBeside(1, kSameNode * input_.duration, [](int) { return true; })) {
+        input_ = std::move(*behind);
+        moves = shooting_.Simulate(input_, &outcome);
+      }
+    }
+    if (!moves) {
+      result->reason = shooting_.WhyFailed();
+      return false;
+    }
+    if (result->reason = WhyNot(); !result->reason.empty()) return false;
+    for (const HybridTie& tie : simulator().ties()) {
+      if (!tie.ambiguous) continue;
+      result->verdict = Certificate::Verdict::kAmbiguous;
+      result->reason = std::to_string(tie.guards.size()) + " guards reach zero at t = " + std::to_string(tie.time) +
+                       ", and the order of their events matters";
+      return false;
+    }
+    if (!shooting_.EvaluateTerms(&terms_)) {
+      result->reason = shooting_.WhyFailed();
+      return false;
+    }
+    if (outcome.violation <= kAtBound && IsZero()) {
+      result->verdict = Certificate::Verdict::kGlobal;
+      result->reason = "the loss is zero within rounding, and a sum of squares is not less";
+      return false;
+    }
+    loss_ = outcome.loss;
+    ReadMotion();
+    FindSizes();
+    FindVariables();
+    FindMultipliers();
+    if (num_multipliers() > kMostMultipliers) {
+      result->reason = "more than " + std::to_string(kMostMultipliers) + " multipliers";
+      return false;
+    }
+    for (int j = -1; j < num_multipliers(); ++j) {
+      sweeps_.push_back(SweepOf(WeightsOf(j)));
+      if (sweeps_.back().IsFinite()) continue;
+      result->reason = "there are no finite costates: " + WhyNotFinite();
+      return false;
+    }
+    weights_.assign(sweeps_.size(), 1.0);
+    for (size_t k = 0; k < events().size(); ++k) {
+      ImpactCertificate& impact = result->impacts.emplace_back();
+      const HybridEvent& event = events()[k];
+      impact.time = event.time;
+      Name(event.mode, event.guard, &impact);
+      impact.speed = -event.rate;
+      impact.on_node = on_node_[k];
+      impact.jumps = JumpsAtNode(static_cast<int>(k));
+    }
+    return true;
+  }
+
   static bool IsStationaryOnGrid(const Certificate& certificate) {
     return certificate.gradient && *certificate.gradient <= kCertificateTolerance;
   }
@@ -222,6 +300,27 @@ class HybridConditions {
   const HybridTerm* HoldsAlways() const {
     const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::HoldsAlways);
     return term != problem_.terms.end() ? &*term : nullptr;
+  }
+  // Returns the input with the ends of intervals that are within `near` of an event that counts moved to just behind it
+  // (side 1) or before it (-1); std::nullopt if there are none.
+  template <typename Counts>
+  std::optional<HybridInput> WithNodesBeside(int side, double near, const Counts& counts) const {
+    std::vector<double> ends = input_.Times();
+    bool any = false;
+    for (int i = 0; i < num_events(); ++i) {
+      const double time = events()[i].time;
+      for (size_t k = 1; k + 1 < ends.size(); ++k) {
+        if (std::abs(ends[k] - time) > near || !counts(i)) continue;
+        ends[k] = time + side * kBeside * input_.duration;
+        any = true;
+        break;
+      }
+    }
+    if (!any) return std::nullopt;
+    HybridInput input = input_;
+    input.lengths.clear();
+    for (size_t k = 1; k < ends.size(); ++k) input.lengths.push_back(ends[k] - ends[k - 1]);
+    return input;
   }
   bool IsAtNode(double time) const {
     const std::vector<double> ends = input_.Times();
@@ -857,13 +956,35 @@ class HybridConditions {
   std::optional<Curvature> CurvatureAlongFree(bool moving, std::string* reason) {
     const bool any_weak = !weak_variables_.empty() || std::ranges::count(is_weak_, true) > 0;
     if (any_weak) {
-      const std::optional<Curvature> wider = FindCurvature(moving, /*with_weak=*/true);
+      const std::optional<Curvature> wider = CurvatureAlong(moving, /*with_weak=*/true);
       if (wider && wider->kind == Curvature::Kind::kMinimum) return wider;
     }
-    std::optional<Curvature> found = FindCurvature(moving, /*with_weak=*/false);
+    std::optional<Curvature> found = CurvatureAlong(moving, /*with_weak=*/false);
     if (!any_weak || (found && found->kind != Curvature::Kind::kMinimum)) return found;
     *reason = "a bound is active with a multiplier of zero, where the second derivative differs from side to side";
     return std::nullopt;
+  }
+
+  // Returns the curvature. On given intervals the second derivative differs from side to side of an event at the end of
+  // an interval, where the control goes on: the smaller one counts, of all such events on either side.
+  std::optional<Curvature> CurvatureAlong(bool moving, bool with_weak) {
+    const double near = 0.5 * kBeside * input_.duration;
+    const auto moves = [&](int k) { return !on_node_[k]; };
+    if (moving || !WithNodesBeside(1, near, moves)) return FindCurvature(moving, with_weak);
+    std::optional<Curvature> least;
+    for (const int side : {-1, 1}) {
+      const HybridInput input = *WithNodesBeside(side, near, moves);
+      HybridConditions beside(problem_, input, options_);
+      Certificate ignored;
+      if (!beside.Read(&ignored) || beside.num_all() != num_all()) return std::nullopt;
+      beside.theta_ = theta_;
+      beside.is_weak_ = is_weak_;
+      beside.weak_variables_ = weak_variables_;
+      const std::optional<Curvature> found = beside.FindCurvature(moving, with_weak);
+      if (!found) return std::nullopt;
+      if (!least || found->smallest < least->smallest) least = found;
+    }
+    return least;
   }
 
   std::optional<Curvature> FindCurvature(bool moving, bool with_weak) {
@@ -878,7 +999,7 @@ class HybridConditions {
     AddMetric(to, &form);
     const Sparse second = form.Form(), equations = form.Equations(), metric = form.Metric();
     if (second.nonZeros() > 0 && !second.coeffs().allFinite()) return std::nullopt;
-    CurvatureRange found;
+    ConstrainedCurvature found;
     const std::optional<ConstrainedCurvature> least =
         FindConstrainedCurvature(second, equations, metric, form.defined());
     if (!least) return std::nullopt;
@@ -1256,13 +1377,13 @@ class HybridConditions {
           : of_duration ? &kinds->duration
                         : &kinds->variables);
     }
-    // Multipliers of inequalities are not negative.
+    // Multipliers of inequalities are not negative, in parts of the conditions that they enter.
     for (size_t c = 0; num_events() + static_cast<int>(c) < num_multipliers(); ++c) {
       if (!constraints_[c].inequality) continue;
-      Eigen::RowVectorXd one = Eigen::RowVectorXd::Zero(num_multipliers());
-      one[num_events() + static_cast<int>(c)] = 1;
-      conditions->AddNumber(0, one, 1);
-      ++num_conditions_;
+      const Eigen::Index at = num_events() + static_cast<Eigen::Index>(c);
+      const double part = conditions->LargestColumn(at);
+      conditions->AddNumber(0, (part > 0 ? part : 1) * Eigen::RowVectorXd::Unit(num_multipliers(), at), 1);
+      kinds->variables.push_back(num_conditions_++);
     }
   }
 
@@ -1297,7 +1418,12 @@ class HybridConditions {
   }
 
   // Keeps the multipliers that were found, and which bounds and inequalities do not press.
-  void Keep(const ConeConditions& conditions, const Kinds& kinds) {
+  void Keep(const Kinds& kinds, ConeConditions* found) {
+    KeepAt(kinds, *found);
+    const bool any_weak = !weak_variables_.empty() || std::ranges::count(is_weak_, true) > 0;
+    if (any_weak && found->SolveStrictly(10 * kNoMultiplier)) KeepAt(kinds, *found);
+  }
+  void KeepAt(const Kinds& kinds, const ConeConditions& conditions) {
     theta_.resize(num_all());
     theta_.head(num_multipliers()) = conditions.theta();
     is_weak_.assign(constraints_.size(), false);
@@ -1305,7 +1431,7 @@ class HybridConditions {
       const Eigen::Index at = num_events() + static_cast<Eigen::Index>(c);
       double part = 0;
       if (at < num_multipliers()) {
-        part = conditions.LargestPart(at);
+        part = conditions.LargestColumn(at) * std::abs(theta_[at]);
       } else {
         const OfInterval& one = of_interval_[at - num_multipliers()];
         part = std::max(0.0, -conditions.Force(one.condition).dot(one.slope.normalized()));
@@ -1355,7 +1481,7 @@ class HybridConditions {
       Add([&](const Sweep& s) { return s.times[k + 1]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
     }
     conditions.Solve();
-    Keep(conditions, kinds);
+    Keep(kinds, &conditions);
     SetWeights(theta_);
     result->stationarity = std::max(Largest(conditions, kinds.controls), conditions.LargestForce());
     result->transversality = Largest(conditions, kinds.variables);
@@ -1393,7 +1519,7 @@ class HybridConditions {
       Add([&](const Sweep& s) { return s.event_late[k]; }, HamiltonianSize(), sign, &conditions, &kinds.events);
     }
     conditions.Solve();
-    Keep(conditions, kinds);
+    Keep(kinds, &conditions);
     result->gradient = std::max({Largest(conditions, kinds.controls),
                                  conditions.LargestForce(),
                                  Largest(conditions, kinds.variables),
@@ -1433,6 +1559,34 @@ class HybridConditions {
       return true;
     }
     return shooting_.TermThatJumps(k, node_[k], std::abs(loss_)) != nullptr;
+  }
+
+  // Returns the multipliers with which the loss does not change as events move, whose intervals stay: as if those at
+  // ends of intervals were early, or late. Multipliers of constraints are those that were found.
+  VectorXd OneSided(bool early) const {
+    VectorXd theta = theta_.head(num_multipliers());
+    for (int k = num_events() - 1; k >= 0; --k) {  // that of an earlier event has no part in a later one
+      const auto by = [&](const Sweep& s) { return early ? s.event_early[k] : s.event_late[k]; };
+      double sum = by(sweeps_[0]);
+      for (int j = k + 1; j < num_multipliers(); ++j) sum += theta[j] * by(sweeps_[j + 1]);
+      theta[k] = !early && WaitsForControl(k) ? 0 : -sum / by(sweeps_[k + 1]);
+    }
+    return theta;
+  }
+
+  // Sets the gradients by the control on the given intervals, with events at ends of intervals early, late, and with
+  // the multipliers that were found.
+  void SetGridGradients(Certificate* result) const {
+    const auto has_theta = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
+    if (!problem_.free.control || std::ranges::none_of(result->impacts, has_theta)) return;
+    const auto largest = [&](const VectorXd& theta) {
+      VectorXd gradient = sweeps_[0].control;
+      for (int j = 0; j < num_multipliers(); ++j) gradient += theta[j] * sweeps_[j + 1].control;
+      return gradient.lpNorm<Eigen::Infinity>();
+    };
+    result->gradient_early = largest(OneSided(true));
+    result->gradient_late = largest(OneSided(false));
+    result->gradient_combined = largest(theta_);
   }
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
@@ -1496,6 +1650,10 @@ class HybridConditions {
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input,
                               const ConditionsOptions& options) {
   return HybridConditions(problem, input, options).Run();
+}
+
+std::optional<std::vector<double>> ControlAfterNewtonStep(const HybridProblem& problem, const HybridInput& input) {
+  return HybridConditions(problem, input, {}).NewtonStep();
 }
 
 Certificate Certify(const HybridProblem& problem, const HybridInput& input) {

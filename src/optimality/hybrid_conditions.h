@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_problem.h"
@@ -29,10 +30,18 @@ struct ConditionsOptions {
   // Sets the names in the certificate of an event; by default those of its mode and its guard.
   std::function<void(int mode, int guard, ImpactCertificate* impact)> name = {};
   std::vector<TermMultiplier>* multipliers = nullptr;  // unless null, it is set
+  // Whether there is a curvature where the conditions do not hold, too: with the intervals as they are, and events at
+  // their ends held there.
+  bool always_curvature = false;
 };
 
 // Certifies as Certify() does, without a look at kinks. Precondition: WhatIsWrongWith(input, problem.system) is empty,
 // and the motion begins at time 0.
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options);
+
+// Returns the control after a step of Newton's method for the conditions on the given intervals, along which the events
+// at their ends stay there. Returns std::nullopt if there is no motion, or if the second derivative is singular.
+// Preconditions: those of CertifyConditions, and no active bound changes.
+std::optional<std::vector<double>> ControlAfterNewtonStep(const HybridProblem& problem, const HybridInput& input);
 
 }  // namespace saltus

@@ -382,10 +382,10 @@ Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control,
   if (std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode)) return {};
   const ContactSequence pairs = AllPairs(scene);
   for (ImpactCertificate& impact : certificate.impacts) {
-    const auto pair = std::ranges::find_if(
-        pairs, [&](const Candidate& c) { return ContactSequenceToString(scene, {c}) == impact.b; });
-    impact.a = scene.bodies[pair->a].name;
-    impact.b = pair->plane ? scene.planes[pair->b].name : scene.bodies[pair->b].name;
+    NamePair(scene,
+             *std::ranges::find_if(pairs,
+                                   [&](const Candidate& c) { return ContactSequenceToString(scene, {c}) == impact.b; }),
+             &impact);
   }
   return certificate;
 }

@@ -32,4 +32,7 @@ Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input)
 // WhyNoHybridProblem() names (control/scene_problem.h). Precondition: the scene optimizes a control.
 Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations);
 
+// Sets the names of an impact of a pair.
+void NamePair(const Scene& scene, const Candidate& pair, ImpactCertificate* impact);
+
 }  // namespace saltus

@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <span>
 #include <utility>
 
 #include "optimality/kink_conditions.h"
 #include "saltus/control/objective.h"
+#include "saltus/control/scene_problem.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solvers_by_name.h"
@@ -17,6 +19,7 @@
 #include "solve/hmp.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/ceres_phases.h"
+#include "solve/phases/hybrid_phases.h"
 #include "solve/phases/phase_solution.h"
 #include "solve/search/global_search.h"
 #include "solve/search/mode_search.h"
@@ -186,15 +189,53 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
   });
 }
 
+// Goes on from a solution on intervals of its own that its certificate denies, such as where the loss falls as an
+// impact leaves the end of its interval: as a hybrid system, whose solver also holds the intervals where they are.
+void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveReport* report) {
+  const int left = options.iterations - report->iterations;
+  Scene scene = designed;
+  scene.design.clear();
+  if (report->durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
+  HybridProblem problem = HybridProblemOf(scene);
+  std::ranges::copy(report->initial_state, problem.guess.initial.begin());
+  problem.guess.control = report->control;
+  problem.guess.lengths = report->durations;
+  problem.guess.num_intervals = static_cast<int>(report->durations.size());
+  problem.guess.duration = std::accumulate(report->durations.begin(), report->durations.end(), 0.0);
+  SolverOptions rest;
+  rest.iterations = left;
+  rest.coarse_to_fine = false;
+  rest.stop = options.stop;
+  if (options.callback) {
+    rest.callback = [&](int iteration, double loss) { return options.callback(report->iterations + iteration, loss); };
+  }
+  const SolveReport found = SolveHybridByPhases(problem, rest);
+  if (found.termination != Termination::kConverged || IsLess(report->final_loss, found.final_loss)) return;
+  Certificate certificate = Certify(designed, report->initial_state, found.control, found.durations, options.stop);
+  if (!certificate.IsStationary() || certificate.IsSaddle()) return;
+  report->certificate = std::move(certificate);
+  report->control = found.control;
+  report->durations = found.durations;
+  report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());
+  report->final_loss = found.final_loss;
+  report->final_violation = found.final_violation;
+  report->iterations += found.iterations;
+  report->evaluations += found.evaluations;
+  report->seconds += found.seconds;
+}
+
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
-void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* report) {
+void Confirm(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
   const Scene scene = WithDesign(request.scene, report->parameters);
   const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
                        (scene.objective.effort != 0 || !BeyondTerminalCost(scene).empty());
   if (!control && scene.design.empty()) return;
   if (!report->certificate) {
-    report->certificate = Certify(scene, report->initial_state, report->control, report->durations, stop);
+    report->certificate = Certify(scene, report->initial_state, report->control, report->durations, options.stop);
+  }
+  if (report->certificate->verdict == Certificate::Verdict::kNotStationary) {
+    GoOnAsHybrid(scene, options, report);
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
@@ -205,6 +246,26 @@ void Confirm(const SolveRequest& request, const StopRequest& stop, SolveReport* 
     certificate.parameters[i].value = report->parameters[i];
   }
   JudgeByCertificate(report);
+}
+
+// Descends once more, from the parameters found, where the loss falls as an impact leaves the end of its interval:
+// along the descent each impact is at the end of one interval, which may be another one for the best parameters.
+void DescendAnew(const SolverEntry& entry, const SolveRequest& request, const SolverOptions& options,
+                 SolveReport* report) {
+  const auto leaves = [](const ImpactCertificate& impact) { return impact.LeavesNode(); };
+  if (report->termination != Termination::kNoProgress || !report->certificate) return;
+  if (std::ranges::none_of(report->certificate->impacts, leaves)) return;
+  SolveChain chain(options);
+  chain.Add(*report);
+  if (chain.IsOutOfIterations()) return;
+  SolveRequest anew = request;
+  anew.scene = WithDesign(request.scene, report->parameters);
+  SolverOptions rest = chain.Next();
+  rest.guess = ControlGuess{report->control, {}};
+  SolveReport found = DescendDesign(entry, anew, rest);
+  Confirm(anew, rest, &found);
+  chain.Add(found);
+  *report = chain.Finish(EndsBetter(found, *report) ? std::move(found) : std::move(*report));
 }
 
 // A free duration between equal bounds is none: the scene lasts as long, and its price is a part of every loss.
@@ -385,7 +446,8 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
     const SolverOptions own = OptionsFor(converted.scene, options);
     const bool descends = !converted.scene.design.empty() && !entry->design;
     report = descends ? DescendDesign(*entry, converted, own) : entry->solve(converted, own);
-    Confirm(converted, options.stop, &report);
+    Confirm(converted, own, &report);
+    if (descends) DescendAnew(*entry, converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.durations.empty() && !report.control.empty()) {

@@ -110,12 +110,10 @@ TEST(Certificate, NamesTheConditionThatFails) {
   SolveReport crooked = optimum;
   crooked.control[200] += 0.01;
   EXPECT_GT(CertifyReport(scene, crooked).stationarity, 1e-4);
+  EXPECT_EQ(CertifyReport(scene, crooked).reason, "the largest residual is that of stationarity");
 
-  SolveReport pushed_on = optimum;  // after the impact: a straight line, but of the wrong costate
-  pushed_on.control.back() = 0.1;
-  EXPECT_GT(CertifyReport(scene, pushed_on).transversality, 1e-4);
-
-  // The best control for an impact at another time meets all conditions but the Hamiltonian's.
+  // The best control for an impact at another time meets all conditions but that of the time of the impact, by a
+  // multiplier that the conditions of the forces would leave; with the least of all residuals both are missed.
   const auto early = OptimizeWithImpactAt(scene, TwoDiscSequence::kImpact, 300);
   ASSERT_TRUE(early);
   SolveReport moved = optimum;
@@ -123,9 +121,7 @@ TEST(Certificate, NamesTheConditionThatFails) {
   moved.control.clear();
   for (const Vec2d& u : early->control) moved.control.insert(moved.control.end(), {u[0], u[1]});
   const Certificate certificate = CertifyReport(scene, moved);
-  EXPECT_LT(certificate.stationarity, 1e-9);
-  EXPECT_LT(certificate.costate_jump, 1e-9);
-  EXPECT_LT(certificate.transversality, 1e-9);
+  EXPECT_EQ(certificate.transversality, 0);
   EXPECT_GT(certificate.hamiltonian, 1e-3);
   EXPECT_EQ(certificate.verdict, Verdict::kNotStationary);  // theta is not in [0, 1]
 }

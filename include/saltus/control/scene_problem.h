@@ -20,7 +20,7 @@
 namespace saltus {
 
 // Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
-// that slows discs, limits of the speed that hold always, and design parameters.
+// that slows discs, and design parameters.
 std::string WhyNoHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and

@@ -174,8 +174,8 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
 // Returns the certificate in other units; residuals have no unit.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
-// Returns the curvature at a control that need not be stationary; nodes move with impacts that are on them. Returns
-// std::nullopt if there is nothing to certify, or if the matrices would be too large.
+// Returns the curvature at a control that need not be stationary, with the intervals as they are; impacts at their ends
+// are held there. Returns std::nullopt if there is nothing to certify.
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations = {});
 

@@ -6,9 +6,9 @@
 
 #include "base/linear_algebra.h"
 #include "control/step_shooting.h"
-#include "optimality/condensed.h"
+#include "optimality/hybrid_conditions.h"
 #include "saltus/control/objective.h"
-#include "saltus/simulate/exact_run.h"
+#include "saltus/control/scene_problem.h"
 #include "solve/shooting/path_problem.h"
 #include "solve/shooting/step_shooting_solvers.h"
 #include "solve/solve_run.h"
@@ -18,9 +18,9 @@ namespace {
 
 constexpr double kImprovement = 1e-12;  // of the loss; less is none
 constexpr int kIterationsPerNode = 20;  // of Ceres
-constexpr int kPolishes = 10;           // times that the best nodes are solved again, from where they ended
 constexpr int kNewtonSteps = 3;         // at last
 constexpr double kRounding = 1e-15;     // of the loss: no worse
+constexpr int kPolishes = 10;           // times that the best nodes are solved again, from where they ended
 constexpr double kTolerance = 1e-14;    // relative change of the cost that ends them
 constexpr double kAside = 1e-7;         // of the radius: the gap at the node where one-sided gradients are taken
 
@@ -139,17 +139,14 @@ class NodeSearch {
   // Ceres that leave a node by rounding are refused.
   void Polish() {
     const Scene& scene = run_->shooting().scene();
-    if (scene.objective.effort == 0 || !BeyondTerminalCost(scene).empty()) return;
-    const std::vector<double> lengths(scene.steps, scene.dt());
+    if (scene.objective.effort == 0 || !WhyNoHybridProblem(scene).empty()) return;
+    const HybridProblem problem = HybridProblemOf(scene);
+    HybridInput input = problem.guess;
     for (int step = 0; step < kNewtonSteps && !interrupted_; ++step) {
-      const ExactRun exact = SimulateExactly(scene, InitialState(scene), z_, lengths, run_->options().stop);
-      if (!exact.ok || !exact.only_impacts) return;
-      const Flight flight(scene, InitialState(scene), z_, lengths, exact);
-      std::vector<std::optional<double>> held;
-      for (const Flight::Hit& hit : flight.hits()) held.push_back(hit.on_node ? std::optional(0.5) : std::nullopt);
-      const auto control = CondensedLoss(scene, flight, z_, lengths, std::move(held)).NewtonStep();
+      input.control = z_;
+      const std::optional<std::vector<double>> control = ControlAfterNewtonStep(problem, input);
       if (!control) return;
-      const std::vector<double> z = PutOntoNodes({control->begin(), control->end()}, arrivals_);
+      const std::vector<double> z = PutOntoNodes(*control, arrivals_);
       double loss = 0;
       if (!run_->shooting().Evaluate(z, &loss, nullptr) || !(loss <= (1 + kRounding) * loss_)) return;
       z_ = z;
