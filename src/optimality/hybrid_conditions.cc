@@ -125,31 +125,47 @@ class HybridConditions {
     if (input_.control.empty()) input_.control.assign(input_.num_intervals * width(), 0.0);
   }
 
-  // Returns the control after a step of Newton's method on the given intervals.
-  std::optional<std::vector<double>> NewtonStep() {
+  // Returns the input after a step of Newton's method, with intervals that move with the events, or stay.
+  std::optional<HybridInput> NewtonStep(bool moving) {
     Certificate result;
     if (!Read(&result)) return std::nullopt;
-    StationarityOnFixedGrid(&result);
+    moving ? StationarityOnMovingGrid(&result) : StationarityOnFixedGrid(&result);
     QuadraticForm form;
-    const Directions to = DirectionsOf(/*moving=*/false, /*with_weak=*/false, &form);
+    const Directions to = DirectionsOf(moving, /*with_weak=*/false, &form);
     AddSecondDerivatives(to, &form);
     AddMetric(to, &form);
     VectorXd slope = VectorXd::Zero(form.count());
+    const auto add = [&](const SparseRow& row, const auto& derivative) {
+      double by = derivative(sweeps_[0]);
+      for (int j = 0; j < num_multipliers(); ++j) by += theta_[j] * derivative(sweeps_[j + 1]);
+      for (const auto& [unknown, size] : row) slope[unknown] += by * size;
+    };
     for (size_t i = 0; i < to.unbound.size(); ++i) {
-      double by = DerivativeByVariable(sweeps_[0], to.unbound[i], false);
-      for (int j = 0; j < num_multipliers(); ++j) {
-        by += theta_[j] * DerivativeByVariable(sweeps_[j + 1], to.unbound[i], false);
-      }
-      for (const auto& [unknown, size] : to.variables[i]) slope[unknown] += by * size;
+      add(to.variables[i], [&](const Sweep& s) { return DerivativeByVariable(s, to.unbound[i], moving); });
+    }
+    for (int k = 0; k < num_events() && moving; ++k) {
+      add(to.boundaries[k + 1], [&](const Sweep& s) { return s.times[k + 1]; });
     }
     const std::optional<VectorXd> step = SolveConstrained(form.Form(), form.Equations(), form.Metric(), -slope);
     if (!step) return std::nullopt;
-    std::vector<double> control = input_.control;
-    for (size_t i = 0; i < to.unbound.size(); ++i) {
-      if (to.unbound[i].kind != Kind::kControl) continue;
-      for (const auto& [unknown, size] : to.variables[i]) control[to.unbound[i].index] += size * (*step)[unknown];
-    }
-    return control;
+    const auto change = [&](const SparseRow& row) {
+      double sum = 0;
+      for (const auto& [unknown, size] : row) sum += size * (*step)[unknown];
+      return sum;
+    };
+    HybridInput next = input_;
+    const auto move = [&](const SparseRows& rows, std::vector<double>* numbers) {
+      for (size_t i = 0; i < rows.size(); ++i) (*numbers)[i] += change(rows[i]);
+    };
+    move(to.control, &next.control);
+    move(to.initial, &next.initial);
+    move(to.parameters, &next.parameters);
+    next.duration += change(to.boundaries.back());
+    std::vector<double> times = times_;
+    for (double& time : times) time += change(TimeRow(to, time, PhaseAt(time, /*before=*/false)));
+    next.lengths.clear();
+    for (size_t k = 1; k < times.size(); ++k) next.lengths.push_back(times[k] - times[k - 1]);
+    return next;
   }
 
   Certificate Run() {
@@ -170,7 +186,6 @@ class HybridConditions {
       result.curvature = CurvatureAlong(/*moving=*/false, /*with_weak=*/false);
       return result;
     }
-    SetGridGradients(&result);
     if (result.IsStationary() && touches_.empty()) {
       result.curvature = CurvatureAlongFree(moving, &result.reason);
       if (result.curvature) JudgeControl(&result);
@@ -184,6 +199,7 @@ class HybridConditions {
       impact.on_node = true;
       Name(touch.mode, touch.guard, &impact);
     }
+    SetGridGradients(&result);
     if (options_.multipliers != nullptr) *options_.multipliers = TermMultipliers();
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
@@ -1574,9 +1590,19 @@ class HybridConditions {
     return theta;
   }
 
-  // Sets the gradients by the control on the given intervals, with events at ends of intervals early, late, and with
-  // the multipliers that were found.
+  // Sets the gradients by the control on the given intervals: that by the components which no bound holds, relative to
+  // its terms, and with events at ends of intervals early, late, and with the multipliers that were found.
   void SetGridGradients(Certificate* result) const {
+    for (const auto& [variable, sign] : variables_) {
+      if (variable.kind != Kind::kControl || sign != 0 || cone_of_[variable.index] >= 0 || !result->IsStationary()) {
+        continue;
+      }
+      double by = sweeps_[0].control[variable.index];
+      for (int j = 0; j < num_multipliers(); ++j) by += theta_[j] * sweeps_[j + 1].control[variable.index];
+      const int interval = variable.index / width();
+      const double relative = std::abs(by) / (LengthOf(interval) * ControlSize(variable.index % width()));
+      if (std::isfinite(relative)) result->gradient = std::max(result->gradient.value_or(0), relative);
+    }
     const auto has_theta = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
     if (!problem_.free.control || std::ranges::none_of(result->impacts, has_theta)) return;
     const auto largest = [&](const VectorXd& theta) {
@@ -1652,8 +1678,8 @@ Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& i
   return HybridConditions(problem, input, options).Run();
 }
 
-std::optional<std::vector<double>> ControlAfterNewtonStep(const HybridProblem& problem, const HybridInput& input) {
-  return HybridConditions(problem, input, {}).NewtonStep();
+std::optional<HybridInput> AfterNewtonStep(const HybridProblem& problem, const HybridInput& input, bool moving) {
+  return HybridConditions(problem, input, {}).NewtonStep(moving);
 }
 
 Certificate Certify(const HybridProblem& problem, const HybridInput& input) {

@@ -39,9 +39,9 @@ struct ConditionsOptions {
 // and the motion begins at time 0.
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options);
 
-// Returns the control after a step of Newton's method for the conditions on the given intervals, along which the events
-// at their ends stay there. Returns std::nullopt if there is no motion, or if the second derivative is singular.
-// Preconditions: those of CertifyConditions, and no active bound changes.
-std::optional<std::vector<double>> ControlAfterNewtonStep(const HybridProblem& problem, const HybridInput& input);
+// Returns the input after a step of Newton's method for the conditions, which keeps active bounds: with intervals that
+// move with the events, or on the given intervals, where events at their ends stay there. Returns std::nullopt if there
+// is no motion, or if the second derivative is singular. Preconditions: those of CertifyConditions.
+std::optional<HybridInput> AfterNewtonStep(const HybridProblem& problem, const HybridInput& input, bool moving);
 
 }  // namespace saltus

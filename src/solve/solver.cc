@@ -6,10 +6,12 @@
 #include <span>
 #include <utility>
 
+#include "optimality/hybrid_conditions.h"
 #include "optimality/kink_conditions.h"
 #include "saltus/control/objective.h"
 #include "saltus/control/scene_problem.h"
 #include "saltus/scene/scene_parameter.h"
+#include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solvers_by_name.h"
 #include "scene/units.h"
@@ -189,19 +191,41 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
   });
 }
 
-// Goes on from a solution on intervals of its own that its certificate denies, such as where the loss falls as an
-// impact leaves the end of its interval: as a hybrid system, whose solver also holds the intervals where they are.
+// Goes on from a solution on intervals of its own that its certificate denies, with the scene as a hybrid system: by
+// steps of Newton's method, which are more accurate than differences of losses, and then by the solver in phases, which
+// also holds the intervals where they are, as where the loss falls as an impact leaves the end of its interval. Design
+// parameters stay.
 void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveReport* report) {
+  constexpr int kNewtonSteps = 3;
   const int left = options.iterations - report->iterations;
   Scene scene = designed;
   scene.design.clear();
   if (report->durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
   HybridProblem problem = HybridProblemOf(scene);
-  std::ranges::copy(report->initial_state, problem.guess.initial.begin());
-  problem.guess.control = report->control;
-  problem.guess.lengths = report->durations;
-  problem.guess.num_intervals = static_cast<int>(report->durations.size());
-  problem.guess.duration = std::accumulate(report->durations.begin(), report->durations.end(), 0.0);
+  HybridInput& guess = problem.guess;
+  std::ranges::copy(report->initial_state, guess.initial.begin());
+  guess.control = report->control;
+  guess.lengths = report->durations;
+  guess.num_intervals = static_cast<int>(report->durations.size());
+  guess.duration = std::accumulate(report->durations.begin(), report->durations.end(), 0.0);
+  // Takes a control, if it is certified and no worse.
+  const auto take = [&](const std::vector<double>& control, const std::vector<double>& durations) {
+    const ExactRun exact = SimulateExactly(designed, report->initial_state, control, durations, options.stop);
+    if (!exact.ok || IsLess(report->final_loss, exact.loss)) return false;
+    Certificate certificate = Certify(designed, report->initial_state, control, durations, options.stop);
+    if (!certificate.IsStationary() || certificate.IsSaddle()) return false;
+    report->certificate = std::move(certificate);
+    report->control = control;
+    report->durations = durations;
+    report->final_loss = exact.loss;
+    return true;
+  };
+  std::optional<HybridInput> input = guess;
+  for (int step = 0; step < kNewtonSteps; ++step) {
+    input = AfterNewtonStep(problem, *input, /*moving=*/true);
+    if (!input || !WhatIsWrongWith(*input, problem.system).empty()) break;
+    if (take(input->control, input->lengths)) return;
+  }
   SolverOptions rest;
   rest.iterations = left;
   rest.coarse_to_fine = false;
@@ -210,18 +234,13 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
     rest.callback = [&](int iteration, double loss) { return options.callback(report->iterations + iteration, loss); };
   }
   const SolveReport found = SolveHybridByPhases(problem, rest);
-  if (found.termination != Termination::kConverged || IsLess(report->final_loss, found.final_loss)) return;
-  Certificate certificate = Certify(designed, report->initial_state, found.control, found.durations, options.stop);
-  if (!certificate.IsStationary() || certificate.IsSaddle()) return;
-  report->certificate = std::move(certificate);
-  report->control = found.control;
-  report->durations = found.durations;
-  report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());
-  report->final_loss = found.final_loss;
-  report->final_violation = found.final_violation;
-  report->iterations += found.iterations;
   report->evaluations += found.evaluations;
   report->seconds += found.seconds;
+  if (found.termination != Termination::kConverged || !take(found.control, found.durations)) return;
+  report->final_violation = found.final_violation;
+  if (!report->iterates.empty()) return;  // of which there is one for each loss
+  report->iterations += found.iterations;
+  report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".

@@ -1,34 +1,24 @@
-// Certificates: residuals of the conditions of the hybrid minimum principle at a control, and the sign of the second
-// derivative of the loss.
+// Certificates of scenes: residuals of the conditions of the hybrid minimum principle at a control, and the sign of the
+// second derivative of the loss. They are those of the problem that a scene is as a hybrid system
+// (control/scene_problem.h, optimality/hybrid_certificate.h).
 //
-// The control is constant on intervals. In exact dynamics impacts divide the time into phases, and the flight of each
-// controlled disc into arcs between its own impacts. The Hamiltonian is H = effort |u|^2 + sum lambda_q.v +
-// lambda_v.(u/m + g), with + lambda_angle w for discs that spin. The conditions are
-//
-//   stationarity    2 effort u + lambda_v/m = 0 with lambda_v linear in time: the distance of the forces on an arc, at
-//                   the middles of their intervals, from a straight line. The line gives the costates of the disc.
-//   transversality  the costates at the end are the derivatives of the terminal terms. The costates of all other discs,
-//                   and those of spin, start there.
-//   costate jump    lambda- = Dg^T lambda+ + nu grad psi at each impact, with the nu of the smallest residual.
-//   Hamiltonian     its mean over each phase is the same. (For piecewise constant forces on a grid that moves with the
-//                   impacts this condition is exact, and not the pointwise one; they differ by O(h^2).)
-//
-// On a fixed grid the last condition is replaced. With an impact on a node and a force that jumps there, the loss has a
-// kink, with the gradients `early` and `late` as if the impact were just before and just after the node. Each belongs
-// to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
-//
-// With bounds on forces, hard terms, limits, path costs or a free final time, the costates do not follow from the
-// forces. They are then integrated backwards along the motion, with the multipliers of impacts, hard terms and active
-// limits of the smallest residual. Jumps hold by construction, and the remaining conditions are
-//
-//   transversality  multipliers of bounds have their sign: the loss does not fall into the region that they allow
+// The control is constant on intervals. In exact dynamics impacts divide the time into phases. The Hamiltonian is
+// H = effort |u|^2 + sum lambda_q.v + lambda_v.(u/m + g), with + lambda_angle w for discs that spin. Costates lambda
+// are carried backwards along the motion from the derivatives of the terminal terms, through impacts by lambda- = Dg^T
+// lambda+ + nu grad psi, with multipliers nu of impacts, of hard terms and of active limits. The multipliers are those
+// of the smallest residual of the other conditions:
 //
 //   stationarity    the force on an interval is the one within the bounds that is nearest to the mean of
-//                   -lambda_v / (2 effort m); the residual is the distance of -(2 effort m u + lambda_v) from the cone
-//                   of outward normals of the active bounds
+//                   -lambda_v / (2 effort m): 2 effort m u + lambda_v is opposite to an outward normal of the bounds
 //   Hamiltonian     its mean over each phase is the same, apart from its change by moving targets of running costs; at
 //   a
-//                   free final time it is -weight.
+//                   free final time it is -weight. (For piecewise constant forces on a grid that moves with the impacts
+//                   this condition is exact, and not the pointwise one; they differ by O(h^2).)
+//   transversality  multipliers of bounds have their sign: the loss does not fall into the region that they allow
+//
+// On a fixed grid the condition of the Hamiltonian is replaced. With an impact on a node and a force that jumps there,
+// the loss has a kink, with the gradients `early` and `late` as if the impact were just before and just after the node.
+// Each belongs to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
 //
 // With design parameters, the derivatives of the loss by them vanish too, or point out of their bounds. The curvature
 // is that along controls, with constant parameters.
@@ -36,7 +26,7 @@
 // First-order conditions compare with motions of the same sequence of impacts only.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
-// principle" (arXiv 2205.08622). Residuals are relative to the largest costate (Hamiltonian) of the path.
+// principle" (arXiv 2205.08622). Residuals are relative to the size of the terms that cancel.
 #pragma once
 
 #include <optional>
@@ -55,7 +45,7 @@ struct ImpactCertificate {
   std::string a, b;             // as in Event
   double speed = 0;             // of approach along the normal, m/s
   double multiplier = 0;        // nu, 1/m
-  double jump = 0;              // residual of the costate jump
+  double jump = 0;              // residual of the costate jump; 0 but for certificates of hmp, as costates are carried
   double hamiltonian = 0;       // residual: the Hamiltonian after less that before
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
@@ -134,12 +124,12 @@ struct Certificate {
   std::optional<double> initial;
   std::optional<double> final_time;  // residual of the derivative of the loss by a free final time
 
-  // The largest mean of 2 effort m u + lambda_v over an interval, combined with the thetas, relative to the largest
-  // costate: the gradient of the loss by the control on the given intervals.
+  // The largest component of the gradient of the loss by the control on the given intervals, combined with the thetas,
+  // relative to the size of its terms.
   std::optional<double> gradient;
 
   // The curvature at a stationary control (on the grid too). Absent without effort, with an impact at the final time,
-  // on a grid that scales with a free final time, and if the matrices would be too large.
+  // and where active bounds have multipliers of zero.
   std::optional<Curvature> curvature;
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;

@@ -144,9 +144,9 @@ class NodeSearch {
     HybridInput input = problem.guess;
     for (int step = 0; step < kNewtonSteps && !interrupted_; ++step) {
       input.control = z_;
-      const std::optional<std::vector<double>> control = ControlAfterNewtonStep(problem, input);
-      if (!control) return;
-      const std::vector<double> z = PutOntoNodes(*control, arrivals_);
+      const std::optional<HybridInput> next = AfterNewtonStep(problem, input, /*moving=*/false);
+      if (!next) return;
+      const std::vector<double> z = PutOntoNodes(next->control, arrivals_);
       double loss = 0;
       if (!run_->shooting().Evaluate(z, &loss, nullptr) || !(loss <= (1 + kRounding) * loss_)) return;
       z_ = z;

@@ -92,7 +92,7 @@ TEST(SearchWork, TheBestOptimumMeetsItsConditionsWhereSolvesTakeLong) {
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
-  EXPECT_NEAR(report.final_loss, 9.374561153842e-07, 1e-16);  // of ceres_phases, which finds it too
+  EXPECT_NEAR(report.final_loss, 9.374561153842e-07, 9e-16);  // of ceres_phases, which finds it too, to 1e-9
 }
 
 // A long solve is cut as well: one limit of iterations alone would let it go on.
