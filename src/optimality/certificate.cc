@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <new>
 #include <numeric>
 #include <string>
 
@@ -275,7 +276,12 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
                    natural.units,
                    scene.units);
   }
-  Certificate certificate = CertifyControl(scene, initial, control, durations, stop);
+  Certificate certificate;
+  try {
+    certificate = CertifyControl(scene, initial, control, durations, stop);
+  } catch (const std::bad_alloc&) {
+    certificate.reason = "memory ran out";
+  }
   if (!scene.design.empty()) CertifyParameters(scene, initial, control, durations, stop, &certificate);
   return certificate;
 }

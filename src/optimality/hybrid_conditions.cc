@@ -788,7 +788,7 @@ class HybridConditions {
   // the guards at the events, and the constraints that are held. M is by central differences of exact first
   // derivatives.
 
-  // A derivative by the unknowns: pairs of an unknown and a coefficient, whose sum counts if an unknown comes twice.
+  // A derivative by the unknowns: pairs of an unknown, which is there once, and a coefficient.
   using SparseRow = std::vector<std::pair<int, double>>;
   using SparseRows = std::vector<SparseRow>;
 
@@ -846,7 +846,14 @@ class HybridConditions {
 
   static void AddScaled(double factor, const SparseRow& row, SparseRow* sum) {
     if (factor == 0) return;
-    for (const auto& [column, value] : row) sum->emplace_back(column, factor * value);
+    for (const auto& [column, value] : row) {
+      const auto known = std::ranges::find(*sum, column, &SparseRow::value_type::first);
+      if (known != sum->end()) {
+        known->second += factor * value;
+      } else {
+        sum->emplace_back(column, factor * value);
+      }
+    }
   }
   static SparseRow Combined(double a, const SparseRow& x, double b, const SparseRow& y) {
     SparseRow sum;

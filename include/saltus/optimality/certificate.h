@@ -156,8 +156,8 @@ const char* CurvatureToString(Curvature::Kind kind);
 std::string VerdictInWords(const Certificate& certificate);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`, or on equal intervals
-// if there are none. If the arguments or the scene are wrong, or `stop` returned true, the certificate is
-// kNotApplicable with the reason.
+// if there are none. If the arguments or the scene are wrong, `stop` returned true, or memory ran out, the certificate
+// is kNotApplicable with the reason.
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
