@@ -137,6 +137,43 @@ TEST(ClosedContacts, AMassThatSticksIsPulledByASearch) {
   EXPECT_LT(report.final_loss, 1.003 * sliding);
 }
 
+// A mass on rough ground, with a smooth wall far to the right.
+struct MassBeforeAWall : PulledMass {
+  static constexpr int kNumContacts = 2;
+  template <typename T>
+  T Gap(int contact, const T* q, const T*) const {
+    return contact == 0 ? q[1] : T(100.0 - q[0]);
+  }
+  template <typename T>
+  T Slide(int contact, const T* q, const T*) const {
+    return q[contact];
+  }
+  template <typename T>
+  T Friction(int contact, const T* p) const {
+    return contact == 0 ? p[0] : T(0.0);
+  }
+};
+
+// The optimum begins with a jump of the control, which is the event of no guard.
+TEST(ClosedContacts, OptimaBesideAContactWithoutFrictionNameTheirEvents) {
+  const MechanicalSystem system{MassBeforeAWall()};
+  const HybridProblem problem{.system = system.hybrid(),
+                              .guess = {.mode = system.Mode("so"),
+                                        .initial = {0, 0, 0, 0},
+                                        .parameters = {0.5, 9.81},
+                                        .duration = 1,
+                                        .num_intervals = 4,
+                                        .control = {0, 0, 8, 0, 8, 0, 8, 0}},
+                              .terms = {MakeTerminalCost(0, 1.5, 40, 4), MakeEffortCost(0.1, 2)},
+                              .free = {.control = true}};
+  const SolveReport report = Solve("mode_search", problem, {.search_options = {.work = 2e5, .starts = 2}});
+  ASSERT_FALSE(report.optima.empty()) << report.reason;
+  const ContactSequence& best = report.optima[0].sequence;
+  ASSERT_FALSE(best.empty()) << report.reason;
+  EXPECT_EQ(problem.system.ModeName(best[0].a), "so");
+  EXPECT_EQ(best[0].b, -1);
+}
+
 // Two carts on the ground, of which the second is pushed, hits the first and comes back.
 struct Carts {
   static constexpr int kNumCoordinates = 4, kNumControls = 1, kNumParameters = 1, kNumContacts = 3;

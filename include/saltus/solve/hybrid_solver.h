@@ -38,7 +38,7 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               the solver that was used.
 //   mode_search                 ceres_phases along neighbouring sequences of events, from several starts. Options:
 //                               iterations (solves), search_options, threads, callback, status and stop. An event of a
-//                               sequence in SolveReport::optima is {mode, guard}.
+//                               sequence in SolveReport::optima is {mode, guard}, or {mode, -1} of a control jump.
 SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options);
 
 // Returns the input of the solution of a report. Precondition: the report has losses.

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <utility>
 
 #include "base/table.h"
 #include "control/hybrid_shooting.h"
@@ -399,8 +400,9 @@ std::optional<HybridProblem> WithoutIdleEvents(const HybridProblem& problem, con
 void RenameEvents(const HybridSystem& of, const HybridSystem& as, std::vector<LocalOptimum>* optima) {
   for (LocalOptimum& optimum : *optima) {
     for (Candidate& event : optimum.sequence) {
-      const std::string name = of.GuardName(event.a, event.b);
-      event.a = as.functions().ModeLike(of.ModeName(event.a));
+      const int mode = std::exchange(event.a, as.functions().ModeLike(of.ModeName(event.a)));
+      if (event.b < 0) continue;  // a jump of the control
+      const std::string name = of.GuardName(mode, event.b);
       for (int guard = 0; guard < as.num_guards(event.a); ++guard) {
         if (as.GuardName(event.a, guard) == name) event.b = guard;
       }
