@@ -506,10 +506,13 @@ class Problem {
       if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->WhyFailed());
       remark = shooting_->simulator().WhyNotDifferentiable();
       Remarks found = RemarksOn(shooting_->simulator());
-      if (const std::string jumps = shooting_->WhereLossJumps(loss); !jumps.empty()) {
-        remark += (remark.empty() ? "" : "; ") + jumps;
-        found.push_back({"derivative", jumps});
-      }
+      const auto add = [&](const char* kind, const std::string& text) {
+        if (text.empty()) return;
+        remark += (remark.empty() ? "" : "; ") + text;
+        found.push_back({kind, text});
+      };
+      add("derivative", shooting_->WhereLossJumps(loss));
+      add("guess", shooting_->TermsWithoutEvents());
       remarks = RemarksToJson(found);
     });
     return py::make_tuple(

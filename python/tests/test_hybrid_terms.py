@@ -580,6 +580,20 @@ class TestTimesOfEvents:
         problem = saltus.HybridProblem(system, mode="a", initial=[1, 0], duration=1.5, costs=[speed])
         assert_allclose(saltus.loss_and_gradient(problem).loss, 2 * 9.81 * (0.8**2 + 0.8**4), rtol=1e-10)
 
+    @pytest.mark.parametrize("solver", ["auto", "ceres_phases", "mode_search"])
+    @pytest.mark.parametrize("role", ["cost", "equality"])
+    def test_a_term_at_an_event_that_does_not_happen_is_named(self, role, solver):
+        landing = saltus.residuals(lambda x: [x[1] - 3], at="event", mode="flight", guard="ground", role=role, name="landing")
+        problem = ball(duration=0.4, costs=[landing, saltus.residuals(lambda p: [p[1] - 0.5])])
+        remark = "landing has no effect, as the motion has no events 'ground' in mode 'flight'; start from a guess that has them"
+        run = saltus.solve(problem, solver=solver, optimize=["e"])
+        assert remark in run.reason
+        gradient = saltus.loss_and_gradient(problem)
+        assert remark in gradient.remark and gradient.remarks[-1]["kind"] == "guess"
+        problem.duration = 0.6
+        assert "no effect" not in saltus.solve(problem, solver=solver, optimize=["e"]).reason
+        assert saltus.loss_and_gradient(problem).remark == ""
+
     @pytest.mark.parametrize("arguments, words", [
         ((["ground"], [1.0]), "guard: found list, expected text"),
         (("ground", []), "times: found .*expected a list of finite numbers, and NaN where one is missing"),

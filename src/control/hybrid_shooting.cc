@@ -21,6 +21,8 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 // A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
 constexpr int kColumnsOfRow = 4;
 
+constexpr const char* kWayToEvents = "start from a guess that has them, or solve along a sequence with them";
+
 }  // namespace
 
 HybridProblem WithAllFree(HybridProblem problem) {
@@ -127,8 +129,7 @@ bool HybridShooting::FindPlaces() {
       }
       if (term.occurrence >= found) {
         return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
-                    "' in the motion, expected at least " + std::to_string(term.occurrence + 1) +
-                    "; start from a guess that has them, or solve along a sequence with them");
+                    "' in the motion, expected at least " + std::to_string(term.occurrence + 1) + "; " + kWayToEvents);
       }
       if (is_cost && term.occurrence >= 0) rows += count;
       continue;
@@ -216,6 +217,20 @@ std::string HybridShooting::WhereLossJumps(double loss) const {
     remark += (remark.empty() ? "" : "; ") + ("guard '" + problem_.system.GuardName(at.mode, at.guard)) +
               "' has an event at t = " + ToText(at.time, 6) + ", where " + term->name +
               " reads the state: the loss jumps as the event crosses this time";
+  }
+  return remark;
+}
+
+std::string HybridShooting::TermsWithoutEvents() const {
+  std::string remark;
+  for (const HybridTerm& term : problem_.terms) {
+    const auto counts = [&](const HybridEvent& event) {
+      return term.CountsAt(problem_.system.functions(), event.mode, event.guard);
+    };
+    if (term.at != HybridTerm::At::kEvent || std::ranges::any_of(Events(), counts)) continue;
+    const std::string where = term.mode < 0 ? "" : " in mode '" + problem_.system.ModeName(term.mode) + "'";
+    remark += (remark.empty() ? "" : "; ") + term.name + " has no effect, as the motion has no events '" + term.event +
+              "'" + where + "; " + kWayToEvents;
   }
   return remark;
 }

@@ -82,6 +82,8 @@ class HybridShooting : public ShootingFunction {
   const HybridTerm* TermThatJumps(int event, int interval, double loss) const;
   // Returns a remark on the events of the last motion at which the loss jumps so; empty if there are none.
   std::string WhereLossJumps(double loss) const;
+  // Returns a remark on the terms at events of which the last motion has none; empty if there are none.
+  std::string TermsWithoutEvents() const;
 
  protected:
   // The motion whose loss is computed: that of the simulator, with located events. A motion of another kind overrides

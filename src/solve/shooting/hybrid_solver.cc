@@ -410,6 +410,16 @@ void RenameEvents(const HybridSystem& of, const HybridSystem& as, std::vector<Lo
   }
 }
 
+void NameTermsWithoutEvents(const HybridProblem& problem, SolveReport* report) {
+  const auto is_at_event = [](const HybridTerm& term) { return term.at == HybridTerm::At::kEvent; };
+  if (std::ranges::none_of(problem.terms, is_at_event)) return;
+  HybridShooting shooting(problem);
+  HybridShooting::Outcome outcome;
+  if (!shooting.Simulate(SolutionOf(problem, *report), &outcome)) return;
+  const std::string remark = shooting.TermsWithoutEvents();
+  if (!remark.empty()) report->reason += (report->reason.empty() ? "" : "; ") + remark;
+}
+
 }  // namespace
 
 const std::vector<HybridSolverEntry>& HybridSolvers() {
@@ -447,6 +457,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
   }
   report = SolveBy(*entry, problem, options);
   if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
+  if (!report.losses.empty()) NameTermsWithoutEvents(problem, &report);
   return report;
 }
 
