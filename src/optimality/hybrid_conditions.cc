@@ -255,7 +255,7 @@ class HybridConditions {
       result->reason = "there are no finite costates: " + WhyNotFinite();
       return false;
     }
-    weights_.assign(sweeps_.size(), 1.0);
+    SetMultipliersOfSizes(VectorXd::Ones(num_multipliers()));
     for (size_t k = 0; k < events().size(); ++k) {
       ImpactCertificate& impact = result->impacts.emplace_back();
       const HybridEvent& event = events()[k];
@@ -1468,18 +1468,22 @@ class HybridConditions {
     }
   }
 
-  // Returns the size of the terms that cancel in a derivative, with the multipliers found up to now.
+  // Returns the size of the terms that cancel in a derivative, with the multipliers found up to now. The costates of
+  // events that follow each other closely are large and cancel, and count together.
   template <typename Of>
   double SizeOf(const Of& of) const {
-    double size = 0;
-    for (size_t j = 0; j < sweeps_.size(); ++j) size += weights_[j] * of(sweeps_[j]);
+    double size = of(sweeps_[0]) + of(events_together_);
+    for (Eigen::Index j = num_events(); j < num_multipliers(); ++j) size += std::abs(of_sizes_[j]) * of(sweeps_[j + 1]);
     return size;
   }
   double HamiltonianSize() const {
     return SizeOf([](const Sweep& s) { return s.hamiltonian_size; });
   }
-  void SetWeights(const VectorXd& theta) {
-    for (int j = 0; j < num_multipliers(); ++j) weights_[j + 1] = std::abs(theta[j]);
+  void SetMultipliersOfSizes(const VectorXd& theta) {
+    of_sizes_ = theta;
+    VectorXd weights = VectorXd::Zero(1 + num_all());
+    weights.segment(1, num_events()) = theta.head(num_events());
+    events_together_ = SweepOf(weights);
   }
 
   // Whether the control does not jump at the beginning of interval k: an event there is as one within an interval.
@@ -1505,7 +1509,7 @@ class HybridConditions {
     }
     conditions.Solve();
     Keep(kinds, &conditions);
-    SetWeights(theta_);
+    SetMultipliersOfSizes(theta_);
     result->stationarity = std::max(Largest(conditions, kinds.controls), conditions.LargestForce());
     result->transversality = Largest(conditions, kinds.variables);
     if (!kinds.duration.empty()) result->final_time = conditions.Number(kinds.duration[0]);
@@ -1667,7 +1671,8 @@ class HybridConditions {
   std::vector<OfInterval> of_interval_;       // the last of the constraints
   std::vector<int> cone_of_;                  // of each number of the control: the constraint of its interval, or -1
   std::vector<Sweep> sweeps_;                 // of the objective, and of each multiplier
-  std::vector<double> weights_;               // of these, in sizes: 1, and the multipliers' absolute values
+  VectorXd of_sizes_;                         // the multipliers that sizes are taken with
+  Sweep events_together_;                     // of all events, with these multipliers
   VectorXd theta_;                            // the multipliers, of all constraints
   std::vector<bool> is_weak_;                 // of each constraint: an inequality that does not press
   std::vector<size_t> weak_variables_;        // places of variables_ at bounds that do not press

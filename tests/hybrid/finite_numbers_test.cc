@@ -301,5 +301,48 @@ TEST(Options, ThatAreNoneAreRefused) {
   }
 }
 
+// A ball of restitution 1/2 that falls from rest, u = [f, w], beside a state z with dz/dt = w.
+struct BallAndIntegrator {
+  static constexpr int kNumControls = 2, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {3}, kNumGuards = {1};
+
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T*, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = u[0] - 9.81;
+    xdot[2] = u[1];
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* out) const {
+    out[0] = x[0];
+    out[1] = -0.5 * x[1];
+    out[2] = x[2];
+    return 0;
+  }
+};
+
+// The multipliers of bounces that accumulate grow with their number, up to 1e9, and cancel. z(T) is 0, where its cost
+// (z - 1)^2 has a slope, whatever the ball does.
+TEST(ManyBounces, DoNotMakeAControlStationary) {
+  const double fall = std::sqrt(2 / 9.81);
+  for (const int bounces : {3, 28}) {
+    double duration = fall;
+    for (int i = 1; i < bounces; ++i) duration += fall * std::ldexp(1.0, 1 - i);
+    duration += 0.5 * fall * std::ldexp(1.0, 1 - bounces);
+    const HybridProblem problem{.system = HybridSystem(BallAndIntegrator()),
+                                .guess = {.initial = {1, 0, 0}, .duration = duration, .num_intervals = 4},
+                                .terms = {MakeTerminalCost(1, 3, 1, 3), MakeTerminalCost(2, 1, 1, 3)},
+                                .free = {.control = true}};
+    const Certificate certificate = Certify(problem, problem.guess);
+    ASSERT_EQ(std::ssize(certificate.impacts), bounces);
+    EXPECT_EQ(certificate.verdict, Certificate::Verdict::kNotStationary) << bounces;
+    EXPECT_GT(certificate.stationarity, 0.1) << bounces;
+  }
+}
+
 }  // namespace
 }  // namespace saltus
