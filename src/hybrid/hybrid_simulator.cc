@@ -9,6 +9,7 @@
 
 #include "base/number_text.h"
 #include "base/statistics.h"
+#include "base/table.h"
 #include "hybrid/hidden_changes.h"
 #include "hybrid/motion_derivatives.h"
 #include "hybrid/rollout.h"
@@ -624,10 +625,10 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
     add(start.control, [&](int i) { return system.ControlName(i); });
     if (names.empty()) continue;
     constexpr std::size_t kMostNames = 6;
-    std::string listed = names[0];
-    for (std::size_t i = 1; i < std::min(names.size(), kMostNames); ++i) listed += ", " + names[i];
-    if (names.size() > kMostNames) listed += " and " + std::to_string(names.size() - kMostNames) + " more";
-    remarks.push_back({start.what + ": derivatives by " + listed + " are one-sided"});
+    const std::size_t more = names.size() - std::min(names.size(), kMostNames);
+    names.resize(names.size() - more);
+    const std::string others = more > 0 ? " and " + std::to_string(more) + " more" : "";
+    remarks.push_back({start.what + ": derivatives by " + Joined(names) + others + " are one-sided"});
   }
   remarks.insert(remarks.end(), run.remarks().begin(), run.remarks().end());
   if (!impl_->why_not_finite.empty()) remarks.push_back({impl_->why_not_finite});
@@ -641,13 +642,7 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
   }
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {
-    if (!tie.ambiguous) continue;
-    std::string names;
-    for (const int guard : tie.guards) {
-      names += (names.empty() ? "'" : ", '") + system.GuardName(tie.mode, guard) + "'";
-    }
-    remarks.push_back(
-        {CountGuards(functions, tie) + " reach zero", tie.time, ", and the order of their events matters: " + names});
+    if (tie.ambiguous) remarks.push_back(RemarkOnTie(system, tie, "the order of their events matters"));
   }
   const std::vector<char>& one_sided = impl_->OneSided();
   for (std::size_t i = 0; i < one_sided.size(); ++i) {

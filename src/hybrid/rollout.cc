@@ -7,6 +7,7 @@
 
 #include "base/interrupt.h"
 #include "base/number_text.h"
+#include "base/table.h"
 
 namespace saltus {
 namespace {
@@ -51,11 +52,17 @@ std::string JoinRemarks(const std::vector<TimedRemark>& remarks) {
   return text;
 }
 
-std::string CountGuards(const HybridFunctions& functions, const HybridTie& tie) {
-  const auto all = std::ssize(tie.guards);
-  const auto switches =
-      std::ranges::count_if(tie.guards, [&](int guard) { return functions.IsSwitch(tie.mode, guard); });
-  return std::to_string(all) + (switches == 0 ? " guards" : switches == all ? " switches" : " guards and switches");
+TimedRemark RemarkOnTie(const HybridSystem& system, const HybridTie& tie, const std::string& consequence) {
+  std::ptrdiff_t switches = 0;
+  std::vector<std::string> names;
+  for (const int guard : tie.guards) {
+    switches += system.functions().IsSwitch(tie.mode, guard) ? 1 : 0;
+    names.push_back(system.GuardName(tie.mode, guard));
+  }
+  const char* what = switches == 0 ? " guards" : switches == std::ssize(names) ? " switches" : " guards and switches";
+  return {std::to_string(names.size()) + what + " reach zero",
+          tie.time,
+          ", and " + consequence + ": " + Joined(names, ", ", "'")};
 }
 
 int IntervalBeginNear(const HybridInput& input, double time, double margin) {
@@ -906,12 +913,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   if (coincidence.guards.size() > 1) {
     coincidence.tie = static_cast<int>(ties_.size());
     const HybridTie& tie = ties_.emplace_back(HybridTie{.time = at_.t, .mode = at_.mode, .guards = coincidence.guards});
-    std::string names;
-    for (const int guard : tie.guards)
-      names += (names.empty() ? "'" : ", '") + system_.GuardName(at_.mode, guard) + "'";
-    coincidence.remark = {CountGuards(functions_, tie) + " reach zero",
-                          at_.t,
-                          ", and the derivatives depend on the order of their events: " + names};
+    coincidence.remark = RemarkOnTie(system_, tie, "the derivatives depend on the order of their events");
   }
   if (due.sinks) {
     Remark(name + kSinks, kAtRateZero);

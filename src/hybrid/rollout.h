@@ -23,8 +23,8 @@ enum class RolloutEnd {
   kRefused,    // what the user's functions return, or where the motion leads
 };
 
-// Returns how many guards and switches reach zero together: "2 guards".
-std::string CountGuards(const HybridFunctions& functions, const HybridTie& tie);
+// Returns the remark on a tie: "2 guards reach zero at t = 1, and <consequence>: 'a', 'b'".
+TimedRemark RemarkOnTie(const HybridSystem& system, const HybridTie& tie, const std::string& consequence);
 
 // The control interval k > 0 that begins within `margin` of its length of `time`, if the control jumps there; -1 if
 // none does.

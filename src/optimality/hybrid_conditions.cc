@@ -250,7 +250,7 @@ class HybridConditions {
       return false;
     }
     for (int j = -1; j < num_multipliers(); ++j) {
-      sweeps_.push_back(SweepOf(WeightsOf(j)));
+      sweeps_.push_back(SweepOf(VectorXd::Unit(1 + num_all(), 1 + j)));
       if (sweeps_.back().IsFinite()) continue;
       result->reason = "there are no finite costates: " + WhyNotFinite();
       return false;
@@ -529,9 +529,6 @@ class HybridConditions {
   }
   const std::vector<HybridTerm>& problem_terms() const { return shooting_.problem().terms; }
 
-  // Returns the weights, over the objective and all multipliers, that select one multiplier.
-  VectorXd WeightsOf(int multiplier) const { return VectorXd::Unit(1 + num_all(), 1 + multiplier); }
-
   // Returns the derivative of a term's contribution to the Lagrangian by its rows; std::nullopt if it has none.
   std::optional<Eigen::RowVectorXd> RowWeights(size_t term, const VectorXd& residuals, const VectorXd& weights) const {
     const HybridTerm& of = *terms_[term].term;
@@ -600,6 +597,7 @@ class HybridConditions {
     std::vector<VectorXd> of_steps, of_events;
   };
 
+  // `weights`: of the objective, and of all multipliers.
   Sweep SweepOf(const VectorXd& weights, Costates* costates = nullptr) const {
     const int P = system_.num_parameters(), m = width(), K = input_.num_intervals;
     Sweep sweep;
