@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "base/file.h"
-#include "output/figure.h"
+#include "output/page.h"
 
 namespace saltus {
 namespace {
@@ -85,14 +85,12 @@ class Report {
     return out.str();
   }
 
-  Figure GrowthFigure() const {
-    Figure figure;
-    figure.title = "Time of a rollout (dashed) and of its loss with gradient (solid)";
-    figure.columns = 2;
-    figure.width = 900;
-    figure.panels = {GrowthPanel("Steps", "steps", "per step (ns)"),
-                     GrowthPanel("Bodies", "discs", "per disc and step (ns)")};
-    return figure;
+  Page GrowthPage() const {
+    Page page("Benchmarks");
+    page.AddFigure({.panels = {GrowthPanel("Steps", "steps", "per step (ns)"),
+                               GrowthPanel("Bodies", "discs", "per disc and step (ns)")}},
+                   "Time of a rollout (dashed) and of its loss with gradient (solid).");
+    return page;
   }
 
  private:
@@ -241,8 +239,8 @@ int Main(int argc, char** argv) {
     std::ifstream file(argv[i]);
     report.Add(Json::parse(file));
   }
-  for (const Status& status : {WriteFile(directory + "/bench.md", report.Markdown()),
-                               WriteFigure(report.GrowthFigure(), directory + "/bench")}) {
+  for (const Status& status :
+       {WriteFile(directory + "/bench.md", report.Markdown()), report.GrowthPage().Write(directory + "/bench.html")}) {
     if (status.ok()) continue;
     std::fprintf(stderr, "error: %s\n", status.message().c_str());
     return 1;

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # usage: scripts/bench.sh [output folder] [flags of google-benchmark...]
-# Runs all benchmarks and writes bench.md, bench.svg and bench.png, python.txt, and the raw results. The folder is results/bench/
+# Runs all benchmarks and writes bench.md, bench.html, python.txt, and the raw results. The folder is results/bench/
 # unless given. Times are of the thread, but a busy machine still blurs them: compare numbers of one run only.
 set -euo pipefail
 

@@ -9,7 +9,6 @@ packages=(
   coinor-libipopt-dev # the optional solver ipopt
   libboost-dev # interval arithmetic
   libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev
-  gnuplot-nox fonts-dejavu-core # figures, and a font for them
   libgtest-dev libgmock-dev libbenchmark-dev
   python3-dev pybind11-dev python3-numpy # the Python module
   python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch, python3-distributed and mypy are skipped without

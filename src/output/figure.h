@@ -1,5 +1,5 @@
-// Line and scatter figures, maps and scenes to scale: drawn by gnuplot as SVG and PNG files, and by the viewer in
-// pages.
+// Line and scatter figures, maps and scenes to scale. The viewer of pages (page/plot.js) draws them, and saves them as
+// SVG files.
 #pragma once
 
 #include <array>
@@ -8,8 +8,6 @@
 #include <string>
 #include <string_view>
 #include <vector>
-
-#include "base/status.h"
 
 namespace saltus {
 
@@ -127,25 +125,11 @@ struct Panel {
   std::vector<Outline> outlines = {};
 };
 
-enum class Legend { kRight, kBelow, kNone };
-
-// Panels in rows, with one legend for all of them beside the plots.
+// Panels, with one legend for all of them.
 struct Figure {
   std::string title = {};
   std::vector<Panel> panels = {};
-  int columns = 1;
-  int width = 800;         // of the figure, pixels
-  int panel_height = 340;  // of a panel with its labels, pixels
-  Legend legend = Legend::kRight;
 };
-
-// Returns the bytes of an SVG file, or of a PNG file twice as wide as the figure's width in pixels, or an error if
-// gnuplot is missing or fails. Preconditions, here and below: at least one panel; x and y of a series have one length.
-enum class FigureFormat { kSvg, kPng };
-StatusOr<std::string> RenderFigure(const Figure& figure, FigureFormat format, const std::string& gnuplot = "gnuplot");
-
-// Writes <path>.svg and <path>.png.
-Status WriteFigure(const Figure& figure, const std::string& path);
 
 // Returns the figure for the viewer of pages (page/plot.js), with numbers of six significant digits.
 nlohmann::ordered_json FigureToJson(const Figure& figure);

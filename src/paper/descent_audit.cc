@@ -73,7 +73,7 @@ void Follow(const Scene& scene, Descent* descent) {
 }
 
 PaperFigure FigureOf(const std::vector<TitledScene>& tasks, const std::vector<Descent>& descents) {
-  Figure figure{.columns = 3, .width = 1500, .legend = Legend::kBelow};
+  Figure figure;
   for (size_t number = 0; number < tasks.size(); ++number) {
     const TitledScene& task = tasks[number];
     const Axis iteration{.label = "iteration, from 1", .log = true};

@@ -180,7 +180,7 @@ CaptionedTable TableOf(const std::vector<Results>& all, const std::vector<std::s
 }
 
 PaperFigure FigureOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {
-  Figure figure{.width = 1200, .panel_height = 420, .legend = Legend::kBelow};
+  Figure figure;
   for (const Results& results : all) {
     Panel panel{.title = results.task.title,
                 .x = {.label = "cost of a step and its gradient (direct = 1)", .log = true, .min = 0.8},
@@ -195,7 +195,6 @@ PaperFigure FigureOf(const std::vector<Results>& all, const std::vector<std::str
     panel.reference_lines.push_back({.value = kLeastErrorShown, .label = "exact to rounding", .colour = "#999999"});
     figure.panels.push_back(std::move(panel));
   }
-  figure.columns = static_cast<int>(figure.panels.size());
   return {"formulations",
           "Time of a step with its gradient, and error of the gradient, at the steps of the scenes. The best models "
           "are at the lower left.",

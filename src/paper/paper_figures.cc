@@ -72,7 +72,7 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
 }
 
 PaperFigure Trajectories(const Experiments& experiments) {
-  Figure figure{.columns = 3, .width = 1200, .legend = Legend::kBelow};
+  Figure figure;
   figure.panels = {TrajectoryPanel(experiments, "bounce_once", "Task 1: one bounce"),
                    TrajectoryPanel(experiments, "ground_wall", "Task 2: ground and wall"),
                    TrajectoryPanel(experiments, "two_balls", "Task 3: two balls")};
@@ -91,7 +91,7 @@ PaperFigure GroundWallLearning(const Experiments& experiments, double friction) 
     for (const std::vector<double>& z : report.iterates) x.push_back(z[0]);
     velocity.series.push_back(Series::ForModel(experiment.contact, Range(x.size()), x));
   });
-  Figure figure{.panels = {loss, velocity}, .columns = 2, .width = 1200, .legend = Legend::kBelow};
+  Figure figure{.panels = {loss, velocity}};
   const std::string with = friction > 0 ? "with friction 0.1" : "without friction";
   return {friction > 0 ? "ground_wall_learning_mu" : "ground_wall_learning",
           "Task 2 " + with +
@@ -119,7 +119,7 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
     for (double t : time) force.push_back(optimum->Control(t)[0]);
     control.series.push_back(Series::ForModel("analytic", time, force));
   }
-  Figure figure{.panels = {loss, control}, .columns = 2, .width = 1200, .legend = Legend::kBelow};
+  Figure figure{.panels = {loss, control}};
   return {
       "two_balls_learning",
       "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "
@@ -152,7 +152,7 @@ PaperFigure StiffnessLearning(const Experiments& experiments) {
 PaperFigure SolverLearning(const Experiments& experiments) {
   const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact);
   const double best = optimum ? optimum->loss : 0;
-  Figure figure{.columns = 3, .width = 1200, .legend = Legend::kBelow};
+  Figure figure;
   for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
     Panel panel{.title = solver,
                 .x = {.label = "iteration", .log = true, .min = 1.0},

@@ -175,7 +175,7 @@ CaptionedTable TableOf(const std::vector<Fit>& fits, const Scene& truth) {
 }
 
 PaperFigure FigureOf(const std::vector<Fit>& fits, const std::vector<std::string>& contacts, const Scene& truth) {
-  Figure figure{.columns = 2, .width = 1200, .panel_height = 420, .legend = Legend::kBelow};
+  Figure figure;
   for (const Of of : {Of::kExactMotion, Of::kOwnMotion}) {
     Panel panel{.title = of == Of::kExactMotion ? "Recording of exact motion" : "Recording of the model's own motion",
                 .x = {.label = "evaluations of motion and gradient", .log = true},

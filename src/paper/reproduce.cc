@@ -207,16 +207,6 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
   OrOutputError(page.Write(output_dir + "/report.html"));
 }
 
-// Draws and writes each figure as SVG and as PNG. Returns false if interrupted.
-bool WriteFigures(const std::vector<PaperFigure>& figures, const std::string& output_dir) {
-  std::vector<std::string> names;
-  for (const PaperFigure& figure : figures) names.push_back(figure.name);
-  Progress progress(ProgressFromFlags(), stderr, "figures", names.size());
-  return RunJobs(names, ThreadsFromFlags(), &progress, [&](int i, const SayNote&) {
-    WriteFigureFiles(figures[i].figure, output_dir + "/" + names[i]);
-  });
-}
-
 // Runs work that cannot ask for interrupts. Returns false if interrupted.
 bool RunStage(const std::string& name, const std::function<void()>& work) {
   Progress progress(ProgressFromFlags(), stderr, name, 1);
@@ -246,12 +236,10 @@ int Reproduce(const std::vector<std::string>& arguments) {
     WriteTextFile(output_dir + "/table_" + name + ".md", "# " + caption + "\n\n" + table.ToMarkdown());
     WriteTextFile(output_dir + "/table_" + name + ".csv", table.ToCsv());
   };
-  std::vector<PaperFigure> figures;
   // Takes the section of a stage; returns false if there is none, as the stage was interrupted.
   const auto take = [&](const auto& section) {
     if (!section) return false;
     for (const CaptionedTable& table : section->tables) write_table(table.name, table.caption, table.table);
-    figures.insert(figures.end(), section->figures.begin(), section->figures.end());
     return true;
   };
   const int threads = ThreadsFromFlags();
@@ -297,11 +285,8 @@ int Reproduce(const std::vector<std::string>& arguments) {
     parts.fits = FitParameters(contacts, threads, progress);
     if (!take(parts.fits)) return kAnswerFailed;
     if (!RunStage("a law of impact", [&] { parts.law = LearnALaw(); })) return kAnswerFailed;
-    if (parts.law) figures.push_back(*parts.law);
   }
   if (!RunStage("data of the figures", [&] { parts.figures = MakePaperFigures(experiments); })) return kAnswerFailed;
-  figures.insert(figures.end(), parts.figures.begin(), parts.figures.end());
-  if (!WriteFigures(figures, output_dir)) return kAnswerFailed;
   const bool written = RunStage("report", [&] { WritePaperReport(experiments, parts, output_dir); });
   if (!written) return kAnswerFailed;
 

@@ -381,7 +381,7 @@ Series SolverSeries(const std::string& solver, std::vector<double> x, std::vecto
 }
 
 PaperFigure LearningCurves(const Tasks& all) {
-  Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
+  Figure figure;
   for (const Task* task : {&all.launch, &all.strike}) {
     Panel panel{.title = task->title,
                 .x = {.label = "iteration, the initial guess being the first", .log = true},
@@ -437,7 +437,7 @@ PaperFigure ControlProfiles(const Tasks& all) {
 }
 
 PaperFigure Defects(const Tasks& all) {
-  Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
+  Figure figure;
   for (const std::string& contact : {all.exact, std::string("compliant_warp")}) {
     const SolvedRun* run = all.strike.Find(contact, "ceres_lagrangian");
     if (run == nullptr || run->report.defects.empty()) continue;

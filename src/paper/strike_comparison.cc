@@ -173,7 +173,7 @@ std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
 }
 
 PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<BoundedReference>& references) {
-  Figure figure{.columns = 2, .width = 1200, .legend = Legend::kBelow};
+  Figure figure;
   for (const BoundedReference& reference : references) {
     const bool symmetric = reference.target[1] == reference.target[0];
     Panel panel{.title = Describe(reference),

@@ -26,9 +26,9 @@ bool IsNotApplicable(const ModelAudit& audit, const Scene& scene);
 // if models are missing.
 int AuditExitCode(const Request& request, const AuditReport& report, std::size_t simulators = 0);
 
-// Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_refinement.{svg,png}, and with a width sweep
-// <scene>_widths.{csv,svg,png}; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws
-// OutputError if it cannot. Writes nothing without --output_dir, and no figures, which take long, after an interrupt.
+// Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_verdicts.md, and with a width sweep
+// <scene>_widths.csv; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws OutputError if it
+// cannot. Writes nothing without --output_dir.
 void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document);
 
 // A tangent of the flow over a few steps around a contact: it begins as a displacement of disc a by 1 along the

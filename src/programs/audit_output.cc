@@ -317,8 +317,6 @@ Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
     Panel panel = RefinementPanel(scene, report, quantity);
     if (!panel.series.empty()) figure.panels.push_back(std::move(panel));
   }
-  figure.columns = static_cast<int>(figure.panels.size());
-  figure.width = 460 * figure.columns + 200;
   return figure;
 }
 
@@ -351,8 +349,6 @@ Figure WidthFigure(const Scene& scene, const AuditReport& report) {
     panel.y = {.label = "slope", .min = low - margin, .max = high + margin};
     figure.panels.push_back(std::move(panel));
   }
-  figure.columns = std::max<int>(1, figure.panels.size());
-  figure.width = 460 * figure.columns + 200;
   return figure;
 }
 
@@ -389,18 +385,10 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
         "finer=finer_rebound; concentration; concentration, finer=finer_concentration; onset order; position from "
         "position; velocity from position, times step=velocity_from_position; evidence=words");
   WriteTextFile(path + "_verdicts.md", VerdictTable(report).ToMarkdown());
-  const bool swept = HasWidths(report);
-  if (swept) {
-    write("_widths.csv",
-          "/width_sweep/sweeps",
-          "contact=^contact; quantity; entry; grid width; width=widths[]; slope=slopes[]; gradient");
-  }
-  if (InterruptGuard::Interrupted()) return;
-  const Figure refinement = RefinementFigure(request.scene, report);
-  if (!refinement.panels.empty()) WriteFigureFiles(refinement, path + "_refinement");
-  if (!swept) return;
-  const Figure widths = WidthFigure(request.scene, report);
-  if (!widths.panels.empty()) WriteFigureFiles(widths, path + "_widths");
+  if (!HasWidths(report)) return;
+  write("_widths.csv",
+        "/width_sweep/sweeps",
+        "contact=^contact; quantity; entry; grid width; width=widths[]; slope=slopes[]; gradient");
 }
 
 // ---- Perturbed flow

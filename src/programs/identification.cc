@@ -179,8 +179,7 @@ Table LawTable(const Identified& identified) {
 }
 
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
-  Figure figure{.panels = {LawPanel(learned, "restitution", &LawPoint::restitution, &LawPoint::restitution_error)},
-                .legend = Legend::kBelow};
+  Figure figure{.panels = {LawPanel(learned, "restitution", &LawPoint::restitution, &LawPoint::restitution_error)}};
   if (known) figure.panels[0].series.push_back(KnownLawSeries(learned, *known));
   if (learned.law.HasFriction()) {
     figure.panels.push_back(LawPanel(learned, "friction", &LawPoint::friction, &LawPoint::friction_error));
@@ -397,7 +396,7 @@ void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
     }
   }
   panel.series.push_back(std::move(samples));
-  Figure figure{.panels = {panel}, .panel_height = 520};
+  const Figure figure{.panels = {panel}};
   page->AddFigure(figure,
                   "The samples, and the fitted motions" +
                       std::string(identified.recordings.size() > recordings ? " of the first recordings." : "."));

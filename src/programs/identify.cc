@@ -116,8 +116,6 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
   write_if_any("_events.csv", EventTable(scene, identified));
   write_if_any("_beside_event.csv", ComparisonTable(identified));
   write_if_any("_law.csv", LawTable(identified));
-  const LearnedLaw* law = LawOf(identified);
-  if (law != nullptr) WriteFigureFiles(LawFigure(*law, identified.known_law), path + "_law");
 }
 
 int ExitCodeOf(const Identified& identified) {

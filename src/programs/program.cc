@@ -603,11 +603,6 @@ void WriteTextFile(const std::string& path, const std::string& text) {
   OrOutputError(WriteFile(path, text, InterruptGuard::Interrupted));
 }
 
-void WriteFigureFiles(const Figure& figure, const std::string& path) {
-  const Status status = WriteFigure(figure, path);
-  if (!InterruptGuard::GraceIsOver()) OrOutputError(status);
-}
-
 void PrintTable(const std::string& caption, const Table& table) {
   const TextLayout layout = LayoutOfStandardOutput();
   std::cout << Paragraph(caption, layout.width) << "\n" << table.ToText(layout) << std::endl;

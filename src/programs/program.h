@@ -204,9 +204,6 @@ void OrOutputError(const Status& status);
 // Writes a whole file. Throws OutputError if it cannot.
 void WriteTextFile(const std::string& path, const std::string& text);
 
-// Writes <path>.svg and <path>.png. Throws OutputError if it cannot, unless the grace of an interrupt is over.
-void WriteFigureFiles(const Figure& figure, const std::string& path);
-
 // Prints a table under its caption on standard output. PrintTableIfAny() prints nothing for a table without rows.
 void PrintTable(const std::string& caption, const Table& table);
 void PrintTableIfAny(const std::string& caption, const Table& table);

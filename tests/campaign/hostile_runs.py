@@ -648,7 +648,7 @@ def judge_files(run):
             data = open(path, "rb").read()
             if name.endswith(".html") and not data.rstrip().endswith(b"</html>"):
                 yield f"{name} is cut off"
-            if name.endswith((".csv", ".md", ".svg")) and no_number(data.decode("utf-8", "replace")):
+            if name.endswith((".csv", ".md")) and no_number(data.decode("utf-8", "replace")):
                 yield f"{name} has no number: {no_number(data.decode('utf-8', 'replace'))}"
             if name.endswith(".npz") and not data.startswith(b"PK"):
                 yield f"{name} is no archive"

@@ -3,6 +3,7 @@
 import json
 import os
 import tempfile
+import xml.etree.ElementTree
 
 from pages import BALL, BOX, PROBLEMS, Pages, main, run
 
@@ -93,6 +94,23 @@ class Viewer(Pages):
         label = self.js("return document.querySelector('.plot .panels svg').getAttribute('aria-label')")
         self.assertEqual(label, "loss against time (s); lcp from (0.00, 1.00) to (5.00, 10.0), marks from (0.00, 3.00) to (0.00, 3.00), "
                                 "impact at 2.00.")
+
+    # The file has both panels beside each other, the title and the key, with text that is markup in neither.
+    def test_figures_are_saved_as_svg(self):
+        panels = [panel([series("a < b & c", [1, 2])]), panel([series("marks", [3], marker="circle", line=False)])]
+        self.show({"kind": "figure", "caption": "c", "figure": {"title": "Waves", "panels": panels}})
+        text = self.js("""
+            const link = document.querySelector('.plot .save');
+            link.addEventListener('click', (event) => event.preventDefault());
+            link.click();
+            return fetch(link.href).then((file) => file.text());""")
+        root = xml.etree.ElementTree.fromstring(text)
+        space = "{http://www.w3.org/2000/svg}"
+        self.assertEqual(root.tag, space + "svg")
+        places = [(part.get("x"), part.get("y")) for part in root.findall(space + "svg")]
+        self.assertEqual(places, [("0", "24"), ("480", "24"), ("12", "344"), ("252", "344")])
+        words = [part.text for part in root.findall(space + "text")]
+        self.assertEqual(words, ["Waves", "a < b & c", "marks"])
 
     # A learning curve whose losses were thinned counts its iterations right.
     def test_learning_curves_count_iterations(self):

@@ -106,7 +106,6 @@ TEST(IdentifyProgram, LearnsTheLawOfImpact) {
   EXPECT_NEAR(law["curve"][0]["speed"].get<double>(), std::sqrt(2 * kGravity * (1 - kRadius)), 0.01);
   EXPECT_NEAR(law["curve"][0]["restitution"].get<double>(), kRestitution, 1e-3);
   EXPECT_TRUE(std::ifstream(TempFile("law") + "/drop_law.csv").good());
-  EXPECT_TRUE(std::ifstream(TempFile("law") + "/drop_law.svg").good());
 }
 
 const std::string kDrops = SourceFolder() + "/problems/drops/";

@@ -4,7 +4,7 @@ const SVG = 'http://www.w3.org/2000/svg';
 const PANEL = {width: 480, height: 320, left: 62, right: 12, top: 26, bottom: 42};
 const PLOT_DASHES = {solid: '', dashed: '6 5', dotted: '1 4', dashdotted: '9 4 1 4'};
 const GRID = '#e6e8eb', AXIS = '#6e7781', SOLID = '#d0d4d9';
-const ALL_MARKED = 40, MARKS_ON_A_LINE = 9;
+const ALL_MARKED = 40, MARKS_ON_A_LINE = 9, KEY_WIDTH = 240, KEY_HEIGHT = 20;
 
 function svg(name, attributes = {}, ...children) {
   const made = document.createElementNS(SVG, name);
@@ -224,26 +224,54 @@ class PanelView {
   }
 }
 
-// Every label once.
-function drawKey(panels) {
+// Every label once, with its style.
+function keyOf(panels) {
   const entries = new Map();
   for (const {series, lines} of panels) {
     for (const one of series) if (one.label && !entries.has(one.label)) entries.set(one.label, one);
     for (const one of lines) if (one.label && !entries.has(one.label)) entries.set(one.label, {...one, line: true, marker: 'none', width: 1.5});
   }
-  return element('div', {class: 'key'}, ...[...entries].map(([label, {colour, dash, marker, line, width}]) => {
-    const sample = svg('svg', {viewBox: '0 0 30 12', 'aria-hidden': 'true'});
-    if (line) sample.append(svg('line', {x1: 1, x2: 29, y1: 6, y2: 6, stroke: colour, 'stroke-width': Math.min(width, 10), 'stroke-dasharray': PLOT_DASHES[dash]}));
-    if (marker !== 'none') sample.append(drawMark(marker, colour, 15, 6));
-    return element('span', {}, sample, label);
-  }));
+  return [...entries];
+}
+
+function drawSample({colour, dash, marker, line, width}) {
+  const sample = svg('svg', {viewBox: '0 0 30 12', width: 30, height: 12, 'aria-hidden': 'true'});
+  if (line) sample.append(svg('line', {x1: 1, x2: 29, y1: 6, y2: 6, stroke: colour, 'stroke-width': Math.min(width, 10), 'stroke-dasharray': PLOT_DASHES[dash]}));
+  if (marker !== 'none') sample.append(drawMark(marker, colour, 15, 6));
+  return sample;
+}
+
+// Returns the whole figure as an SVG file: at most three panels beside each other, and the key below them.
+function svgFile(title, views, key) {
+  const [, , width, height] = views[0].getAttribute('viewBox').split(' ').map(Number), top = title ? 24 : 0;
+  const columns = Math.min(views.length, 3), bottom = top + Math.ceil(views.length / columns) * height;
+  const place = (part, size) => {
+    const placed = part.cloneNode(true);
+    for (const [name, value] of Object.entries(size)) placed.setAttribute(name, value);
+    return placed;
+  };
+  const panels = views.map((view, i) => place(view, {x: i % columns * width, y: top + Math.floor(i / columns) * height, width, height}));
+  const across = Math.floor(columns * width / KEY_WIDTH), below = bottom + Math.ceil(key.length / across) * KEY_HEIGHT;
+  const entries = key.flatMap(([label, look], i) => {
+    const x = 12 + i % across * KEY_WIDTH, y = bottom + Math.floor(i / across) * KEY_HEIGHT;
+    return [place(drawSample(look), {x, y}), svg('text', {x: x + 36, y: y + 10}, label)];
+  });
+  const heading = title ? [svg('text', {x: 12, y: 18, 'font-weight': 600}, title)] : [];
+  const file = svg('svg', {viewBox: `0 0 ${columns * width} ${below}`, width: columns * width, height: below, fill: '#24292f',
+    'font-family': 'Liberation Sans, Arial, sans-serif', 'font-size': 12},
+    svg('rect', {width: '100%', height: '100%', fill: '#ffffff'}), ...heading, ...panels, ...entries);
+  return new XMLSerializer().serializeToString(file);
 }
 
 function drawFigure({title, panels}) {
   const wide = panels.length === 1 && window.innerWidth >= 700;
   const views = panels.map((panel) => new PanelView(panel, wide).svg);
-  const heading = title ? [element('b', {}, title)] : [];
-  return element('div', {class: 'plot'}, ...heading, element('div', {class: 'panels'}, ...views), drawKey(panels));
+  const heading = title ? [element('b', {}, title)] : [], key = keyOf(panels);
+  const save = element('a', {class: 'save', download: 'figure.svg', href: '#', onclick: () => {
+    save.href = URL.createObjectURL(new Blob([svgFile(title, views, key)], {type: 'image/svg+xml'}));
+  }}, 'Save as SVG');
+  return element('div', {class: 'plot'}, ...heading, element('div', {class: 'panels'}, ...views),
+    element('div', {class: 'key'}, ...key.map(([label, look]) => element('span', {}, drawSample(look), label)), save));
 }
 
 // ---- Figures that are drawn from the results
