@@ -94,7 +94,6 @@ PaperFigure FigureOf(const std::vector<TitledScene>& tasks, const std::vector<De
     figure.panels.insert(figure.panels.end(), {angle, loss, own});
   }
   return {
-      "descent_audit",
       "Gradient descent as in the paper: the angle between each model's gradient and the exact gradient of the exact "
       "loss at the same iterate, the exact loss there, and the loss under the model.",
       figure};

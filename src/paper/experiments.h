@@ -72,10 +72,6 @@ class Experiments {
   std::map<std::string, int> index_;
 };
 
-// Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
-// below `output_dir`. Throws InputError if a file cannot be written.
-void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);
-
 // Returns the CPU time of this thread, s, which other load of the machine disturbs little.
 inline double ThreadTime() {
   timespec time;
@@ -92,7 +88,6 @@ struct CaptionedTable {
 };
 
 struct PaperFigure {
-  std::string name;     // of its files
   std::string caption;  // one or two sentences
   Figure figure;
 };
@@ -143,6 +138,7 @@ enum class OtherSolvers { kNone, kQuick, kEverySolver };
 
 struct ComparedSolvers : Section {
   Table headline;              // of task 3 under exact dynamics: three solvers compared with the optimum
+  PaperFigure controls;        // of task 3 under exact dynamics: the force of each solver
   std::set<std::string> slow;  // contact models whose gradients take so long that gradient descent was left out
   // The iterates that AuditDescents() examines, of gradient descent on task 3 under models without experiments.
   std::map<std::string, std::vector<std::vector<double>>> iterates;
@@ -186,7 +182,16 @@ std::optional<PaperFigure> LearnALaw();
 
 // The figures of the paper, from the experiments.
 
-std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments);
+// The trajectories of the three tasks before and after gradient descent.
+PaperFigure Trajectories(const Experiments& experiments);
+// Loss and horizontal launch velocity of task 2 during gradient descent.
+PaperFigure GroundWallLearning(const Experiments& experiments, double friction);
+// Loss of task 3 during gradient descent, and the force that is learned.
+PaperFigure TwoBallsLearning(const Experiments& experiments);
+// Loss of task 3 under the compliant model at four stiffnesses.
+PaperFigure StiffnessLearning(const Experiments& experiments);
+// Loss of task 3 above the optimum with three solvers.
+PaperFigure SolverLearning(const Experiments& experiments);
 
 // Returns the result of gradient descent on a task under each model, as the model simulates it, and the exact motion of
 // the control or velocity of the first; for a task that is not optimised, its guess.

@@ -195,10 +195,10 @@ PaperFigure FigureOf(const std::vector<Results>& all, const std::vector<std::str
     panel.reference_lines.push_back({.value = kLeastErrorShown, .label = "exact to rounding", .colour = "#999999"});
     figure.panels.push_back(std::move(panel));
   }
-  return {"formulations",
-          "Time of a step with its gradient, and error of the gradient, at the steps of the scenes. The best models "
-          "are at the lower left.",
-          figure};
+  return {
+      "Time of a step with its gradient, and error of the gradient, at the steps of the scenes. The best models "
+      "are at the lower left.",
+      figure};
 }
 
 std::vector<std::string> FindingsOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {

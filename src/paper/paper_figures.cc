@@ -71,15 +71,17 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
   return panel;
 }
 
+}  // namespace
+
 PaperFigure Trajectories(const Experiments& experiments) {
   Figure figure;
   figure.panels = {TrajectoryPanel(experiments, "bounce_once", "Task 1: one bounce"),
                    TrajectoryPanel(experiments, "ground_wall", "Task 2: ground and wall"),
                    TrajectoryPanel(experiments, "two_balls", "Task 3: two balls")};
-  return {"trajectories",
-          "The three tasks: initial trajectory, and the trajectory after 1000 updates of gradient descent with and "
-          "without the time of impact. Filled dots are targets.",
-          figure};
+  return {
+      "The three tasks: initial trajectory, and the trajectory after 1000 updates of gradient descent with and "
+      "without the time of impact. Filled dots are targets.",
+      figure};
 }
 
 PaperFigure GroundWallLearning(const Experiments& experiments, double friction) {
@@ -93,8 +95,7 @@ PaperFigure GroundWallLearning(const Experiments& experiments, double friction) 
   });
   Figure figure{.panels = {loss, velocity}};
   const std::string with = friction > 0 ? "with friction 0.1" : "without friction";
-  return {friction > 0 ? "ground_wall_learning_mu" : "ground_wall_learning",
-          "Task 2 " + with +
+  return {"Task 2 " + with +
               ": loss and horizontal launch velocity during gradient descent. Models whose gradient has the "
               "wrong sign in x end at another solution, which misses the wall.",
           figure};
@@ -121,7 +122,6 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
   }
   Figure figure{.panels = {loss, control}};
   return {
-      "two_balls_learning",
       "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "
       "the hybrid minimum principle. A loss below the analytic optimum is an artefact of the time grid.",
       figure};
@@ -144,9 +144,7 @@ PaperFigure StiffnessLearning(const Experiments& experiments) {
     panel.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
   }
   Figure figure{.panels = {panel}};
-  return {"stiffness_learning",
-          "Task 3 with the compliant model at four stiffnesses. The stiffest fails to learn.",
-          figure};
+  return {"Task 3 with the compliant model at four stiffnesses. The stiffest fails to learn.", figure};
 }
 
 PaperFigure SolverLearning(const Experiments& experiments) {
@@ -170,25 +168,17 @@ PaperFigure SolverLearning(const Experiments& experiments) {
     figure.panels.push_back(panel);
   }
   return {
-      "solver_learning",
       "Task 3: the loss under each contact model, less the analytic optimum, for three solvers; the initial guess is "
       "iteration 1. Losses below the optimum, which only a wrong model can reach, leave the figure.",
       figure};
 }
 
+namespace {
+
 // The models whose motions are shown at first, as they differ most; readers can turn the others on.
 constexpr const char* kShown[] = {"event", "direct_toi", "direct"};
 
 }  // namespace
-
-std::vector<PaperFigure> MakePaperFigures(const Experiments& experiments) {
-  return {Trajectories(experiments),
-          GroundWallLearning(experiments, 0),
-          GroundWallLearning(experiments, 0.1),
-          TwoBallsLearning(experiments),
-          StiffnessLearning(experiments),
-          SolverLearning(experiments)};
-}
 
 Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   const Scene& scene = experiments.scene(problem);

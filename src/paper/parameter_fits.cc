@@ -192,10 +192,10 @@ PaperFigure FigureOf(const std::vector<Fit>& fits, const std::vector<std::string
     panel.reference_lines.push_back({.value = kOff - 1, .label = "the start", .colour = "#999999"});
     figure.panels.push_back(std::move(panel));
   }
-  return {"parameter_fits",
-          "Time of a fit, and error of the parameters with which it ends. Models are missing where a parameter is not "
-          "determined, as the restitution is in models that do not depend on it.",
-          figure};
+  return {
+      "Time of a fit, and error of the parameters with which it ends. Models are missing where a parameter is not "
+      "determined, as the restitution is in models that do not depend on it.",
+      figure};
 }
 
 std::vector<std::string> FindingsOf(const std::vector<Fit>& fits, const std::vector<std::string>& contacts,
@@ -265,7 +265,6 @@ std::optional<PaperFigure> LearnALaw() {
   figure.panels[0].reference_lines.push_back(
       {.value = scene.contact.restitution, .label = "the start", .colour = "#999999", .dash = Dash::kDotted});
   return PaperFigure{
-      "learned_law",
       "Restitution by the speed of approach, learned by a network of " + std::to_string(kUnits) + " tanh units from " +
           std::to_string(report.law->impacts) +
           " impacts of a ball that was dropped from four heights and seen 60 times a second with 1 mm of noise; known "

@@ -23,11 +23,7 @@ DEFINE_bool(every_solver, false, "run every general solver also under the models
 namespace saltus {
 namespace {
 
-void AddFigure(const std::vector<PaperFigure>& figures, const std::string& name, Page* page) {
-  for (const PaperFigure& figure : figures) {
-    if (figure.name == name) page->AddFigure(figure.figure, figure.caption);
-  }
-}
+void AddFigure(const PaperFigure& figure, Page* page) { page->AddFigure(figure.figure, figure.caption); }
 
 void AddPublishedTable(const std::vector<PublishedRow>& rows, const std::string& name, Page* page) {
   for (const auto& [table, caption] : PublishedTables()) {
@@ -70,13 +66,12 @@ void AddTables(const Section& section, Page* page) {
 }
 
 void AddFigures(const Section& section, Page* page) {
-  for (const PaperFigure& figure : section.figures) page->AddFigure(figure.figure, figure.caption);
+  for (const PaperFigure& figure : section.figures) AddFigure(figure, page);
 }
 
 // The parts of the report.
 struct Parts {
   std::vector<PublishedRow> rows;
-  std::vector<PaperFigure> figures;  // those of MakePaperFigures()
   std::optional<ComparedSolvers> solvers;
   std::optional<Section> strike, formulations, descents, fits;
   std::optional<PaperFigure> law;
@@ -85,7 +80,7 @@ struct Parts {
 
 // Writes report.html: all tables and figures with explanations. Throws OutputError if it cannot be written.
 void WritePaperReport(const Experiments& experiments, const Parts& parts, const std::string& output_dir) {
-  const auto& [rows, figures, solvers, strike, formulations, descents, fits, law, seconds] = parts;
+  const auto& [rows, solvers, strike, formulations, descents, fits, law, seconds] = parts;
   Page page(
       "Gradients through contact, reproduced",
       "Zhong, Han, Brikis 2022, “Differentiable Physics Simulations with Contacts: Do They Have Correct Gradients "
@@ -101,7 +96,7 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "coloured where the numbers differ, and the notes below give the reason: yellow, ours is as expected and the "
       "published number is in error; red, ours is not as expected; grey, rounding errors decide the number, and it is "
       "not judged.");
-  AddFigure(figures, "trajectories", &page);
+  AddFigure(Trajectories(experiments), &page);
 
   page.AddHeading("Task 1: one bounce");
   page.AddParagraph(
@@ -117,23 +112,23 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "updates of gradient descent at a rate of 0.01. Several solutions exist; the sign of the gradient decides which "
       "one is found.");
   AddPublishedTable(rows, "T2", &page);
-  AddFigure(figures, "ground_wall_learning", &page);
+  AddFigure(GroundWallLearning(experiments, 0), &page);
   AddPublishedTable(rows, "T4", &page);
-  AddFigure(figures, "ground_wall_learning_mu", &page);
+  AddFigure(GroundWallLearning(experiments, 0.1), &page);
   AddTask(experiments, "ground_wall", &page);
 
   page.AddHeading("Task 3: two balls");
   page.AddTable(solvers->headline,
                 "Task 3 under exact dynamics (`event`): three solvers compared with the analytic optimum.");
-  AddFigure(solvers->figures, "solver_controls", &page);
+  AddFigure(solvers->controls, &page);
   page.AddParagraph(
       "The force with which one ball hits the other towards the origin, with a penalty on effort; in the paper 1000 "
       "updates at a rate of 10. None of the nine models has a correct gradient in this task, because a force acts at "
       "the moment of impact. A loss below the analytic optimum is an artefact of the time discretisation.");
   AddPublishedTable(rows, "T3", &page);
-  AddFigure(figures, "two_balls_learning", &page);
+  AddFigure(TwoBallsLearning(experiments), &page);
   AddPublishedTable(rows, "F5", &page);
-  AddFigure(figures, "stiffness_learning", &page);
+  AddFigure(StiffnessLearning(experiments), &page);
   AddTask(experiments, "two_balls", &page);
 
   if (descents) {
@@ -153,9 +148,9 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "`gap` its difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not "
       "correct the gradient.");
   page.AddList(solvers->findings);
-  for (const char* figure : {"solver_comparison", "defects"}) AddFigure(solvers->figures, figure, &page);
+  AddFigures(*solvers, &page);
   AddTables(*solvers, &page);
-  AddFigure(figures, "solver_learning", &page);
+  AddFigure(SolverLearning(experiments), &page);
 
   page.AddHeading("Solvers through the impact");
   page.AddParagraph(
@@ -195,7 +190,7 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
         "The restitution need not be constant. Here it is a small network of the speed of approach in exact events "
         "(`neural_event`), whose weights are unknowns of the same least squares; derivatives pass through the impact "
         "times. The network starts as a constant and has no information on the form of the law.");
-    page.AddFigure(law->figure, law->caption);
+    AddFigure(*law, &page);
   }
 
   page.AddHeading("Optima of the follow-up paper");
@@ -250,7 +245,6 @@ int Reproduce(const std::vector<std::string>& arguments) {
   const bool published = RunStage("comparison with the published values", [&] {
     CompareWithPublished(experiments, &parts.rows);
     for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(parts.rows, name));
-    WriteNotebookFiles(experiments, output_dir);
   });
   if (!published) return kAnswerFailed;
   const OtherSolvers others = FLAGS_every_solver       ? OtherSolvers::kEverySolver
@@ -286,7 +280,6 @@ int Reproduce(const std::vector<std::string>& arguments) {
     if (!take(parts.fits)) return kAnswerFailed;
     if (!RunStage("a law of impact", [&] { parts.law = LearnALaw(); })) return kAnswerFailed;
   }
-  if (!RunStage("data of the figures", [&] { parts.figures = MakePaperFigures(experiments); })) return kAnswerFailed;
   const bool written = RunStage("report", [&] { WritePaperReport(experiments, parts, output_dir); });
   if (!written) return kAnswerFailed;
 

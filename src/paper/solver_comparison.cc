@@ -398,7 +398,6 @@ PaperFigure LearningCurves(const Tasks& all) {
     figure.panels.push_back(panel);
   }
   return {
-      "solver_comparison",
       "All solvers under exact dynamics. In task 2 least squares end in a few steps. In task 3 those on a fixed "
       "grid stall where the impact meets a node of the grid, each of which is a local minimum; `ceres_shooting` then "
       "moves it from node to node.",
@@ -430,10 +429,10 @@ PaperFigure ControlProfiles(const Tasks& all) {
     panel.series.push_back(analytic);
   }
   Figure figure{.panels = {panel}};
-  return {"solver_controls",
-          "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
-          "impact a force only adds effort.",
-          figure};
+  return {
+      "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
+      "impact a force only adds effort.",
+      figure};
 }
 
 PaperFigure Defects(const Tasks& all) {
@@ -463,7 +462,6 @@ PaperFigure Defects(const Tasks& all) {
     figure.panels.push_back(std::move(panel));
   }
   return {
-      "defects",
       "Task 3 by the augmented Lagrangian: the defects of the steps, relative to the scene's length and speed. At "
       "first "
       "every step has one, because that costs less than a force. The multipliers should close all defects, and do not: "
@@ -478,8 +476,9 @@ std::optional<ComparedSolvers> CompareSolvers(const Experiments& experiments, Ot
                                               ProgressMode mode) {
   Tasks all = PlanTasks(experiments, others);
   if (!RunAll(&all, threads, mode)) return std::nullopt;
-  ComparedSolvers compared{{FindingsOf(all), TablesOf(all), {LearningCurves(all), ControlProfiles(all), Defects(all)}},
+  ComparedSolvers compared{{FindingsOf(all), TablesOf(all), {LearningCurves(all), Defects(all)}},
                            HeadlineOf(all),
+                           ControlProfiles(all),
                            all.slow,
                            {}};
   for (const SolvedRun& run : all.others.runs) {

@@ -215,10 +215,10 @@ PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<Bounde
       panel.reference_lines.push_back({.value = *reference.max, .label = "bound", .dash = Dash::kDotted});
     figure.panels.push_back(std::move(panel));
   }
-  return {"bounded_controls",
-          "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
-          "first, and the impact comes later than without; after it a force only adds effort.",
-          std::move(figure)};
+  return {
+      "Task 3 with bounds on the force: what solvers find, and the analytic optimum. The force is at its bound "
+      "first, and the impact comes later than without; after it a force only adds effort.",
+      std::move(figure)};
 }
 
 std::vector<std::string> FindingsOf(const std::vector<Entry>& entries) {
