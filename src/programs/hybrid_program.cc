@@ -12,6 +12,7 @@
 #include "programs/feedback_study.h"
 #include "programs/simulators.h"
 #include "programs/solve.h"
+#include "solve/control_guess.h"
 
 DEFINE_string(
     set, "",
@@ -60,21 +61,9 @@ void ReadSet(HybridProblem* problem) {
   }
 }
 
-// The guess's control on another number of intervals: the mean over each.
+// Takes the guess's control on another number of intervals: the mean over each.
 void Resample(int intervals, HybridInput* guess, int width) {
-  if (!guess->control.empty()) {
-    const int before = guess->num_intervals;
-    std::vector<double> control(static_cast<std::size_t>(intervals) * width, 0.0);
-    for (int k = 0; k < intervals; ++k) {
-      const double from = static_cast<double>(k) * before / intervals,
-                   to = static_cast<double>(k + 1) * before / intervals;
-      for (int j = static_cast<int>(from); j < std::min<double>(std::ceil(to), before); ++j) {
-        const double part = (std::min(to, j + 1.0) - std::max(from, static_cast<double>(j))) / (to - from);
-        for (int i = 0; i < width; ++i) control[k * width + i] += part * guess->control[j * width + i];
-      }
-    }
-    guess->control = std::move(control);
-  }
+  if (!guess->control.empty()) guess->control = MeanOverSteps({guess->control, guess->lengths}, width, intervals);
   guess->num_intervals = intervals;
   guess->lengths.clear();
 }
