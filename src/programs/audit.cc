@@ -11,7 +11,6 @@
 #include <optional>
 
 #include "base/interrupt.h"
-#include "programs/input_files.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
 
@@ -24,7 +23,6 @@ DEFINE_bool(
     width_sweep, false,
     "also compare the gradient with differences of the loss of every width (always done where no exact gradient "
     "exists)");
-DEFINE_string(given, "", "JSON file with an externally computed gradient to audit, with the keys that --json prints");
 DEFINE_bool(fail_on_wrong, false,
             "end with exit code 1 if a gradient is wrong or has the wrong sign (audits of hybrid systems always do)");
 
@@ -69,32 +67,6 @@ std::optional<ModelGradient> FindReference(const Request& request, Progress* pro
         return ExactGradientOf(scene, AskedToStop);
       });
   return found.results[0].value_or(std::nullopt);
-}
-
-// The gradient in --given beside the reference.
-struct GivenAudit {
-  std::string name;
-  std::vector<GivenEntry> entries;
-};
-
-Json GivenToJson(const GivenAudit& audit) {
-  Json entries = Json::array();
-  for (const GivenEntry& entry : audit.entries) {
-    entries.push_back({{"entry", entry.entry},
-                       {"given", entry.given},
-                       {"exact", entry.exact},
-                       {"verdict", VerdictToString(entry.verdict)}});
-  }
-  return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
-}
-
-Table GivenTable(const std::vector<GivenEntry>& entries) {
-  Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
-  for (const GivenEntry& entry : entries) {
-    table.AddRow(
-        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
-  }
-  return table;
 }
 
 }  // namespace
@@ -177,60 +149,6 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
     std::cerr << "wrong gradients of " << wrong.size() << " of " << asked << " (" << FirstOf(wrong) << ")" << std::endl;
   }
   return failed || !wrong.empty() ? kAnswerFailed : kDone;
-}
-
-int AuditMain(int argc, char** argv) {
-  const std::vector<std::string> arguments(argv, argv + argc);
-  return RunMain(argc, argv, FindProgram("saltus_audit"), [&arguments] {
-    Request request;
-    if (!ReadRequest({}, &request)) return kDone;
-    const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
-    // Simulators are audited alone unless contact models are asked for too.
-    if (!simulators.empty() && !IsGiven("contact")) request.contacts.clear();
-    if (!simulators.empty() && request.options.surrogate) {
-      throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");
-    }
-    std::optional<GivenGradient> gradient;
-    if (!FLAGS_given.empty()) gradient = ReadGivenGradient(FLAGS_given, request.scene);
-    const InterruptGuard guard;
-    const AuditReport report = RunAudit(request, gradient.has_value(), simulators);
-    std::optional<GivenAudit> given;
-    if (gradient && report.reference) {
-      given = {gradient->name, JudgeGiven(request.scene, *gradient, *report.reference)};
-    }
-    std::optional<Json> made;
-    const auto document = [&]() -> const Json& {
-      if (made) return *made;
-      made = AuditToJson(request, report);
-      if (given) (*made)["given"] = GivenToJson(*given);
-      return *made;
-    };
-    const auto print = [&] {
-      if (request.json) return PrintJson(document(), request.precision);
-      PrintAuditTable(request, report);
-      if (!given) return;
-      const TextLayout layout = LayoutOfStandardOutput();
-      std::cout << Paragraph(given->name + ": " + VerdictToString(WorstOf(given->entries)), layout.width) << "\n"
-                << GivenTable(given->entries).ToText(layout) << std::endl;
-    };
-    const auto write = [&] {
-      DoAll({[&] { WriteAuditFiles(request, report, document()); },
-             [&] {
-               WriteReport(request, [&](Page* page) {
-                 AddAuditSections(request, report, page);
-                 page->SetResults(document());
-               });
-             }});
-    };
-    if (request.output_dir.empty()) {
-      print();
-    } else {
-      DoAll({write, print});
-    }
-    PrintReportPath(request);
-    const bool wrong = FLAGS_fail_on_wrong && given && IsWrong(WorstOf(given->entries));
-    return std::max(AuditExitCode(request, report, simulators.size()), wrong ? kAnswerFailed : kDone);
-  });
 }
 
 }  // namespace saltus

@@ -29,7 +29,7 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
 // Writes <scene>_{gradients,refinement,contacts,classes}.csv and <scene>_verdicts.md, and with a width sweep
 // <scene>_widths.csv; of a surrogate <scene>_<surrogate>_biased_{gradients.csv,verdicts.md}. Throws OutputError if it
 // cannot. Writes nothing without --output_dir.
-void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document);
+void WriteAuditFiles(const Request& request, const AuditReport& report);
 
 // A tangent of the flow over a few steps around a contact: it begins as a displacement of disc a by 1 along the
 // contact's normal, and goes on by the linearizations of the steps.

@@ -358,7 +358,7 @@ bool HasWidths(const AuditReport& report) {
 
 }  // namespace
 
-void WriteAuditFiles(const Request& request, const AuditReport& report, const Json& document) {
+void WriteAuditFiles(const Request& request, const AuditReport& report) {
   if (request.output_dir.empty()) return;
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
   const std::string path = request.output_dir + "/" + request.scene.name + FileSuffix(surrogate);
@@ -368,7 +368,7 @@ void WriteAuditFiles(const Request& request, const AuditReport& report, const Js
     return;
   }
   WriteTextFile(path + "_gradients.csv", EntryTable(request.scene, report).ToCsv());
-  const Json& audits = document["audits"];
+  const Json audits = AuditToJson(request, report)["audits"];
   const auto write = [&](const std::string& suffix, const std::string& list, const std::string& columns) {
     WriteTextFile(path + suffix, TableOf(audits, list, columns).ToCsv());
   };

@@ -41,19 +41,6 @@ std::string TerminationInWords(const SolveReport& report) {
   return TerminationToString(report.termination) + (elsewhere ? " under " + report.contact : std::string());
 }
 
-// States are most of a document: where there is no memory for them, the rest is printed.
-void PrintSolveJson(const Request& request, const SolvedRuns& solved) {
-  const auto print = [&](const Request& what) { PrintJson(SolveToJson(what, solved), what.precision); };
-  try {
-    return print(request);
-  } catch (const std::bad_alloc&) {
-    if (!request.states) throw;
-  }
-  HoldMemoryBackAgain();
-  print(WithoutStates(request));
-  throw std::bad_alloc();
-}
-
 // Runs that are refused for one reason: each of these solvers with each of these contact models.
 struct Refusal {
   std::vector<std::string> contacts, solvers;
@@ -225,25 +212,6 @@ int SolveExitCode(const SolvedRuns& solved) {
               << std::endl;
   }
   return !failed.empty() || solved.interrupted ? kAnswerFailed : kDone;
-}
-
-int SolveMain(int argc, char** argv) {
-  return RunMain(argc, argv, FindProgram("saltus_solve"), [] {
-    Request request;
-    if (!ReadRequest({.scene = "", .solver = "auto"}, &request)) return kDone;
-    const InterruptGuard guard;
-    const SolvedRuns solved = SolveAll(request);
-    const auto print = [&] {
-      if (request.json) {
-        PrintSolveJson(request, solved);
-      } else {
-        PrintSolveTable(request, solved);
-      }
-    };
-    DoAll({[&] { WriteSolutions(request, solved); }, [&] { WriteSolveReport(request, solved); }, print});
-    PrintReportPath(request);
-    return SolveExitCode(solved);
-  });
 }
 
 }  // namespace saltus
