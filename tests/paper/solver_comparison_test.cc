@@ -20,15 +20,15 @@ class Comparison : public testing::Test {
     ASSERT_TRUE(experiments.Run(2, ProgressMode::kNone));
     const auto compared = CompareSolvers(experiments, OtherSolvers::kQuick, 2, ProgressMode::kNone);
     ASSERT_TRUE(compared.has_value());
-    comparison_ = new Section(*compared);
+    comparison_ = new ComparedSolvers(*compared);
   }
 
   static CsvDocument Find(const std::string& name) { return FindTable(comparison_->tables, name); }
 
-  static Section* comparison_;
+  static ComparedSolvers* comparison_;
 };
 
-Section* Comparison::comparison_ = nullptr;
+ComparedSolvers* Comparison::comparison_ = nullptr;
 
 TEST_F(Comparison, HasEveryModelWithEveryGeneralSolver) {
   for (const char* name : {"comparison_ground_wall", "comparison_ground_wall_mu", "comparison_two_balls"}) {
