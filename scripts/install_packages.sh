@@ -7,7 +7,7 @@ packages=(
   g++ mold cmake ninja-build pkg-config
   libceres-dev libeigen3-dev libgflags-dev libgoogle-glog-dev # the solver, and what it is made of
   coinor-libipopt-dev # the optional solver ipopt
-  libboost-dev # interval arithmetic
+  libboost-dev # interval arithmetic, UTF-8
   libyaml-cpp-dev nlohmann-json3-dev libzip-dev libtbb-dev
   libgtest-dev libgmock-dev libbenchmark-dev
   python3-dev pybind11-dev python3-numpy # the Python module

@@ -5,7 +5,9 @@
 
 #include <algorithm>
 #include <bit>
+#include <boost/locale/utf.hpp>
 #include <cstring>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <new>
@@ -22,34 +24,11 @@ namespace {
 
 // ---- Text: UTF-32, all entries of one length, padded with zeros (NumPy's type str_, '<U<length>')
 
+using Utf8 = boost::locale::utf::utf_traits<char>;
+
 constexpr std::string_view kNpyTextType = "<U";
 constexpr char32_t kReplacement = 0xfffd;
 constexpr char32_t kLargestCharacter = 0x10ffff;
-
-// Decodes one character at `at` and advances `at`.
-char32_t TakeCharacter(const std::string& text, size_t* at) {
-  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned first = byte((*at)++);
-  if (first < 0x80) return first;
-  const int more = first >= 0xf0 ? 3 : first >= 0xe0 ? 2 : first >= 0xc0 ? 1 : 0;
-  if (more == 0 || first > 0xf4) return kReplacement;
-  char32_t character = first & (0x3fu >> more);
-  for (int i = 0; i < more; ++i) {
-    if (*at == text.size() || (byte(*at) & 0xc0) != 0x80) return kReplacement;
-    character = character << 6 | (byte((*at)++) & 0x3f);
-  }
-  return std::min(character, kLargestCharacter);
-}
-
-void AppendCharacter(char32_t c, std::string* text) {
-  if (c < 0x80) {
-    *text += static_cast<char>(c);
-    return;
-  }
-  const int more = c < 0x800 ? 1 : c < 0x10000 ? 2 : 3;
-  *text += static_cast<char>((0xff00u >> (more + 1) & 0xff) | c >> (6 * more));
-  for (int i = more - 1; i >= 0; --i) *text += static_cast<char>(0x80 | (c >> (6 * i) & 0x3f));
-}
 
 // Encodes texts of `width` characters each, that of the longest; bytes that are not UTF-8 become U+FFFD.
 std::string EncodeTexts(const std::vector<std::string>& texts, size_t* width) {
@@ -57,7 +36,10 @@ std::string EncodeTexts(const std::vector<std::string>& texts, size_t* width) {
   *width = 1;
   for (const std::string& text : texts) {
     wide.emplace_back();
-    for (size_t at = 0; at < text.size();) wide.back() += TakeCharacter(text, &at);
+    for (auto at = text.begin(); at != text.end();) {
+      const auto character = Utf8::decode(at, text.end());  // beyond the largest if there is none
+      wide.back() += character <= kLargestCharacter ? char32_t{character} : kReplacement;
+    }
     *width = std::max(*width, wide.back().size());
   }
   std::string bytes;
@@ -171,12 +153,12 @@ StatusOr<NpyArray> DecodeText(std::vector<int64_t> shape, const std::string& des
   for (size_t i = 0; i < bytes.size() && fits; i += sizeof(char32_t)) {
     char32_t c = 0;
     std::memcpy(&c, bytes.data() + i, sizeof c);
-    if (c != U'\0') {
-      AppendCharacter(c, &texts[i / entry]);
-    } else {
-      i += entry - i % entry - sizeof c;  // padding to the end of the entry
-    }
     fits = c <= kLargestCharacter;
+    if (c == U'\0') {
+      i += entry - i % entry - sizeof c;  // padding to the end of the entry
+    } else if (fits) {
+      Utf8::encode(c, std::back_inserter(texts[i / entry]));
+    }
   }
   if (!fits) {
     return Status::Error("shape " + ShapeTuple(shape) + " does not fit " + std::to_string(bytes.size()) +
