@@ -11,9 +11,10 @@
 #include "base/number_text.h"
 
 namespace saltus {
-namespace {
 
 using Json = nlohmann::ordered_json;
+
+namespace {
 
 Json RoundedToJson(double value) { return std::isfinite(value) ? Json(RoundedTo(6, value)) : Json(); }
 
@@ -23,51 +24,52 @@ Json RoundedToJson(const std::vector<double>& values) {
   return list;
 }
 
-Json AxisToJson(const Axis& axis) {
-  Json item = {{"label", axis.label}, {"log", axis.log}};
-  if (axis.min) item["min"] = *axis.min;
-  if (axis.max) item["max"] = *axis.max;
-  return item;
-}
-
-Json PanelToJson(const Panel& panel) {
-  Json item = {
-      {"title", panel.title}, {"x", AxisToJson(panel.x)}, {"y", AxisToJson(panel.y)}, {"equal", panel.equal_aspect}};
-  for (const char* key : {"series", "lines", "rectangles", "circles", "planes", "outlines"}) item[key] = Json::array();
-  for (const Series& series : panel.series) {
-    item["series"].push_back({{"label", series.label},
-                              {"x", RoundedToJson(series.x)},
-                              {"y", RoundedToJson(series.y)},
-                              {"colour", series.colour},
-                              {"dash", DashName(series.dash)},
-                              {"marker", MarkerName(series.marker)},
-                              {"line", series.line},
-                              {"width", series.width}});
-  }
-  for (const ReferenceLine& line : panel.reference_lines) {
-    item["lines"].push_back({{"value", RoundedToJson(line.value)},
-                             {"label", line.label},
-                             {"vertical", line.vertical},
-                             {"colour", line.colour},
-                             {"dash", DashName(line.dash)}});
-  }
-  for (const Rectangle& shape : panel.rectangles) {
-    item["rectangles"].push_back({{"from", shape.from}, {"to", shape.to}, {"colour", shape.colour}});
-  }
-  for (const Circle& shape : panel.circles) {
-    item["circles"].push_back(
-        {{"centre", shape.centre}, {"radius", shape.radius}, {"colour", shape.colour}, {"opacity", shape.opacity}});
-  }
-  for (const SolidHalfPlane& plane : panel.half_planes) {
-    item["planes"].push_back({{"point", plane.point}, {"normal", plane.normal}});
-  }
-  for (const Outline& outline : panel.outlines) {
-    item["outlines"].push_back({{"points", outline.points}, {"solid", SolidName(outline.solid)}});
-  }
-  return item;
-}
-
 }  // namespace
+
+void to_json(Json& json, const Axis& axis) {
+  json = {{"label", axis.label}, {"log", axis.log}};
+  if (axis.min) json["min"] = *axis.min;
+  if (axis.max) json["max"] = *axis.max;
+}
+
+void to_json(Json& json, const Series& series) {
+  json = {{"label", series.label},
+          {"x", RoundedToJson(series.x)},
+          {"y", RoundedToJson(series.y)},
+          {"colour", series.colour},
+          {"dash", series.dash},
+          {"marker", series.marker},
+          {"line", series.line},
+          {"width", series.width}};
+}
+
+void to_json(Json& json, const ReferenceLine& line) {
+  json = {{"value", RoundedToJson(line.value)},
+          {"label", line.label},
+          {"vertical", line.vertical},
+          {"colour", line.colour},
+          {"dash", line.dash}};
+}
+
+void to_json(Json& json, const Circle& circle) {
+  json = {{"centre", circle.centre}, {"radius", circle.radius}, {"colour", circle.colour}, {"opacity", circle.opacity}};
+}
+
+void to_json(Json& json, const SolidHalfPlane& plane) { json = {{"point", plane.point}, {"normal", plane.normal}}; }
+
+void to_json(Json& json, const Outline& outline) { json = {{"points", outline.points}, {"solid", outline.solid}}; }
+
+void to_json(Json& json, const Panel& panel) {
+  json = {{"title", panel.title},
+          {"x", panel.x},
+          {"y", panel.y},
+          {"equal", panel.equal_aspect},
+          {"series", panel.series},
+          {"lines", panel.reference_lines},
+          {"circles", panel.circles},
+          {"planes", panel.half_planes},
+          {"outlines", panel.outlines}};
+}
 
 Series Series::ForModel(std::string_view model, std::vector<double> x, std::vector<double> y) {
   const ModelStyle& style = StyleOf(model);
@@ -79,22 +81,7 @@ Series Series::ForModel(std::string_view model, std::vector<double> x, std::vect
           .marker = style.marker};
 }
 
-nlohmann::ordered_json FigureToJson(const Figure& figure) {
-  Json panels = Json::array();
-  for (const Panel& panel : figure.panels) panels.push_back(PanelToJson(panel));
-  return {{"title", figure.title}, {"panels", std::move(panels)}};
-}
-
-std::string_view DashName(Dash dash) {
-  static constexpr std::string_view kNames[] = {"solid", "dashed", "dotted", "dashdotted"};
-  return kNames[static_cast<int>(dash)];
-}
-
-std::string_view MarkerName(Marker marker) {
-  static constexpr std::string_view kNames[] = {
-      "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare", "cross"};
-  return kNames[static_cast<int>(marker)];
-}
+Json FigureToJson(const Figure& figure) { return {{"title", figure.title}, {"panels", figure.panels}}; }
 
 const std::vector<ModelStyle>& ModelStyles() {
   static const std::vector<ModelStyle> styles = {

@@ -3,7 +3,7 @@
 #pragma once
 
 #include <array>
-#include <nlohmann/json_fwd.hpp>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -19,14 +19,21 @@ namespace saltus {
 
 enum class Dash { kSolid, kDashed, kDotted, kDashDotted };
 inline constexpr int kNumDashes = 4;
-
-// Returns "solid", "dashed", "dotted" or "dashdotted".
-std::string_view DashName(Dash dash);
+NLOHMANN_JSON_SERIALIZE_ENUM(Dash, {{Dash::kSolid, "solid"},
+                                    {Dash::kDashed, "dashed"},
+                                    {Dash::kDotted, "dotted"},
+                                    {Dash::kDashDotted, "dashdotted"}})
 
 enum class Marker { kNone, kCircle, kSquare, kTriangle, kTriangleDown, kDiamond, kOpenCircle, kOpenSquare, kCross };
-
-// Returns "none", "circle", "square", "triangle", "triangledown", "diamond", "opencircle", "opensquare" or "cross".
-std::string_view MarkerName(Marker marker);
+NLOHMANN_JSON_SERIALIZE_ENUM(Marker, {{Marker::kNone, "none"},
+                                      {Marker::kCircle, "circle"},
+                                      {Marker::kSquare, "square"},
+                                      {Marker::kTriangle, "triangle"},
+                                      {Marker::kTriangleDown, "triangledown"},
+                                      {Marker::kDiamond, "diamond"},
+                                      {Marker::kOpenCircle, "opencircle"},
+                                      {Marker::kOpenSquare, "opensquare"},
+                                      {Marker::kCross, "cross"}})
 
 struct ModelStyle {
   std::string_view model;
@@ -54,10 +61,9 @@ struct Outline {
   Solid solid = Solid::kNeither;
 };
 
-inline const char* SolidName(Outline::Solid solid) {
-  constexpr const char* kNames[] = {"neither", "inside", "outside"};
-  return kNames[static_cast<int>(solid)];
-}
+NLOHMANN_JSON_SERIALIZE_ENUM(Outline::Solid, {{Outline::Solid::kNeither, "neither"},
+                                              {Outline::Solid::kInside, "inside"},
+                                              {Outline::Solid::kOutside, "outside"}})
 
 // One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
 struct Axis {
@@ -99,13 +105,6 @@ struct Circle {
   double opacity = 0.15;  // of the inside
 };
 
-// A rectangle that is filled and has no border, such as a cell of a heat map.
-struct Rectangle {
-  std::array<double, 2> from = {0, 0};
-  std::array<double, 2> to = {0, 0};
-  std::string colour = "#000000";
-};
-
 // Solid ground: everything on the side of `point` that `normal` points away from.
 struct SolidHalfPlane {
   std::array<double, 2> point = {0, 0};
@@ -119,7 +118,6 @@ struct Panel {
   bool equal_aspect = false;  // one unit is as long in x as in y; widens a range
   std::vector<Series> series = {};
   std::vector<ReferenceLine> reference_lines = {};
-  std::vector<Rectangle> rectangles = {};
   std::vector<Circle> circles = {};
   std::vector<SolidHalfPlane> half_planes = {};
   std::vector<Outline> outlines = {};

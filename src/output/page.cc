@@ -105,7 +105,7 @@ void Page::AddFigure(const Figure& figure, const std::string& caption) {
 void Page::SetResults(const Json& results) { document_["results"] = Thinned(results); }
 
 void Page::AddStyle(const std::string& label, const std::string& colour, Dash dash) {
-  document_["styles"].push_back({{"label", label}, {"colour", colour}, {"dash", DashName(dash)}});
+  document_["styles"].push_back({{"label", label}, {"colour", colour}, {"dash", dash}});
 }
 
 std::string RenderPage(const Json& document) {

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <numbers>
 
 #include "base/interrupt.h"
@@ -80,37 +79,10 @@ constexpr double kOtherQuantum = 1e-6;     // of the largest velocity or force
 constexpr double kAngleQuantum = 1e-5;     // rad
 constexpr size_t kMostTouches = 20000;     // of a motion; more are not seen
 
-std::string Base64(const std::vector<uint8_t>& bytes) {
-  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((bytes.size() + 2) / 3 * 4);
-  for (size_t i = 0; i < bytes.size(); i += 3) {
-    const auto byte = [&](size_t j) { return i + j < bytes.size() ? uint32_t{bytes[i + j]} : 0u; };
-    const uint32_t word = byte(0) << 16 | byte(1) << 8 | byte(2);
-    for (int shift = 18; shift >= 0; shift -= 6) text += kDigits[word >> shift & 63];
-  }
-  const size_t missing = (3 - bytes.size() % 3) % 3;
-  text.replace(text.size() - missing, missing, missing, '=');
-  return text;
-}
-
-std::string Base64(const std::vector<double>& numbers) {
-  std::vector<uint8_t> bytes(numbers.size() * sizeof(double));
-  if (!bytes.empty()) std::memcpy(bytes.data(), numbers.data(), bytes.size());
-  return Base64(bytes);
-}
-
-// Appends an integer, near zero in few bytes: 0, -1, 1, -2, ... as 0, 1, 2, 3, ... with 7 bits in each byte.
-void AppendInteger(int64_t value, std::vector<uint8_t>* bytes) {
-  uint64_t code = value < 0 ? 2 * static_cast<uint64_t>(-(value + 1)) + 1 : 2 * static_cast<uint64_t>(value);
-  for (; code > 127; code >>= 7) bytes->push_back(static_cast<uint8_t>(128 | (code & 127)));
-  bytes->push_back(static_cast<uint8_t>(code));
-}
-
 // Packs numbers in rows of `columns`; column j has the quantum j modulo their number.
 Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<double>& quanta) {
-  std::vector<uint8_t> bytes;
-  bytes.reserve(numbers.size());
+  std::vector<int64_t> differences;
+  differences.reserve(numbers.size());
   for (size_t column = 0; column < columns; ++column) {
     const double quantum = quanta[column % quanta.size()];
     int64_t value = 0, slope = 0;
@@ -118,12 +90,12 @@ Json Pack(const std::vector<double>& numbers, size_t columns, const std::vector<
       // A number that is not finite is drawn at the position before it.
       const double multiple = numbers[i] / quantum;
       const int64_t next = std::abs(multiple) < 4e15 ? std::llround(multiple) : value;
-      AppendInteger(next - value - slope, &bytes);
+      differences.push_back(next - value - slope);
       slope = next - value;
       value = next;
     }
   }
-  return {{"quanta", quanta}, {"data", Base64(bytes)}};
+  return {{"quanta", quanta}, {"data", std::move(differences)}};
 }
 
 // Returns the largest of |numbers[i]| over i = first, first + 1 modulo `period`; 1 if all are 0.
@@ -188,7 +160,7 @@ void AddControl(const Scene& scene, const MotionInput& input, Json* json) {
   }
   CHECK_EQ(forces.size(), ends.size() * pushed * 2);
   (*json)["pushed"] = pushed > 0 ? scene.control.bodies : std::vector<int>();
-  (*json)["ends"] = Base64(ends);
+  (*json)["ends"] = ends;
   (*json)["control"] = Pack(forces, 2 * pushed, {kOtherQuantum * Largest(forces, 0, 2)});
   (*json)["torques"] = torques.empty() ? Json() : Pack(torques, pushed, {kOtherQuantum * Largest(torques, 0, 1)});
 }
@@ -206,17 +178,16 @@ Json MotionToJson(const Scene& scene, const ReplayMotion& drawn, double size, do
                {"remark", drawn.remark},
                {"shown", drawn.shown},
                {"colour", drawn.colour},
-               {"dash", DashName(drawn.dash)},
+               {"dash", drawn.dash},
                {"arcs", motion.arcs},
-               {"times", Base64(motion.times)},
+               {"times", motion.times},
                {"states", Pack(motion.states, 4 * discs, {position, position, velocity, velocity})},
                {"angles", angles.empty() ? Json() : Pack(angles, discs, {kAngleQuantum})},
                {"touches", TouchesToJson(motion.touches)}};
   AddControl(scene, drawn.input, &json);
   for (const ReplaySpread& spread : drawn.spreads) {
     CHECK_EQ(spread.covariances.size(), spread.times.size() * discs * 3);
-    json["spreads"].push_back(
-        {{"label", spread.label}, {"times", Base64(spread.times)}, {"covariances", Base64(spread.covariances)}});
+    json["spreads"].push_back({{"label", spread.label}, {"times", spread.times}, {"covariances", spread.covariances}});
   }
   return json;
 }
@@ -289,8 +260,7 @@ Json ReplayToJson(const Replay& replay) {
                {"targets", Json::array()},
                {"motions", Json::array()}};
   for (const Outline& outline : OutlinesOf(scene)) {
-    data["outlines"].push_back(
-        {{"name", outline.name}, {"solid", SolidName(outline.solid)}, {"points", outline.points}});
+    data["outlines"].push_back({{"name", outline.name}, {"solid", outline.solid}, {"points", outline.points}});
   }
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;

@@ -2,8 +2,8 @@
 //
 // The data of a replay are JSON. Numbers are multiples of a quantum (of positions 1e-7 of the drawing's size, of
 // velocities and forces 1e-6 of the largest, of angles 1e-5 rad); each column is written as its second differences,
-// which free flight makes 0 or nearly so, in integers of variable length, and these as base64: 1.4 bytes a number where
-// discs fly, at most 4 or so where they do not. Times are written in full.
+// which free flight makes 0 or nearly so: two bytes a number where discs fly, at most 6 or so where they do not. Times
+// are written in full.
 #pragma once
 
 #include <cstddef>
@@ -139,7 +139,7 @@ struct Replay {
   std::vector<ReplayMotion> motions = {};
 };
 
-// The most numbers of states that fit into a page: about 3 MB.
+// The most numbers of states that fit into a page: about 5 MB.
 inline constexpr std::size_t kMostReplayNumbers = std::size_t{1} << 21;
 
 // Returns how many nodes each of `motions` motions may have in a page.

@@ -26,7 +26,7 @@ def series(label, y, **more):
 
 def panel(curves, **more):
     return {"title": "", "x": {"label": "time (s)"}, "y": {"label": "loss"}, "equal": False, "series": curves, "lines": [],
-            "rectangles": [], "circles": [], "planes": [], "outlines": [], **more}
+            "circles": [], "planes": [], "outlines": [], **more}
 
 
 class Viewer(Pages):

@@ -91,7 +91,6 @@ function extentOf(panel) {
     if (band) y.forEach((value) => ys.push(-value));
   }
   for (const {value, vertical} of panel.lines) (vertical ? xs : ys).push(value);
-  for (const {from, to} of panel.rectangles) [from, to].forEach(([x, y]) => add(x, y));
   for (const {centre: [x, y], radius} of panel.circles) [-radius, radius].forEach((side) => add(x + side, y + side));
   for (const {points} of panel.outlines) points.forEach(([x, y]) => add(x, y));
   return [xs, ys];
@@ -176,7 +175,7 @@ class PanelView {
   }
 
   drawShapes() {
-    const {outlines, planes, rectangles, circles} = this.panel;
+    const {outlines, planes, circles} = this.panel;
     const corners = [[this.x.low, this.y.low], [this.x.high, this.y.low], [this.x.high, this.y.high], [this.x.low, this.y.high]];
     for (const {points, solid} of outlines) {  // what is solid outside of a line would cover all else
       if (solid !== 'outside') continue;
@@ -187,9 +186,6 @@ class PanelView {
     for (const plane of planes) this.polygon(clipToSolid(corners, plane), {fill: SOLID, stroke: AXIS});
     for (const {points} of outlines) {
       this.inside.append(svg('polyline', {points: points.map(([x, y]) => `${this.px(x)},${this.py(y)}`).join(' '), fill: 'none', stroke: AXIS, 'stroke-width': 1.5}));
-    }
-    for (const {from, to, colour} of rectangles) {
-      this.polygon([from, [to[0], from[1]], to, [from[0], to[1]]], {fill: colour, stroke: colour, 'stroke-width': 0.5});
     }
     for (const {centre: [x, y], radius, colour, opacity} of circles) {
       this.inside.append(svg('ellipse', {cx: this.px(x), cy: this.py(y), rx: this.px(x + radius) - this.px(x), ry: this.py(y) - this.py(y + radius),
@@ -277,7 +273,7 @@ function drawFigure({title, panels}) {
 // ---- Figures that are drawn from the results
 
 const seriesOf = (label, {colour, dash}, x, y) => ({label, x, y, colour, dash, marker: 'none', line: true, width: 2});
-const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, lines, rectangles: [], circles: [], outlines: [], planes: []});
+const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, lines, circles: [], outlines: [], planes: []});
 
 const boundLines = (bounds) => bounds.map((value) => ({value, vertical: false, label: 'bound', colour: '#cf222e', dash: 'dashed'}));
 

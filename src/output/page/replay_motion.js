@@ -1,5 +1,21 @@
 const SMOOTH = 300;  // points of a path that is curved
 
+// `columns` columns of `rows` numbers each, as one array row by row. A number is a multiple of its column's quantum; a
+// column is written as its second differences.
+function unpack({data, quanta}, rows, columns) {
+  const numbers = new Float64Array(rows * columns);
+  let at = 0;
+  for (let column = 0; column < columns; ++column) {
+    let value = 0, slope = 0;
+    for (let row = 0; row < rows; ++row) {
+      slope += data[at++];
+      value += slope;
+      numbers[row * columns + column] = value * quanta[column % quanta.length];
+    }
+  }
+  return numbers;
+}
+
 // One motion of a replay: where its discs are at any time, what touches, which forces act.
 class Motion {
   constructor(data, discs) {
@@ -9,17 +25,16 @@ class Motion {
     this.dash = data.dash;
     this.arcs = data.arcs;
     this.discs = discs;
-    this.times = doublesOf(data.times);
+    this.times = data.times;
     this.states = unpack(data.states, this.times.length, 4 * discs.length);
     this.quanta = data.states.quanta;  // of x, y, v_x and v_y
     this.angles = data.angles && unpack(data.angles, this.times.length, discs.length);  // rad; null if none turns
     this.touches = data.touches.map(([a, b, wall, begin, end, x, y]) => ({a, b, wall, begin, end, impulse: [x, y]}));
     this.pushed = data.pushed;
-    this.ends = doublesOf(data.ends);  // of the control's intervals, s
+    this.ends = data.ends;  // of the control's intervals, s
     this.control = unpack(data.control, this.ends.length, 2 * data.pushed.length);
     this.torques = data.torques && unpack(data.torques, this.ends.length, data.pushed.length);  // N m; null if no disc is turned
-    this.spreads = (data.spreads ?? []).map(({label, times, covariances}) => (
-      {label, times: doublesOf(times), covariances: doublesOf(covariances)}));
+    this.spreads = data.spreads ?? [];
     this.visible = data.shown !== false;
     this.fastest = this.largestOf((i) => Math.hypot(this.states[i + 2], this.states[i + 3]), this.states.length, 4);
     this.strongest = this.largestOf((i) => Math.hypot(this.control[i], this.control[i + 1]), this.control.length, 2);
