@@ -12,7 +12,7 @@ class View {
     this.bounds = this.boundsOf(replay);
     this.extent = Math.hypot(this.bounds.right - this.bounds.left, this.bounds.top - this.bounds.bottom);
     this.scratch = new Float64Array(4 * replay.discs.length);
-    this.stamped = new StampedDiscs();
+    this.stamps = new Map();
   }
 
   // All that discs, walls that end, targets and the visible motions reach, and planes that are no farther from these than their size.
@@ -64,6 +64,7 @@ class View {
     this.canvas.style.height = `${height}px`;
     Object.assign(this, {width, height});
     if (this.canvas.width === Math.round(width * ratio) && this.canvas.height === Math.round(height * ratio)) return;
+    this.stamps.clear();  // discs have other sizes
     this.canvas.width = Math.round(width * ratio);
     this.canvas.height = Math.round(height * ratio);
   }
@@ -90,7 +91,7 @@ class View {
     context.clip();
     this.drawWalls(context, x, y, w, h);
     this.drawTargets(context);
-    if (this.replay.discs.length > MANY_DISCS) this.drawManyDiscs(context, cell.motions, time, x, y, w, h);
+    if (this.replay.discs.length > MANY_DISCS) this.drawManyDiscs(context, cell.motions, time);
     cell.motions.forEach((motion, i) => this.drawMotion(context, motion, time, options, i === 0));
     context.restore();
     if (cell.columns * cell.rows > 1) {
@@ -220,23 +221,37 @@ class View {
     }
   }
 
-  // Into the box, which is in pixels of the page.
-  drawManyDiscs(context, motions, time, x, y, w, h) {
-    const {discs} = this.replay, ratio = context.getTransform().a, [left, top] = [Math.round(ratio * x), Math.round(ratio * y)];
-    const positions = this.scratch, originX = ratio * this.toX(0), originY = ratio * this.toY(0), scale = ratio * this.scale;
-    this.stamped.begin(this.canvas.width, this.canvas.height);
+  // Discs that are too many for a path each, those that are fixed below the others.
+  drawManyDiscs(context, motions, time) {
+    const {discs} = this.replay, ratio = context.getTransform().a, x = this.scratch;
     motions.forEach((motion, i) => {
-      motion.stateAt(time, positions);
+      motion.stateAt(time, x);
       for (const fixed of [true, false]) {
-        const colour = fixed ? FAINT : motion.colour;
-        this.stamped.style(`${colour} ${i === 0}`, (stamp, radius) => this.paint(stamp, colour, i === 0, radius > 6 * ratio ? 2 * ratio : ratio, []));
-        for (let j = 0; j < discs.length; ++j) {
-          if (discs[j].fixed !== fixed) continue;
-          this.stamped.add(originX + scale * positions[4 * j], originY - scale * positions[4 * j + 1], Math.max(scale * discs[j].radius, 1));
-        }
+        discs.forEach((disc, j) => {
+          if (disc.fixed !== fixed || !Number.isFinite(x[4 * j])) return;
+          const at = [ratio * this.toX(x[4 * j]), ratio * this.toY(x[4 * j + 1])], [left, top] = at.map(Math.floor);
+          const part = at.map((pixel) => Math.floor(4 * (pixel - Math.floor(pixel))) / 4);
+          const stamp = this.stampOf(fixed ? FAINT : motion.colour, i === 0, Math.max(ratio * this.scale * disc.radius, 1), part, ratio);
+          const size = stamp.width / ratio;
+          context.drawImage(stamp, left / ratio - size / 2, top / ratio - size / 2, size, size);
+        });
       }
     });
-    this.stamped.drawOn(context, left, top, Math.round(ratio * w), Math.round(ratio * h));
+  }
+
+  // A disc as a picture, in pixels of the screen, which is painted once for each colour, size and quarter of a pixel.
+  stampOf(colour, first, radius, [dx, dy], ratio) {
+    const key = `${colour} ${first} ${radius.toFixed(2)} ${dx} ${dy}`;
+    if (!this.stamps.has(key)) {
+      const stamp = element('canvas'), middle = Math.ceil(radius) + 2;
+      stamp.width = stamp.height = 2 * middle;
+      const context = stamp.getContext('2d');
+      context.beginPath();
+      context.arc(middle + dx, middle + dy, radius, 0, 2 * Math.PI);
+      this.paint(context, colour, first, radius > 6 * ratio ? 2 * ratio : ratio, []);
+      this.stamps.set(key, stamp);
+    }
+    return this.stamps.get(key);
   }
 
   paint(context, colour, first, width, dash) {
