@@ -55,46 +55,39 @@ function hybridFigure(data, motion, input, durations) {
 }
 
 // Lines and circles of each sample, played over time.
-function hybridReplay(motion) {
-  const xs = [], ys = [];
-  for (const {lines, circles} of motion.frames) {
-    for (const [a, b, c, d] of lines) { xs.push(a, c); ys.push(b, d); }
-    for (const [x, y, r] of circles) { xs.push(x - r, x + r); ys.push(y - r, y + r); }
+class HybridReplay extends Player {
+  constructor(motion) {
+    super();
+    this.motion = motion;
+    this.duration = motion.times.at(-1) || 1;
+    const xs = [], ys = [];
+    for (const {lines, circles} of motion.frames) {
+      for (const [a, b, c, d] of lines) { xs.push(a, c); ys.push(b, d); }
+      for (const [x, y, r] of circles) { xs.push(x - r, x + r); ys.push(y - r, y + r); }
+    }
+    const least = (list) => list.reduce((l, r) => Math.min(l, r), Infinity), most = (list) => list.reduce((l, r) => Math.max(l, r), -Infinity);
+    const [x0, y0, width, height] = [least(xs), least(ys), most(xs) - least(xs), most(ys) - least(ys)];
+    const size = Math.max(width, height) || 1, margin = 0.05 * size;
+    this.drawing = svg('g', {transform: 'scale(1 -1)', stroke: '#24292f', fill: 'none', 'stroke-width': 0.006 * size});
+    const picture = svg('svg', {viewBox: `${x0 - margin} ${-y0 - height - margin} ${width + 2 * margin} ${height + 2 * margin}`, role: 'img',
+      'aria-label': 'replay of the motion', style: 'max-height: 60vh'}, this.drawing);
+    this.clock = element('output', {class: 'clock'});
+    this.slider = element('input', {type: 'range', min: 0, max: this.duration, step: this.duration / 1000, value: 0, 'aria-label': 'time',
+      oninput: () => this.seek(Number(this.slider.value))});
+    this.seek(0);
+    this.element = element('div', {class: 'replay plot'}, picture, element('div', {class: 'buttons'}, this.playButton, this.clock),
+      element('div', {class: 'line'}, this.slider));
   }
-  const least = (list) => list.reduce((l, r) => Math.min(l, r), Infinity), most = (list) => list.reduce((l, r) => Math.max(l, r), -Infinity);
-  const [x0, y0, width, height] = [least(xs), least(ys), most(xs) - least(xs), most(ys) - least(ys)];
-  const size = Math.max(width, height) || 1, margin = 0.05 * size, end = motion.times.at(-1) || 1;
-  const drawing = svg('g', {transform: 'scale(1 -1)', stroke: '#24292f', fill: 'none', 'stroke-width': 0.006 * size});
-  const picture = svg('svg', {viewBox: `${x0 - margin} ${-y0 - height - margin} ${width + 2 * margin} ${height + 2 * margin}`, role: 'img',
-    'aria-label': 'replay of the motion', style: 'max-height: 60vh'}, drawing);
-  const button = element('button', {type: 'button', onclick: () => toggle()}, 'Play'), clock = element('output', {class: 'clock'});
-  const slider = element('input', {type: 'range', min: 0, max: end, step: end / 1000, value: 0, 'aria-label': 'time',
-    oninput: () => draw(Number(slider.value))});
-  let running = false, now = 0, before = 0;
-  function draw(time) {
-    now = Math.min(time, end);
-    const next = motion.times.findIndex((at) => at > now), k = next < 0 ? motion.times.length - 1 : Math.max(next - 1, 0);
-    drawing.replaceChildren(...motion.frames[k].lines.map(([x1, y1, x2, y2]) => svg('line', {x1, y1, x2, y2})),
-      ...motion.frames[k].circles.map(([cx, cy, r]) => svg('circle', {cx, cy, r})));
-    slider.value = now;
-    clock.value = `${now.toFixed(3)}, mode ${motion.modes[k]}`;
+
+  seek(time) {
+    this.time = Math.min(time, this.duration);
+    const {times, frames, modes} = this.motion;
+    const next = times.findIndex((at) => at > this.time), k = next < 0 ? times.length - 1 : Math.max(next - 1, 0);
+    this.drawing.replaceChildren(...frames[k].lines.map(([x1, y1, x2, y2]) => svg('line', {x1, y1, x2, y2})),
+      ...frames[k].circles.map(([cx, cy, r]) => svg('circle', {cx, cy, r})));
+    this.slider.value = this.time;
+    this.clock.value = `${this.time.toFixed(3)}, mode ${modes[k]}`;
   }
-  function advance(at) {
-    if (!running) return;
-    draw(now + (at - before) / 1000);
-    before = at;
-    if (now >= end) toggle();
-    else requestAnimationFrame(advance);
-  }
-  function toggle() {
-    running = !running;
-    button.textContent = running ? 'Pause' : 'Play';
-    if (running && now >= end) draw(0);
-    before = performance.now();
-    if (running) requestAnimationFrame(advance);
-  }
-  draw(0);
-  return element('div', {class: 'replay plot'}, picture, element('div', {class: 'buttons'}, button, clock), element('div', {class: 'line'}, slider));
 }
 
 function hybridParts(data) {
@@ -125,7 +118,7 @@ function hybridParts(data) {
     heading(`Motion: ${name}`);
     if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});
     if (one.remark) parts.push({kind: 'text', text: one.remark});
-    if (one.frames) parts.push({kind: 'element', element: hybridReplay(one), caption: 'The motion over time.'});
+    if (one.frames) parts.push({kind: 'element', element: new HybridReplay(one).element, caption: 'The motion over time.'});
     if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one, input, durations), caption: 'States, controls and guards over time. Dotted: events; dashed: bounds.'});
     table('Events.', ['event', 'time', 'mode', 'guard', 'next mode'], one.events.map((event, i) => [i + 1, event.time, event.mode, event.guard, event.next_mode]));
   }

@@ -29,9 +29,46 @@ function rounded(value, quantum) {
   return number(Number(value.toFixed(decimals)));
 }
 
-class Replay {
+// A time from 0 to `duration` that goes on while it is played, and the button that starts and stops it. Classes that
+// extend this one have seek(time), which draws.
+class Player {
+  constructor() {
+    this.time = 0;
+    this.playing = false;
+    this.playButton = element('button', {type: 'button', title: 'play', 'aria-label': 'play', onclick: () => this.toggle()}, 'Play');
+  }
+
+  // Seconds of the motion in a second.
+  get rate() { return 1; }
+
+  toggle() {
+    if (!this.playing && this.time >= this.duration) this.seek(0);
+    this.playing = !this.playing;
+    this.playButton.textContent = this.playing ? 'Pause' : 'Play';
+    this.playButton.title = this.playing ? 'pause' : 'play';
+    this.playButton.setAttribute('aria-label', this.playButton.title);
+    this.last = performance.now();
+    if (this.playing) requestAnimationFrame((now) => this.advance(now));
+  }
+
+  advance(now) {
+    if (!this.playing) return;
+    const passed = Math.max(now - this.last, 0) / 1000;
+    this.last = now;
+    this.seek(this.time + this.rate * passed);
+    if (this.time >= this.duration) this.toggle();
+    else requestAnimationFrame((next) => this.advance(next));
+  }
+
+  pause() {
+    if (this.playing) this.toggle();
+  }
+}
+
+class Replay extends Player {
   // In place of an element that is in the page; the data are those of ReplayToJson() in programs/scene_drawing.h.
   constructor(place, data) {
+    super();
     const {discs, walls, outlines, targets} = data;
     Object.assign(this, {place, discs, walls, outlines, targets});
     this.motions = data.motions.map((motion) => new Motion(motion, this.discs));
@@ -49,8 +86,6 @@ class Replay {
       impulses: this.discs.length <= MANY_DISCS,
       names: true, spreads: true, apart: false,
     };
-    this.time = 0;
-    this.playing = false;
     this.build();
     this.view = new View(this.canvas, this);
     this.updateValueRows();
@@ -87,7 +122,6 @@ class Replay {
     this.ticks = element('canvas', {class: 'ticks', 'aria-hidden': 'true'});
     this.clock = element('output', {class: 'clock'});
     const button = (label, words, act) => element('button', {type: 'button', title: words, 'aria-label': words, onclick: act}, label);
-    this.playButton = button('Play', 'play', () => this.toggle());
     this.speed = element('select', {'aria-label': 'speed'});
     for (let power = -6; power <= 3; ++power) {
       const factor = 2 ** power;
@@ -230,30 +264,7 @@ class Replay {
     }
   }
 
-  toggle() {
-    if (!this.playing && this.time >= this.duration) this.seek(0);
-    this.playing = !this.playing;
-    this.playButton.textContent = this.playing ? 'Pause' : 'Play';
-    this.playButton.title = this.playing ? 'pause' : 'play';
-    this.playButton.setAttribute('aria-label', this.playButton.title);
-    this.frames = 0;
-    this.begun = this.last = performance.now();
-    if (this.playing) requestAnimationFrame((now) => this.advance(now));
-  }
-
-  advance(now) {
-    if (!this.playing) return;
-    const passed = Math.max(now - this.last, 0) / 1000;
-    this.last = now;
-    ++this.frames;
-    this.seek(this.time + Number(this.speed.value) * passed);
-    if (this.time >= this.duration) this.toggle();
-    else requestAnimationFrame((next) => this.advance(next));
-  }
-
-  pause() {
-    if (this.playing) this.toggle();
-  }
+  get rate() { return Number(this.speed.value); }
 
   // 240 steps from start to end.
   step(direction) {
