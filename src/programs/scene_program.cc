@@ -92,7 +92,7 @@ Table GivenTable(const std::vector<GivenEntry>& entries) {
   return table;
 }
 
-// What a program computes.
+// Selects the parts that a program computes.
 struct Parts {
   bool audit = false, solve = false;
 };
