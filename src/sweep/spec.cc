@@ -38,17 +38,33 @@ std::string ReadValue(const std::string& option, const std::string& text, const 
   return whole ? "" : found + "a whole number up to 1e9";
 }
 
-// One pass over the text. What it takes next decides what it expects.
+// Returns the text without spaces at its ends; of spaces alone, the empty text behind them.
+std::string_view Trimmed(std::string_view text) {
+  constexpr char kSpaces[] = " \t\n\v\f\r";
+  text.remove_prefix(std::min(text.find_first_not_of(kSpaces), text.size()));
+  return text.substr(0, text.find_last_not_of(kSpaces) + 1);
+}
+
+// Returns the parts of a text between separators, without spaces at their ends.
+std::vector<std::string_view> Parts(std::string_view text, char separator) {
+  std::vector<std::string_view> parts;
+  for (size_t begin = 0, end = 0; end < text.size() || parts.empty(); begin = end + 1) {
+    end = std::min(text.find(separator, begin), text.size());
+    parts.push_back(Trimmed(text.substr(begin, end - begin)));
+  }
+  return parts;
+}
+
+// Reads a text part by part. Parts are views of it, so that errors name their place.
 class SpecParser {
  public:
   SpecParser(const std::string& text, const Scene& scene) : text_(text), scene_(scene) {}
 
   std::vector<SweepBlock> Parse() {
+    std::vector<std::string_view> parts = Parts(text_, ';');
+    if (parts.size() > 1 && parts.back().empty()) parts.pop_back();
     std::vector<SweepBlock> blocks;
-    do {
-      blocks.push_back(ParseBlock());
-      if (!AtEnd() && Peek() != ';') Fail("',', '&' or ';'");
-    } while (Accept(';') && !AtEnd());
+    for (const std::string_view part : parts) blocks.push_back(ParseBlock(part));
     return blocks;
   }
 
@@ -61,69 +77,38 @@ class SpecParser {
     return std::string(" after '") + (from > 0 ? "..." : "") + text_.substr(from, place - from) + "'";
   }
 
-  [[noreturn]] void FailAt(size_t place, const std::string& what) const {
+  [[noreturn]] void FailWith(std::string_view part, const std::string& what) const {
+    const size_t place = part.data() - text_.data();
     throw InputError("--sweep, character " + std::to_string(place + 1) + Before(place) + ": " + what);
   }
-  [[noreturn]] void FailAt(size_t place, const std::string& found, const std::string& expected) const {
-    FailAt(place, "found " + (found.empty() ? "nothing" : "'" + found + "'") + ", expected " + expected);
+  [[noreturn]] void Fail(std::string_view found, const std::string& expected) const {
+    FailWith(found, "found " + (found.empty() ? "nothing" : "'" + std::string(found) + "'") + ", expected " + expected);
   }
 
-  [[noreturn]] void Fail(const std::string& expected) {
-    SkipSpaces();
-    FailAt(at_, text_.substr(at_, 1), expected);
+  // Takes the text in the brackets with which `rest` begins, and leaves what follows.
+  std::string_view TakeBrackets(std::string_view* rest) const {
+    if (!rest->starts_with('(')) Fail(rest->substr(0, 1), "'('");
+    const size_t end = rest->find(')');
+    if (end == std::string_view::npos) Fail(rest->substr(rest->size()), "')'");
+    const std::string_view inside = rest->substr(1, end - 1);
+    *rest = Trimmed(rest->substr(end + 1));
+    return inside;
   }
 
-  void SkipSpaces() {
-    while (at_ < text_.size() && std::isspace(static_cast<unsigned char>(text_[at_])) != 0) ++at_;
-  }
-
-  bool AtEnd() {
-    SkipSpaces();
-    return at_ == text_.size();
-  }
-
-  char Peek() { return AtEnd() ? '\0' : text_[at_]; }
-
-  bool Accept(char c) {
-    if (Peek() != c) return false;
-    ++at_;
-    return true;
-  }
-
-  void Expect(char c) {
-    if (!Accept(c)) Fail(std::string("'") + c + "'");
-  }
-
-  // A token up to the next mark; spaces at its ends are not part of it.
-  struct Token {
-    std::string text;
-    size_t place = 0;
-  };
-  Token Take(const char* marks = ",;:&=()") {
-    SkipSpaces();
-    Token token{"", at_};
-    at_ = std::min(text_.find_first_of(marks, at_), text_.size());
-    token.text = text_.substr(token.place, at_ - token.place);
-    token.text.erase(token.text.find_last_not_of(" \t\n") + 1);
-    return token;
-  }
-
-  // The name of a contact model may have options with the marks of a range.
-  Token TakeValue(const std::string& option) { return option == "contact" ? Take(",;&()") : Take(); }
-
-  SweepBlock ParseBlock() {
-    if (Peek() == '@') return ParseFile();
-    if (Peek() == '(') return ParseTuples();
-    SweepBlock block = ParseAxis();
-    while (Accept('&')) {
-      SkipSpaces();
-      const size_t place = at_;
-      const SweepBlock axis = ParseAxis();
+  SweepBlock ParseBlock(std::string_view text) {
+    if (text.starts_with('@')) return ParseFile(Trimmed(text.substr(1)));
+    if (text.starts_with('(')) return ParseTuples(text);
+    SweepBlock block;
+    for (const std::string_view part : Parts(text, '&')) {
+      SweepBlock axis = ParseAxis(part);
+      if (block.options.empty()) {
+        block = std::move(axis);
+        continue;
+      }
       if (axis.rows.size() != block.rows.size()) {
-        FailAt(place,
-               text_.substr(place, at_ - place),
-               std::to_string(block.rows.size()) + " values, as '" + block.options[0] + "' has (there are " +
-                   std::to_string(axis.rows.size()) + ")");
+        Fail(part,
+             std::to_string(block.rows.size()) + " values, as '" + block.options[0] + "' has (there are " +
+                 std::to_string(axis.rows.size()) + ")");
       }
       block.options.push_back(axis.options[0]);
       for (size_t i = 0; i < block.rows.size(); ++i) block.rows[i].push_back(axis.rows[i][0]);
@@ -132,11 +117,10 @@ class SpecParser {
   }
 
   // The name of an option that has not been used before.
-  std::string ParseName() {
-    const Token token = Take();
-    if (token.text.empty()) Fail("an option, such as in \"stiffness=1e2:1e5:log:4\"");
-    CheckName(token.text, [&](const std::string& expected) { FailAt(token.place, token.text, expected); });
-    return token.text;
+  std::string ParseName(std::string_view text) {
+    if (text.empty()) Fail(text, "an option, such as in \"stiffness=1e2:1e5:log:4\"");
+    CheckName(std::string(text), [&](const std::string& expected) { Fail(text, expected); });
+    return std::string(text);
   }
 
   template <typename OnError>
@@ -155,70 +139,65 @@ class SpecParser {
     if (!used_.insert(option).second) fail("each option once");
   }
 
-  SweepBlock ParseAxis() {
+  SweepBlock ParseAxis(std::string_view text) {
+    const size_t equals = std::min(text.find('='), text.size());
     SweepBlock block;
-    block.options = {ParseName()};
-    Expect('=');
-    do {
-      ParseItem(&block);
-    } while (Accept(','));
+    block.options = {ParseName(Trimmed(text.substr(0, equals)))};
+    if (equals == text.size()) Fail(text.substr(equals), "'='");
+    for (const std::string_view item : Parts(text.substr(equals + 1), ',')) ParseItem(item, &block);
     return block;
   }
 
-  SweepValue ParseValue(const std::string& option, const Token& token) {
+  SweepValue ParseValue(const std::string& option, std::string_view text) {
     SweepValue value;
-    const std::string wrong = ReadValue(option, token.text, scene_, &value);
-    if (!wrong.empty()) FailAt(token.place, wrong);
+    const std::string wrong = ReadValue(option, std::string(text), scene_, &value);
+    if (!wrong.empty()) FailWith(text, wrong);
     return value;
   }
 
-  void ParseItem(SweepBlock* block) {
+  // A value or a range; the name of a contact model may have options with the marks of a range.
+  void ParseItem(std::string_view text, SweepBlock* block) {
     const std::string& option = block->options[0];
-    const Token token = TakeValue(option);
-    if (Peek() != ':') {
-      block->rows.push_back({ParseValue(option, token)});
-      return;
+    const std::vector<std::string_view> parts = Parts(text, ':');
+    if (parts.size() == 1 || option == "contact") {
+      block->rows.push_back({ParseValue(option, text)});
+    } else if (FindSweepOption(option, scene_) == SweepOptionKind::kWord) {
+      Fail(parts[0], "no range of words");
+    } else {
+      ParseRange(text, parts, block);
     }
-    if (FindSweepOption(option, scene_) == SweepOptionKind::kWord) FailAt(token.place, token.text, "no range of words");
-    ParseRange(token, block);
   }
 
-  double ParseEnd(const Token& token) {
-    const std::optional<double> number = ReadNumber(token.text);
-    if (!number) FailAt(token.place, token.text, "a number");
+  double ParseEnd(std::string_view text) const {
+    const std::optional<double> number = ReadNumber(text);
+    if (!number) Fail(text, "a number");
     return *number;
   }
 
-  // The rest of first:last:lin|log:count.
-  void ParseRange(const Token& first_token, SweepBlock* block) {
+  // first:last:lin|log:count.
+  void ParseRange(std::string_view text, const std::vector<std::string_view>& parts, SweepBlock* block) {
     const std::string form = "first:last:lin:count or first:last:log:count";
-    const double first = ParseEnd(first_token);
-    if (!Accept(':')) Fail(form);
-    const Token last_token = Take();
-    const double last = ParseEnd(last_token);
-    if (!Accept(':')) Fail(form);
-    const Token scale = Take();
-    if (scale.text != "lin" && scale.text != "log") FailAt(scale.place, scale.text, "'lin' or 'log', as in " + form);
-    if (!Accept(':')) Fail(form);
-    const Token count_token = Take();
-    const double count = ReadNumber(count_token.text).value_or(0);
+    const std::string_view end = text.substr(text.size());
+    const double first = ParseEnd(parts[0]), last = ParseEnd(parts[1]);
+    if (parts.size() < 3) Fail(end, form);
+    if (parts[2] != "lin" && parts[2] != "log") Fail(parts[2], "'lin' or 'log', as in " + form);
+    if (parts.size() != 4) Fail(parts.size() < 4 ? end : parts[4], form);
+    const double count = ReadNumber(parts[3]).value_or(0);
     if (count < 1 || count > kMostValues || count != std::floor(count)) {
-      FailAt(count_token.place, count_token.text, "a whole number in 1..1000000");
+      Fail(parts[3], "a whole number in 1..1000000");
     }
     values_left_ -= static_cast<int64_t>(count);
-    if (values_left_ < 0) {
-      FailAt(count_token.place, count_token.text, "at most 1000000 values in all ranges; more of them in a file (@)");
-    }
-    const bool log = scale.text == "log";
-    if (log && !(first > 0)) FailAt(first_token.place, first_token.text, "a number > 0, as the range is logarithmic");
-    if (log && !(last > 0)) FailAt(last_token.place, last_token.text, "a number > 0, as the range is logarithmic");
+    if (values_left_ < 0) Fail(parts[3], "at most 1000000 values in all ranges; more of them in a file (@)");
+    const bool log = parts[2] == "log";
+    if (log && !(first > 0)) Fail(parts[0], "a number > 0, as the range is logarithmic");
+    if (log && !(last > 0)) Fail(parts[1], "a number > 0, as the range is logarithmic");
     if (!std::isfinite(log ? last / first : last - first) || (log && last / first == 0)) {
-      FailAt(last_token.place, last_token.text, "a number closer to " + first_token.text);
+      Fail(parts[1], "a number closer to " + std::string(parts[0]));
     }
-    AddRange(first, last, log, static_cast<int>(count), first_token, block);
+    AddRange(first, last, log, static_cast<int>(count), parts[0], block);
   }
 
-  void AddRange(double first, double last, bool log, int count, const Token& place, SweepBlock* block) {
+  void AddRange(double first, double last, bool log, int count, std::string_view place, SweepBlock* block) {
     const bool whole = FindSweepOption(block->options[0], scene_) == SweepOptionKind::kInteger;
     for (int i = 0; i < count; ++i) {
       const double t = count > 1 ? i / (count - 1.0) : 0.0;
@@ -226,42 +205,41 @@ class SpecParser {
       double value = RoundedTo(15, log ? first * std::pow(last / first, t) : first + t * (last - first));
       if (i > 0 && i + 1 == count) value = last;  // not what rounding makes of it
       if (whole) value = std::round(value);
-      if (whole && std::abs(value) > kLargestInteger) FailAt(place.place, place.text, "a range within 1e9");
+      if (whole && std::abs(value) > kLargestInteger) Fail(place, "a range within 1e9");
       if (whole && i > 0 && SweepValue(value) == block->rows.back()[0]) {
-        FailAt(place.place, place.text, "fewer values: two of the range round to the same whole number");
+        Fail(place, "fewer values: two of the range round to the same whole number");
       }
       block->rows.push_back({value});
     }
   }
 
-  SweepBlock ParseTuples() {
+  SweepBlock ParseTuples(std::string_view rest) {
     SweepBlock block;
-    Expect('(');
+    for (const std::string_view name : Parts(TakeBrackets(&rest), ',')) block.options.push_back(ParseName(name));
+    const size_t size = block.options.size();
+    if (!rest.starts_with('=')) Fail(rest.substr(0, 1), "'='");
     do {
-      block.options.push_back(ParseName());
-    } while (Accept(','));
-    Expect(')');
-    Expect('=');
-    do {
-      Expect('(');
-      SweepRow row;
-      for (const std::string& option : block.options) {
-        if (!row.empty()) Expect(',');
-        row.push_back(ParseValue(option, TakeValue(option)));
-      }
-      Expect(')');
-      block.rows.push_back(std::move(row));
-    } while (Accept(','));
+      rest = Trimmed(rest.substr(1));
+      const std::string_view inside = TakeBrackets(&rest);
+      const std::vector<std::string_view> values = Parts(inside, ',');
+      if (values.size() < size) Fail({inside.data() + inside.size(), 1}, "','");
+      if (values.size() > size) Fail({values[size - 1].data() + values[size - 1].size(), 1}, "')'");
+      SweepRow& row = block.rows.emplace_back();
+      for (size_t i = 0; i < size; ++i) row.push_back(ParseValue(block.options[i], values[i]));
+    } while (rest.starts_with(','));
+    if (!rest.empty()) Fail(rest.substr(0, 1), "',', '&' or ';'");
     return block;
   }
 
-  SweepBlock ParseFile() {
-    Expect('@');
-    const Token path = Take(";");
-    const StatusOr<CsvDocument> csv = ReadCsv(path.text);
-    if (!csv.ok()) throw InputError("--sweep, character " + std::to_string(path.place) + ": " + csv.status().message());
+  SweepBlock ParseFile(std::string_view text) {
+    const std::string path(text);
+    const StatusOr<CsvDocument> csv = ReadCsv(path);
+    if (!csv.ok()) {
+      throw InputError("--sweep, character " + std::to_string(text.data() - text_.data()) + ": " +
+                       csv.status().message());
+    }
     const auto fail = [&](const std::string& place, const std::string& what) {
-      throw InputError(path.text + ", " + place + ": " + what);
+      throw InputError(path + ", " + place + ": " + what);
     };
     SweepBlock block;
     for (const std::string& name : csv->header) {
@@ -277,13 +255,12 @@ class SpecParser {
       }
       block.rows.push_back(std::move(row));
     }
-    if (block.rows.empty()) throw InputError(path.text + ": no rows below the header, expected at least one");
+    if (block.rows.empty()) throw InputError(path + ": no rows below the header, expected at least one");
     return block;
   }
 
   const std::string& text_;
   const Scene& scene_;
-  size_t at_ = 0;
   int64_t values_left_ = kMostValues;  // of ranges
   std::set<std::string> used_;
 };
