@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstdio>
 #include <limits>
+#include <type_traits>
+#include <variant>
 
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
@@ -13,10 +15,13 @@
 namespace saltus {
 namespace {
 
+// A number of a request that an option sets; whole numbers without a sign must not be negative.
+using Place = std::variant<double*, int*, uint64_t*>;
+
 struct NumberOption {
   const char* name;
   SweepOptionKind kind;
-  void (*set)(double value, Request* request);
+  Place (*find)(Request* request);
 };
 
 constexpr SweepOptionKind kReal = SweepOptionKind::kReal;
@@ -32,74 +37,38 @@ FeedbackOptions& FeedbackOf(Request* request) {
   return *request->feedback;
 }
 
-uint64_t NotNegative(const char* name, double value) {
-  if (value < 0) throw InputError(std::string(name) + " must not be negative");
+uint64_t NotNegative(const std::string& name, double value) {
+  if (value < 0) throw InputError(name + " must not be negative");
   return static_cast<uint64_t>(value);
 }
 
-void TakeControlProblem(double seed, Request* request) {
-  request->scene = ControlProblem(NotNegative("seed", seed));
-  ApplySceneFlags(&request->scene);
-}
+constexpr const char* kSearchMemory = "search_memory";  // MiB
 
 constexpr NumberOption kNumbers[] = {
-    {kSeedOption, kInteger, TakeControlProblem},
-    {"stiffness", kReal, [](double value, Request* r) { r->scene.contact.stiffness = value; }},
-    {"damping", kReal, [](double value, Request* r) { r->scene.contact.damping = value; }},
-    {"restitution", kReal, [](double value, Request* r) { r->scene.contact.restitution = value; }},
-    {"friction", kReal, [](double value, Request* r) { r->scene.contact.friction = value; }},
-    {"steps", kInteger, [](double value, Request* r) { r->scene.steps = static_cast<int>(value); }},
-    {"duration", kReal, [](double value, Request* r) { r->scene.duration = value; }},
-    {"gravity_x", kReal, [](double value, Request* r) { r->scene.gravity[0] = value; }},
-    {"gravity_y", kReal, [](double value, Request* r) { r->scene.gravity[1] = value; }},
-    {"effort", kReal, [](double value, Request* r) { r->scene.objective.effort = value; }},
-    {"learning_rate", kReal, [](double value, Request* r) { r->options.learning_rate = value; }},
-    {"iterations", kInteger, [](double value, Request* r) { r->options.iterations = static_cast<int>(value); }},
-    {"search_work", kReal, [](double value, Request* r) { r->options.search_options.work = value; }},
-    {"search_seconds", kReal, [](double value, Request* r) { r->options.search_options.seconds = value; }},
-    {"search_memory",
-     kInteger,
-     [](double value, Request* r) { r->options.search_options.memory = NotNegative("search_memory", value) << 20; }},
-    {"search_starts",
-     kInteger,
-     [](double value, Request* r) { r->options.search_options.starts = static_cast<int>(value); }},
-    {"search_seed",
-     kInteger,
-     [](double value, Request* r) { r->options.search_options.seed = NotNegative("search_seed", value); }},
-    {"surrogate_sigma", kReal, [](double value, Request* r) { SurrogateOf(r).sigma = value; }},
-    {"surrogate_samples", kInteger, [](double value, Request* r) { SurrogateOf(r).samples = static_cast<int>(value); }},
-    {"surrogate_seed", kInteger, [](double value, Request* r) { SurrogateOf(r).seed = static_cast<int>(value); }},
-    {"surrogate_segments",
-     kInteger,
-     [](double value, Request* r) { SurrogateOf(r).segments = static_cast<int>(value); }},
-    {"feedback_scale",
-     kReal,
-     [](double value, Request* r) {
-       if (!(value >= 0)) throw InputError("feedback_scale must not be negative");
-       FeedbackOf(r).scale = value;
-     }},
-    {"feedback_samples",
-     kInteger,
-     [](double value, Request* r) {
-       FeedbackOf(r).samples = static_cast<int>(NotNegative("feedback_samples", value));
-     }},
-    {"feedback_seed",
-     kInteger,
-     [](double value, Request* r) { FeedbackOf(r).seed = NotNegative("feedback_seed", value); }},
-};
-
-struct BodyOption {
-  const char* field;
-  void (*set)(double value, Body* body);
-};
-
-constexpr BodyOption kBodyNumbers[] = {
-    {"mass", [](double value, Body* b) { b->mass = value; }},
-    {"radius", [](double value, Body* b) { b->radius = value; }},
-    {"position_x", [](double value, Body* b) { b->position[0] = value; }},
-    {"position_y", [](double value, Body* b) { b->position[1] = value; }},
-    {"velocity_x", [](double value, Body* b) { b->velocity[0] = value; }},
-    {"velocity_y", [](double value, Body* b) { b->velocity[1] = value; }},
+    {kSeedOption, kInteger, nullptr},  // makes the scene
+    {"stiffness", kReal, [](Request* r) -> Place { return &r->scene.contact.stiffness; }},
+    {"damping", kReal, [](Request* r) -> Place { return &r->scene.contact.damping; }},
+    {"restitution", kReal, [](Request* r) -> Place { return &r->scene.contact.restitution; }},
+    {"friction", kReal, [](Request* r) -> Place { return &r->scene.contact.friction; }},
+    {"steps", kInteger, [](Request* r) -> Place { return &r->scene.steps; }},
+    {"duration", kReal, [](Request* r) -> Place { return &r->scene.duration; }},
+    {"gravity_x", kReal, [](Request* r) -> Place { return &r->scene.gravity[0]; }},
+    {"gravity_y", kReal, [](Request* r) -> Place { return &r->scene.gravity[1]; }},
+    {"effort", kReal, [](Request* r) -> Place { return &r->scene.objective.effort; }},
+    {"learning_rate", kReal, [](Request* r) -> Place { return &r->options.learning_rate; }},
+    {"iterations", kInteger, [](Request* r) -> Place { return &r->options.iterations; }},
+    {"search_work", kReal, [](Request* r) -> Place { return &r->options.search_options.work; }},
+    {"search_seconds", kReal, [](Request* r) -> Place { return &r->options.search_options.seconds; }},
+    {kSearchMemory, kInteger, [](Request* r) -> Place { return &r->options.search_options.memory; }},
+    {"search_starts", kInteger, [](Request* r) -> Place { return &r->options.search_options.starts; }},
+    {"search_seed", kInteger, [](Request* r) -> Place { return &r->options.search_options.seed; }},
+    {"surrogate_sigma", kReal, [](Request* r) -> Place { return &SurrogateOf(r).sigma; }},
+    {"surrogate_samples", kInteger, [](Request* r) -> Place { return &SurrogateOf(r).samples; }},
+    {"surrogate_seed", kInteger, [](Request* r) -> Place { return &SurrogateOf(r).seed; }},
+    {"surrogate_segments", kInteger, [](Request* r) -> Place { return &SurrogateOf(r).segments; }},
+    {"feedback_scale", kReal, [](Request* r) -> Place { return &FeedbackOf(r).scale; }},
+    {"feedback_samples", kInteger, [](Request* r) -> Place { return &FeedbackOf(r).samples; }},
+    {"feedback_seed", kInteger, [](Request* r) -> Place { return &FeedbackOf(r).seed; }},
 };
 
 const NumberOption* FindNumber(const std::string& name) {
@@ -107,27 +76,46 @@ const NumberOption* FindNumber(const std::string& name) {
   return found == std::end(kNumbers) ? nullptr : found;
 }
 
-const BodyOption* FindBodyNumber(const std::string& field) {
-  const auto* found = std::ranges::find(kBodyNumbers, field, &BodyOption::field);
-  return found == std::end(kBodyNumbers) ? nullptr : found;
+void SetNumber(const NumberOption& option, double value, Request* request) {
+  const std::string name = option.name;
+  if (name == kSeedOption) {
+    request->scene = ControlProblem(NotNegative(name, value));
+    return ApplySceneFlags(&request->scene);
+  }
+  if (name.starts_with("feedback_")) NotNegative(name, value);
+  const double unit = name == kSearchMemory ? 1 << 20 : 1;
+  std::visit(
+      [&]<typename T>(T* place) {
+        if (std::is_unsigned_v<T>) NotNegative(name, value);
+        *place = static_cast<T>(unit * value);
+      },
+      option.find(request));
 }
 
-// "<body>.<field>", looked up in a scene. Names of bodies may have dots too, fields have none.
-struct BodyField {
-  int body = -1;
-  std::string field;
-};
-
-std::optional<BodyField> FindBodyField(const std::string& name, const Scene& scene) {
+// Returns the number of a body that "<body>.<field>" names, null if there is none. Names of bodies may have dots too,
+// fields have none.
+template <typename SceneOrConst>
+auto* FindBodyNumber(const std::string& name, SceneOrConst& scene) {
+  using Number = std::remove_reference_t<decltype((scene.bodies[0].mass))>;
+  constexpr Number* kNone = nullptr;
   const size_t dot = name.rfind('.');
-  if (dot == std::string::npos) return std::nullopt;
-  BodyField found;
-  found.field = name.substr(dot + 1);
-  for (int i = 0; i < scene.num_bodies(); ++i) {
-    if (scene.bodies[i].name == name.substr(0, dot)) found.body = i;
+  const auto body = std::ranges::find(scene.bodies, name.substr(0, dot), &Body::name);
+  if (dot == std::string::npos || body == scene.bodies.end()) return kNone;
+  const auto index_in = [&](const std::vector<int>& bodies) {
+    return std::ranges::find(bodies, static_cast<int>(body - scene.bodies.begin())) - bodies.begin();
+  };
+  const auto pushed = index_in(scene.control.bodies), turned = index_in(scene.control.turned);
+  const std::string field = name.substr(dot + 1);
+  if (field == "mass") return &body->mass;
+  if (field == "radius") return &body->radius;
+  for (const int j : {0, 1}) {
+    const std::string axis = j == 0 ? "_x" : "_y";
+    if (field == "position" + axis) return &body->position[j];
+    if (field == "velocity" + axis) return &body->velocity[j];
+    if (field == "force" + axis && pushed < std::ssize(scene.control.bodies)) return &scene.control.initial[pushed][j];
   }
-  if (found.body < 0) return std::nullopt;
-  return found;
+  if (field == "torque" && turned < std::ssize(scene.control.turned)) return &scene.control.initial_torque[turned];
+  return kNone;
 }
 
 // Restitution or friction of a pair of materials, "restitution.rubber-steel".
@@ -137,34 +125,12 @@ std::optional<SceneParameter> FindOfPair(const std::string& name, const Scene& s
   return found.empty() ? std::nullopt : std::optional(found[0]);
 }
 
-// Where a body stands in a list of controlled ones; -1 if it does not.
-int FindIn(const std::vector<int>& bodies, int body) {
-  const auto found = std::ranges::find(bodies, body);
-  return found == bodies.end() ? -1 : static_cast<int>(found - bodies.begin());
-}
-
-bool IsForce(const std::string& field) { return field == "force_x" || field == "force_y"; }
-
 bool IsWord(const std::string& name) { return name == "contact" || name == "solver" || name == "precision"; }
 
 void SetWord(const std::string& name, const std::string& word, Request* request) {
   if (name == "contact") request->contacts = {word};
   if (name == "solver") request->solvers = {word};
   if (name == "precision") request->precision = word == "float" ? Precision::kFloat : Precision::kDouble;
-}
-
-void SetBodyField(const BodyField& found, double value, Scene* scene) {
-  if (const BodyOption* option = FindBodyNumber(found.field)) {
-    option->set(value, &scene->bodies[found.body]);
-  } else if (found.field == "torque") {
-    const int torque = FindIn(scene->control.turned, found.body);
-    CHECK_GE(torque, 0);
-    scene->control.initial_torque[torque] = value;
-  } else {
-    const int force = FindIn(scene->control.bodies, found.body);
-    CHECK_GE(force, 0);
-    scene->control.initial[force][found.field == "force_x" ? 0 : 1] = value;
-  }
 }
 
 std::optional<SweepProgram> kept_program;
@@ -214,12 +180,7 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
   if (of_contact && !scene.materials.empty()) return std::nullopt;
   if (const NumberOption* option = FindNumber(name)) return option->kind;
   if (FindOfPair(name, scene)) return kReal;
-  const std::optional<BodyField> found = FindBodyField(name, scene);
-  if (!found) return std::nullopt;
-  const bool known = FindBodyNumber(found->field) != nullptr ||
-                     (IsForce(found->field) && FindIn(scene.control.bodies, found->body) >= 0) ||
-                     (found->field == "torque" && FindIn(scene.control.turned, found->body) >= 0);
-  return known ? std::optional(kReal) : std::nullopt;
+  return FindBodyNumber(name, scene) != nullptr ? std::optional(kReal) : std::nullopt;
 }
 
 std::vector<std::string> SweepOptionNames() {
@@ -244,13 +205,13 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
   if (IsWord(name)) {
     SetWord(name, value.get<std::string>(), request);
   } else if (const NumberOption* option = FindNumber(name)) {
-    option->set(ToNumber(value), request);
+    SetNumber(*option, ToNumber(value), request);
   } else if (const auto of_pair = FindOfPair(name, request->scene)) {
     SetValue(*of_pair, ToNumber(value), &request->scene);
   } else {
-    const std::optional<BodyField> found = FindBodyField(name, request->scene);
-    CHECK(found) << name;
-    SetBodyField(*found, ToNumber(value), &request->scene);
+    double* number = FindBodyNumber(name, request->scene);
+    CHECK(number != nullptr) << name;
+    *number = ToNumber(value);
   }
   if (request->options.iterations < 0) throw InputError("iterations must not be negative");
   if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError(why);
