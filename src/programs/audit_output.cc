@@ -397,49 +397,27 @@ namespace {
 
 constexpr int kStepsAround = 6;  // shown before and after a contact, and half as many again as it lasts
 
-// The pair of a contact, and its normal at some state.
-struct Place {
-  int a = -1, b = -1;  // b: -1 for a wall
-  Vec2d normal = Vec2d::Zero();
-};
-
-template <typename List>
-int IndexOf(const List& list, const std::string& name) {
-  for (size_t i = 0; i < list.size(); ++i) {
-    if (list[i].name == name) return static_cast<int>(i);
-  }
-  return -1;
-}
-
-Place PlaceOf(const Scene& scene, const ContactError& error, const std::vector<double>& x, int body_size) {
+// Returns the normal of a contact at a state.
+Vec2d NormalOf(const Scene& scene, const Candidate& pair, const std::vector<double>& x, int body_size) {
   const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
-  Place place{.a = IndexOf(scene.bodies, error.a), .b = IndexOf(scene.bodies, error.b)};
-  if (place.a < 0) return place;
-  if (place.b >= 0) {
-    place.normal = Separate<double>(position(place.a), position(place.b)).normal;
-    return place;
-  }
-  const std::vector<WallPart> walls = WallPartsOf(scene);
-  const int wall = IndexOf(walls, error.b);
-  if (wall >= 0) place.normal = Separate(position(place.a), walls[wall].wall).normal;
-  return place;
+  if (!pair.plane) return Separate<double>(position(pair.a), position(pair.b)).normal;
+  return Separate(position(pair.a), WallPartsOf(scene)[pair.b].wall).normal;
 }
 
 // Simulates the perturbed flow from state x at step `begin` to step `end`.
-PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Place& place, int begin, int end) {
+PerturbedFlow Follow(const Simulator& simulator, std::vector<double> x, const Candidate& pair, const Vec2d& normal,
+                     int begin, int end) {
   const int size = simulator.body_size();
   std::vector<double> tangent(x.size(), 0.0), next(x.size()), force(simulator.force_size()), none(force.size(), 0.0);
-  for (int j = 0; j < 2; ++j) tangent[place.a * size + j] = place.normal[j];
-  const auto along = [&](int i) {
-    return place.normal[0] * tangent[i * size] + place.normal[1] * tangent[i * size + 1];
-  };
+  for (int j = 0; j < 2; ++j) tangent[pair.a * size + j] = normal[j];
+  const auto along = [&](int i) { return normal[0] * tangent[i * size] + normal[1] * tangent[i * size + 1]; };
   const std::vector<double> control = InitialControl(simulator.scene(), simulator.num_steps());
   PerturbedFlow flow;
   StepLinearization linear;
   for (int k = begin;; ++k) {
     flow.times.push_back(k * simulator.step());
-    flow.first.push_back(along(place.a));
-    if (place.b >= 0) flow.second.push_back(along(place.b));
+    flow.first.push_back(along(pair.a));
+    if (!pair.plane) flow.second.push_back(along(pair.b));
     if (k == end) return flow;
     simulator.ExpandForce(control, k, force);
     simulator.Linearize(x, force, /*with_parameters=*/false, &linear);
@@ -464,8 +442,8 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
   const int begin = std::max(0, error.first_step - around), end = std::min(steps, error.last_step + 1 + around);
   std::vector<double> x(simulator->state_size());
   simulator->GetState(error.first_step, x);
-  const Place place = PlaceOf(scene, error, x, size);
-  if (place.a < 0) return {};
+  const Candidate& pair = error.pair;
+  const Vec2d normal = NormalOf(scene, pair, x, size);
   simulator->GetState(begin, x);
   Scene same_steps = scene;
   same_steps.steps = steps;
@@ -475,7 +453,7 @@ PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, cons
   std::vector<double> y(exact->state_size());
   for (int i = 0; i < scene.num_bodies(); ++i)
     std::copy_n(&x[i * size], std::min(size, exact_size), &y[i * exact_size]);
-  PerturbedFlows flows{Follow(*simulator, x, place, begin, end), Follow(*exact, y, place, begin, end)};
+  PerturbedFlows flows{Follow(*simulator, x, pair, normal, begin, end), Follow(*exact, y, pair, normal, begin, end)};
   return flows.model.times.empty() || flows.exact.times.empty() ? PerturbedFlows() : flows;
 }
 

@@ -32,7 +32,8 @@ const char* BlockToString(Block block);  // "velocity from position"
 
 struct ContactError {
   int first_step = 0, last_step = 0;  // first and last step in which the model reports the contact
-  std::string a, b;                   // a disc, and a disc or plane; the first pair if there are several
+  Candidate pair = {};                // a disc, and a disc or plane; the first pair if there are several
+  std::string a, b;                   // their names
   int exact_impacts = 0;              // number of impacts of the exact flow in the interval
   double error = 0;                   // relative error of the costate, defined at the top of this file
   bool stays = false;                 // whether more than a quarter of the error is left with far smaller steps

@@ -411,6 +411,7 @@ class Attributor {
     error.last_step = interval.last_touch();
     const auto first = std::ranges::find_if(
         interval.meetings, [&](const PairContact& meeting) { return meeting.first == error.first_step; });
+    error.pair = first->pair;
     error.a = scene_.bodies[first->pair.a].name;
     error.b = first->pair.plane ? walls_[first->pair.b].name : scene_.bodies[first->pair.b].name;
 
