@@ -38,9 +38,17 @@ SingleShooting ExactShooting(const Scene& scene, int num_steps) {
 struct Descent {
   size_t task = 0;
   std::string contact;
-  std::vector<std::vector<double>> known;                        // iterates that are looked at, or nothing
   std::vector<double> iterations, angles, exact_losses, losses;  // angles in degrees
 };
+
+// Returns the iterations that are examined: 0, 1, 2, 3, 5, 8, ... to the last, about equally many in every power of
+// ten.
+std::vector<int> ExaminedIterations() {
+  std::vector<int> at;
+  for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
+  at.push_back(kPublishedIterations);
+  return at;
+}
 
 void Follow(const Scene& scene, Descent* descent) {
   SingleShooting own(MakeSimulator(descent->contact, scene, Precision::kDouble));
@@ -48,21 +56,13 @@ void Follow(const Scene& scene, Descent* descent) {
   own.set_stop(AskedToStop);
   const double rate = DefaultLearningRate(scene);
   std::vector<double> z = own.initial_guess(), gradient(z.size()), exact_gradient(z.size());
-  const std::vector<int> looked_at = ExaminedIterations();
-  const bool known = !descent->known.empty();
   int k = 0;
   double loss = 0, exact_loss = 0;
-  const auto evaluate = [&] { return own.Evaluate(z, &loss, gradient.data()); };
-  if (!known && !evaluate()) return;
-  for (size_t next = 0; next < looked_at.size(); ++next) {
-    if (known) {
-      k = looked_at[next];
-      z = descent->known[next];
-      if (!evaluate()) return;
-    }
-    for (; k < looked_at[next]; ++k) {
+  if (!own.Evaluate(z, &loss, gradient.data())) return;
+  for (const int examined : ExaminedIterations()) {
+    for (; k < examined; ++k) {
       for (size_t i = 0; i < z.size(); ++i) z[i] -= rate * gradient[i];
-      if (!evaluate()) return;
+      if (!own.Evaluate(z, &loss, gradient.data())) return;
     }
     if (!exact.Evaluate(z, &exact_loss, exact_gradient.data())) return;
     descent->iterations.push_back(k + 1);  // on a logarithmic axis
@@ -130,32 +130,20 @@ std::vector<std::string> FindingsOf(const std::vector<TitledScene>& tasks, const
 
 }  // namespace
 
-std::vector<int> ExaminedIterations() {
-  std::vector<int> at;
-  for (double k = 0; k < kPublishedIterations; k = std::max(k + 1, 1.15 * k)) at.push_back(static_cast<int>(k));
-  at.push_back(kPublishedIterations);
-  return at;
-}
-
 std::optional<Section> AuditDescents(const std::vector<TitledScene>& tasks, const std::vector<std::string>& contacts,
-                                     const std::vector<std::string>& slow, const KnownIterates& known, int threads,
-                                     ProgressMode mode) {
+                                     const std::vector<std::string>& slow, int threads, ProgressMode mode) {
   std::vector<Descent> descents;
   for (size_t task = 0; task < tasks.size(); ++task) {
     for (const std::string& contact : contacts) {
       if (std::ranges::find(slow, contact) != slow.end()) continue;
       if (!WhyNotApplicable(contact, tasks[task].scene).empty()) continue;
-      std::vector<std::vector<double>> iterates = known(task, contact);
-      if (iterates.size() != ExaminedIterations().size()) iterates.clear();  // it has ended early
-      descents.push_back({task, contact, std::move(iterates), {}, {}, {}, {}});
+      descents.push_back({task, contact, {}, {}, {}, {}});
     }
   }
-  // Known descents come last, and the others in reverse order, because slow models are the last in the registry.
+  // Jobs begin with the last model, because slow models are the last in the registry.
   std::vector<Descent*> jobs;
   for (Descent& descent : descents) jobs.push_back(&descent);
-  std::ranges::stable_sort(jobs, [](const Descent* l, const Descent* r) {
-    return std::pair(l->known.empty(), l) > std::pair(r->known.empty(), r);
-  });
+  std::ranges::reverse(jobs);
   std::vector<std::string> names;
   for (const Descent* job : jobs) names.push_back(tasks[job->task].scene.name + " " + job->contact);
   Progress progress(mode, stderr, "descent beside the exact gradient", jobs.size());

@@ -1,5 +1,6 @@
 #include "paper/experiments.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "programs/parallel.h"
@@ -9,10 +10,6 @@ namespace saltus {
 namespace {
 
 constexpr double kStiffnesses[] = {1e2, 1e3, 1e4, 1e5};
-
-std::string Key(const std::string& problem, double friction, const std::string& contact, Precision precision) {
-  return problem + (friction > 0 ? "_mu " : " ") + contact + (precision == Precision::kFloat ? " float" : " double");
-}
 
 void RunSolver(Experiment* experiment, size_t which) {
   const std::string& solver = experiment->solvers[which];
@@ -74,7 +71,7 @@ void Experiments::Add(const std::string& problem, double friction, const std::st
     if (precision == Precision::kDouble && stiffness == 0) experiment.solvers = {"gd", "ceres_lbfgs", "ceres_lm"};
     experiment.runs.resize(experiment.solvers.size());
   }
-  index_[Key(problem, friction, name, precision)] = static_cast<int>(experiments_.size());
+  experiment.name = name;
   experiments_.push_back(std::move(experiment));
 }
 
@@ -99,8 +96,11 @@ bool Experiments::Run(int threads, ProgressMode mode) {
 
 const Experiment* Experiments::Find(const std::string& problem, double friction, const std::string& contact,
                                     Precision precision) const {
-  const auto found = index_.find(Key(problem, friction, contact, precision));
-  return found == index_.end() ? nullptr : &experiments_[found->second];
+  const auto found = std::ranges::find_if(experiments_, [&](const Experiment& one) {
+    return one.scene.name == problem && one.scene.contact.friction == friction && one.name == contact &&
+           one.precision == precision;
+  });
+  return found == experiments_.end() ? nullptr : &*found;
 }
 
 const Experiment* Experiments::Exact(const std::string& problem, double friction) const {

@@ -35,6 +35,7 @@ struct TitledScene {
 struct Experiment {
   Scene scene;
   std::string contact;
+  std::string name;  // of the contact model, with its stiffness where that is not the scene's: "compliant_warp_kn1e2"
   Precision precision = Precision::kDouble;
   double learning_rate = 0;  // 0: gradient only
   std::vector<std::string> solvers;
@@ -69,7 +70,6 @@ class Experiments {
 
   std::map<std::string, Scene> scenes_;
   std::vector<Experiment> experiments_;
-  std::map<std::string, int> index_;
 };
 
 // Returns the CPU time of this thread, s, which other load of the machine disturbs little.
@@ -101,19 +101,10 @@ struct Section {
 // Gradient descent under each contact model: the angle of its gradient to the exact one, and the exact loss along the
 // descent. Shows how optimisation can succeed with wrong gradients, and where it fails.
 
-// Returns the iterations that are examined: 0, 1, 2, 3, 5, 8, ... to the last, about equally many in every power of
-// ten.
-std::vector<int> ExaminedIterations();
-
-// Returns the iterates at ExaminedIterations() of a descent that was run elsewhere with the same rate, so that it is
-// not run again; others if there is none.
-using KnownIterates = std::function<std::vector<std::vector<double>>(size_t task, const std::string& contact)>;
-
 // Follows the descents. Contact models that cannot simulate a scene are left out there; so are those of `slow`. Returns
 // std::nullopt if interrupted.
 std::optional<Section> AuditDescents(const std::vector<TitledScene>& tasks, const std::vector<std::string>& contacts,
-                                     const std::vector<std::string>& slow, const KnownIterates& known, int threads,
-                                     ProgressMode mode);
+                                     const std::vector<std::string>& slow, int threads, ProgressMode mode);
 
 // An audit of every contact model on the three tasks of the paper: the error of its gradient, its class, and the cost
 // of a step.
@@ -140,8 +131,6 @@ struct ComparedSolvers : Section {
   Table headline;              // of task 3 under exact dynamics: three solvers compared with the optimum
   PaperFigure controls;        // of task 3 under exact dynamics: the force of each solver
   std::set<std::string> slow;  // contact models whose gradients take so long that gradient descent was left out
-  // The iterates that AuditDescents() examines, of gradient descent on task 3 under models without experiments.
-  std::map<std::string, std::vector<std::vector<double>>> iterates;
 };
 
 // Takes the results that `experiments`, which have been run, contain, and computes the rest. Returns std::nullopt if

@@ -264,15 +264,10 @@ int Reproduce(const std::vector<std::string>& arguments) {
                                            threads,
                                            progress);
     if (!take(parts.formulations)) return kAnswerFailed;
-    const KnownIterates known = [&](size_t task, const std::string& contact) {
-      const auto found = parts.solvers->iterates.find(contact);
-      return task == 1 && found != parts.solvers->iterates.end() ? found->second : std::vector<std::vector<double>>();
-    };
     parts.descents =
         AuditDescents({{"Task 2", experiments.scene("ground_wall")}, {"Task 3", experiments.scene("two_balls")}},
                       contacts,
                       {parts.solvers->slow.begin(), parts.solvers->slow.end()},
-                      known,
                       threads,
                       progress);
     if (!take(parts.descents)) return kAnswerFailed;

@@ -49,14 +49,7 @@ void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
   if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
   options.stop = AskedToStop;
-  options.keep_iterates = run->report.solver == "gd";
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
-  SolveReport& report = run->report;
-  std::vector<std::vector<double>> looked_at;
-  for (const int k : ExaminedIterations()) {
-    if (k < static_cast<int>(report.iterates.size())) looked_at.push_back(std::move(report.iterates[k]));
-  }
-  report.iterates = std::move(looked_at);
 }
 
 Tone ToneOfGap(double gap) {
@@ -476,15 +469,10 @@ std::optional<ComparedSolvers> CompareSolvers(const Experiments& experiments, Ot
                                               ProgressMode mode) {
   Tasks all = PlanTasks(experiments, others);
   if (!RunAll(&all, threads, mode)) return std::nullopt;
-  ComparedSolvers compared{{FindingsOf(all), TablesOf(all), {LearningCurves(all), Defects(all)}},
-                           HeadlineOf(all),
-                           ControlProfiles(all),
-                           all.slow,
-                           {}};
-  for (const SolvedRun& run : all.others.runs) {
-    if (run.report.solver == "gd") compared.iterates[run.report.contact] = run.report.iterates;
-  }
-  return compared;
+  return ComparedSolvers{{FindingsOf(all), TablesOf(all), {LearningCurves(all), Defects(all)}},
+                         HeadlineOf(all),
+                         ControlProfiles(all),
+                         all.slow};
 }
 
 }  // namespace saltus

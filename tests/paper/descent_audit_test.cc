@@ -76,9 +76,8 @@ double Angle(const std::vector<double>& a, const std::vector<double>& b) {
 class Along : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    const KnownIterates none = [](size_t, const std::string&) { return std::vector<std::vector<double>>(); };
     const auto audit = AuditDescents(
-        {{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"}, none, 2, ProgressMode::kNone);
+        {{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"}, 2, ProgressMode::kNone);
     ASSERT_TRUE(audit.has_value());
     audit_ = new Section(*audit);
   }
@@ -138,38 +137,6 @@ TEST_F(Along, AnglesOfModelsAreThoseOfTheirDifferences) {
       for (size_t i = 0; i < z.size(); ++i) z[i] -= kRate * gradient[i];
     }
     EXPECT_GT(angle.y[0], 0.1);  // both are wrong here
-  }
-}
-
-// Descents that were run elsewhere are looked at as those that are run here.
-TEST_F(Along, IteratesThatAreKnownAreNotRunAgain) {
-  const Scene scene = Thrown();
-  SolverOptions options;
-  options.learning_rate = kRate;
-  options.keep_iterates = true;
-  const SolveReport direct = Solve("gd", {scene, "direct"}, options);
-  std::vector<std::vector<double>> iterates;
-  for (const int k : ExaminedIterations()) iterates.push_back(direct.iterates.at(k));
-  // For pbd_warp the iterates are those of another descent, which shows that they are used. Those of event, which end
-  // early, are not.
-  const KnownIterates known = [&](size_t, const std::string& contact) {
-    return contact == "event" ? std::vector<std::vector<double>>{{1, 2}} : iterates;
-  };
-  const auto audit =
-      AuditDescents({{"Throw", scene}}, {"event", "direct", "pbd_warp"}, {}, known, 2, ProgressMode::kNone);
-  ASSERT_TRUE(audit.has_value());
-  const Figure& figure = audit->figures.at(0).figure;
-  ASSERT_EQ(figure.panels[0].series.size(), 3u);
-  for (size_t panel = 0; panel < 3; ++panel) {
-    for (const Series& series : figure.panels[panel].series) {
-      const Series own = Find(panel, series.label);
-      EXPECT_EQ(series.x, own.x);
-      if (series.label != "pbd_warp") {
-        EXPECT_EQ(series.y, own.y) << series.label << " in panel " << panel;
-      } else if (panel == 1) {
-        EXPECT_EQ(series.y, Find(1, "direct").y);
-      }
-    }
   }
 }
 
