@@ -13,10 +13,12 @@ constexpr int kMostSamples = 400;  // of a motion that is drawn
 
 Json NumbersOf(std::span<const double> numbers) { return std::vector<double>(numbers.begin(), numbers.end()); }
 
-// Adds times, modes, states and guards of the simulator's last rollout, in order of time.
-void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool ok, Json* motion) {
+// Adds times, modes, states and guards of the simulator's last rollout, in order of time, and their drawings.
+void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool ok, const DrawState& draw,
+                Json* motion) {
   const HybridSystem& system = simulator.system();
-  Json times = Json::array(), modes = Json::array(), states = Json::array(), guards = Json::array();
+  Json times = Json::array(), modes = Json::array(), states = Json::array(), guards = Json::array(),
+       frames = Json::array();
   std::vector<double> begins = input.Times();  // of the control intervals
   begins.pop_back();
   const std::vector<double> no_control(system.num_controls());
@@ -24,6 +26,11 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
     times.push_back(time);
     modes.push_back(system.ModeName(mode));
     states.push_back(NumbersOf(state));
+    if (draw) {
+      HybridDrawing drawing;
+      draw(mode, time, state.data(), input.parameters.data(), &drawing);
+      frames.push_back({{"lines", drawing.lines()}, {"circles", drawing.circles()}});
+    }
     // The control of the interval that begins at or before the time; of the last one at the end.
     const std::ptrdiff_t begun = std::ranges::upper_bound(begins, time) - begins.begin();
     const std::ptrdiff_t row = std::max<std::ptrdiff_t>(begun - 1, 0) * system.num_controls();
@@ -59,6 +66,7 @@ void AddSamples(const HybridSimulator& simulator, const HybridInput& input, bool
   (*motion)["modes"] = std::move(modes);
   (*motion)["states"] = std::move(states);
   (*motion)["guards"] = std::move(guards);
+  if (draw) (*motion)["frames"] = std::move(frames);
 }
 
 // {"initial", "control", "parameters", "duration"}.
@@ -101,7 +109,8 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input) {
   return item;
 }
 
-Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states) {
+Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states,
+                        const DrawState& draw) {
   const HybridSystem& system = simulator.system();
   Json motion = Json::object();
   if (!ok) motion["failed"] = simulator.WhyFailed();
@@ -130,18 +139,18 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
     if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) motion["remark"] = remark;
     motion["remarks"] = RemarksToJson(RemarksOn(simulator));
   }
-  if (states) AddSamples(simulator, input, ok, &motion);
+  if (states) AddSamples(simulator, input, ok, draw, &motion);
   return motion;
 }
 
-Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input) {
+Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input, const DrawState& draw) {
   HybridOptions options = problem.integration;
   HybridSimulator chosen(problem.system, options);
   chosen.Rollout(input);
   options.steps_per_interval = std::max(chosen.steps_per_interval(), kMostSamples / input.num_intervals + 1);
   HybridSimulator fine(problem.system, options);
   const bool ok = fine.Rollout(input);
-  return HybridMotionToJson(fine, input, ok, true);
+  return HybridMotionToJson(fine, input, ok, true, draw);
 }
 
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {

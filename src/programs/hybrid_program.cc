@@ -112,28 +112,6 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   request->options.threads = request->threads;
 }
 
-// Adds the drawing of a motion at each of its samples.
-void AddFrames(const HybridRequest& request, const std::vector<double>& parameters, Json* motion) {
-  if (!request.extras.draw || !motion->contains("times")) return;
-  Json frames = Json::array();
-  for (std::size_t k = 0; k < (*motion)["times"].size(); ++k) {
-    const std::vector<double> state = (*motion)["states"][k].get<std::vector<double>>();
-    int mode = 0;
-    while (request.problem.system.ModeName(mode) != (*motion)["modes"][k].get<std::string>()) ++mode;
-    HybridDrawing drawing;
-    request.extras.draw(mode, (*motion)["times"][k].get<double>(), state.data(), parameters.data(), &drawing);
-    frames.push_back({{"lines", drawing.lines()}, {"circles", drawing.circles()}});
-  }
-  (*motion)["frames"] = std::move(frames);
-}
-
-// A motion with as many states as a figure needs.
-Json DrawnMotion(const HybridRequest& request, const HybridInput& input) {
-  Json motion = DrawnMotionToJson(request.problem, input);
-  AddFrames(request, input.parameters, &motion);
-  return motion;
-}
-
 struct HybridResults {
   Json document;
   std::vector<SolveReport> reports;
@@ -315,10 +293,13 @@ void WritePage(const HybridRequest& request, const HybridResults& results) {
   const std::string& directory = request.output_dir;
   if (directory.empty()) return;
   Json document = results.document;
-  document["motion"] = DrawnMotion(request, request.problem.guess);
+  const auto draw = [&](const HybridInput& input) {
+    return DrawnMotionToJson(request.problem, input, request.extras.draw);
+  };
+  document["motion"] = draw(request.problem.guess);
   for (std::size_t i = 0; i < results.reports.size(); ++i) {
     if (results.reports[i].losses.empty()) continue;
-    document["runs"][i]["motion"] = DrawnMotion(request, SolutionOf(request.problem, results.reports[i]));
+    document["runs"][i]["motion"] = draw(SolutionOf(request.problem, results.reports[i]));
   }
   WriteTextFile(directory + "/report.html", RenderPage(document));
   WriteTextFile(directory + "/result.json", results.document.dump(1) + "\n");

@@ -44,9 +44,11 @@ class HybridDrawing {
   std::vector<std::array<double, 3>> circles_;
 };
 
+using DrawState = std::function<void(int mode, double t, const double* x, const double* p, HybridDrawing* drawing)>;
+
 // The functions of a program's system beside those of the motion; empty if it has none.
 struct HybridExtras {
-  std::function<void(int mode, double t, const double* x, const double* p, HybridDrawing* drawing)> draw;
+  DrawState draw;
   std::shared_ptr<HybridScheme> scheme;
   nlohmann::ordered_json scene = {};  // what commands of --simulate are told beside the names of the system
 };
@@ -96,11 +98,12 @@ Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 // accumulate. "remark" states why there is no derivative or only a one-sided one; "remarks" is the list of all remarks
 // (remarks.h). With `states` also "times", "modes",
 // "states" and "guards" (the values of the mode's guards): at every step of the integration, and before and after every
-// event.
-Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states);
+// event; and with `draw` "frames", their drawings as {"lines", "circles"}.
+Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states,
+                        const DrawState& draw = nullptr);
 
 // The motion from an input with as many states as a figure needs.
-Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input);
+Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input, const DrawState& draw = nullptr);
 
 // Adds "integration_error" of the simulator's last rollout, which succeeded, and the remarks on it. Costs a rollout.
 void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulator, Json* motion);
