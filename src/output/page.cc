@@ -174,27 +174,19 @@ class Writer {
 
   // Appends the value; returns false as soon as the text is longer than `limit`.
   bool AppendUpTo(size_t limit, const Json& value) {
-    const char* separator = "";
-    if (value.is_object()) {
-      text_ += '{';
-      for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
-        text_ += separator;
-        Label(key);
-        if (!AppendUpTo(limit, child)) return false;
-        separator = ", ";
-      }
-      text_ += '}';
-    } else if (value.is_array()) {
-      text_ += '[';
-      for (const Json& child : value) {
-        text_ += separator;
-        if (!AppendUpTo(limit, child)) return false;
-        separator = ", ";
-      }
-      text_ += ']';
-    } else {
+    if (!value.is_structured()) {
       Scalar(value);
+      return text_.size() <= limit;
     }
+    text_ += value.is_object() ? '{' : '[';
+    const char* separator = "";
+    for (const auto& child : value.items()) {
+      text_ += separator;
+      if (value.is_object()) Label(child.key());
+      if (!AppendUpTo(limit, child.value())) return false;
+      separator = ", ";
+    }
+    text_ += value.is_object() ? '}' : ']';
     return text_.size() <= limit;
   }
 

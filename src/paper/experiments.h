@@ -7,7 +7,6 @@
 #include <glog/logging.h>
 
 #include <ctime>
-#include <functional>
 #include <map>
 #include <optional>
 #include <set>

@@ -47,29 +47,32 @@ struct Refusal {
   std::string reason;
 };
 
-// Appends the names of a refusal to those of the first in the list with which it shares all else.
-void Join(std::vector<std::string> Refusal::*names, std::vector<std::string> Refusal::*others, const Refusal& added,
-          std::vector<Refusal>* list) {
-  const auto same = std::ranges::find_if(
-      *list, [&](const Refusal& one) { return one.*others == added.*others && one.reason == added.reason; });
-  if (same == list->end()) {
-    list->push_back(added);
-  } else {
-    ((*same).*names).insert(((*same).*names).end(), (added.*names).begin(), (added.*names).end());
-  }
-}
-
+// Returns the refusals: solvers that one contact model refuses for one reason are joined, and then contact models that
+// refuse the same solvers.
 std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
   std::vector<Refusal> of_contacts, refusals;
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination != Termination::kNotApplicable) continue;
-    Join(&Refusal::solvers,
-         &Refusal::contacts,
-         {{LabelOf(report.contact, report.surrogate)}, {report.solver}, report.reason},
-         &of_contacts);
+    const std::string contact = LabelOf(report.contact, report.surrogate);
+    const auto same = std::ranges::find_if(of_contacts, [&](const Refusal& one) {
+      return one.contacts.front() == contact && one.reason == report.reason;
+    });
+    if (same != of_contacts.end()) {
+      same->solvers.push_back(report.solver);
+    } else {
+      of_contacts.push_back({{contact}, {report.solver}, report.reason});
+    }
   }
-  for (const Refusal& one : of_contacts) Join(&Refusal::contacts, &Refusal::solvers, one, &refusals);
+  for (const Refusal& added : of_contacts) {
+    const auto same = std::ranges::find_if(
+        refusals, [&](const Refusal& one) { return one.solvers == added.solvers && one.reason == added.reason; });
+    if (same != refusals.end()) {
+      same->contacts.push_back(added.contacts.front());
+    } else {
+      refusals.push_back(added);
+    }
+  }
   return refusals;
 }
 

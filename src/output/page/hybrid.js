@@ -46,7 +46,7 @@ function hybridControls({system, control_bounds: bounds}, input, durations, even
 function hybridFigure(data, motion, input, durations) {
   const {system} = data;
   const modeOf = (name) => system.modes.find((mode) => mode.name === name);
-  const events = motion.events.map(({time}) => ({value: time, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+  const events = timeLines(motion.events.map(({time}) => time));
   const states = hybridCurves(motion, 'states', (mode) => modeOf(mode).states).map((curve) => (
     panelOf(curve.label, {label: 'time'}, {label: curve.label}, [{...curve, label: ''}], events)));
   const guards = hybridCurves(motion, 'guards', (mode) => modeOf(mode).guards);

@@ -275,6 +275,8 @@ function drawFigure({title, panels}) {
 const seriesOf = (label, {colour, dash}, x, y) => ({label, x, y, colour, dash, marker: 'none', line: true, width: 2});
 const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, lines, circles: [], outlines: [], planes: []});
 
+const timeLines = (times) => times.map((value) => ({value, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+const impactLines = ({touches}) => timeLines(touches.slice(0, 8).map(({begin}) => begin));
 const boundLines = (bounds) => bounds.map((value) => ({value, vertical: false, label: 'bound', colour: '#cf222e', dash: 'dashed'}));
 
 const PLOTS = {
@@ -294,7 +296,7 @@ const PLOTS = {
     const motion = replay?.motions.find(({visible}) => visible) ?? replay?.motions[0];
     const moving = (replay?.discs ?? []).map((_, i) => i).filter((i) => !replay.discs[i].fixed).slice(0, DISC_COLOURS.length);
     if (!motion || moving.length === 0) return null;
-    const impacts = motion.touches.slice(0, 8).map(({begin}) => ({value: begin, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+    const impacts = impactLines(motion);
     const width = 4 * replay.discs.length, {states} = motion.path, times = [...motion.path.times];
     const panel = (label, valueOf) => panelOf('', {label: 'time (s)'}, {label}, moving.map((disc) => (
       seriesOf(replay.discs[disc].name, {colour: DISC_COLOURS[disc % DISC_COLOURS.length], dash: 'solid'}, times,
@@ -332,7 +334,7 @@ const PLOTS = {
   spreads(_, replay) {
     const motion = replay?.motions.find(({spreads}) => spreads.length > 0);
     if (!motion) return null;
-    const impacts = motion.touches.slice(0, 8).map(({begin}) => ({value: begin, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
+    const impacts = impactLines(motion);
     const moving = replay.discs.map((_, i) => i).filter((i) => !replay.discs[i].fixed).slice(0, 4);
     return {panels: moving.flatMap((disc) => ['x', 'y'].map((axis, j) => (
       panelOf(replay.discs[disc].name, {label: 'time (s)'}, {label: `deviation in ${axis} (mm)`}, motion.spreads.map(({label, times, covariances}, i) => {
