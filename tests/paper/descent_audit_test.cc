@@ -76,8 +76,8 @@ double Angle(const std::vector<double>& a, const std::vector<double>& b) {
 class Along : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    const auto audit = AuditDescents(
-        {{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"}, 2, ProgressMode::kNone);
+    const auto audit =
+        AuditDescents({{"Throw", Thrown()}}, {"event", "direct", "pbd_warp", "ncp"}, {"ncp"}, 2, ProgressMode::kNone);
     ASSERT_TRUE(audit.has_value());
     audit_ = new Section(*audit);
   }
