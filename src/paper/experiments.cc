@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "output/npz.h"
 #include "programs/parallel.h"
+#include "saltus/control/single_shooting.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -105,6 +107,85 @@ const Experiment* Experiments::Find(const std::string& problem, double friction,
 
 const Experiment* Experiments::Exact(const std::string& problem, double friction) const {
   return Find(problem, friction, std::string(ExactModel()->name), Precision::kDouble);
+}
+
+namespace {
+
+// The authors' name of each model, and the precision of their run.
+struct Published {
+  const char* name;
+  Precision precision;
+};
+
+const std::map<std::string, Published>& PublishedNames() {
+  static const std::map<std::string, Published>& names = *new std::map<std::string, Published>{
+      {"pbd_warp", {"pbd_warp", Precision::kFloat}},
+      {"pbd_brax", {"pbd_brax", Precision::kFloat}},
+      {"compliant_warp", {"soft_warp", Precision::kDouble}},
+      {"compliant_brax", {"soft_brax", Precision::kDouble}},
+      {"convex_toi", {"convexopt_diffcosim_symplectic_euler_w_toi", Precision::kDouble}},
+      {"convex", {"convexopt_diffcosim_symplectic_euler_wo_toi", Precision::kDouble}},
+      {"direct_toi", {"specialized_difftaichi_w_toi", Precision::kDouble}},
+      {"direct", {"specialized_difftaichi_wo_toi", Precision::kDouble}},
+      {"lcp", {"lcp_nimble", Precision::kDouble}}};
+  return names;
+}
+
+// Returns the losses in the layout of the notebooks' `loss`: one entry for each update, the loss before it.
+NpyArray LossArray(const SolveReport& report) {
+  std::vector<double> losses(report.losses.begin(), report.losses.end() - 1);
+  return {{static_cast<int64_t>(losses.size())}, losses};
+}
+
+// Returns the positions of the first disc under one iterate, T x 2: before each step, and after the last except for the
+// Brax models, whose files do not have it.
+std::vector<double> TrajectoryAt(const Experiment& experiment, std::span<const double> z) {
+  SingleShooting shooting(MakeSimulator(experiment.contact, experiment.scene, experiment.precision));
+  double loss = 0;
+  if (!shooting.Evaluate(z, &loss, nullptr)) return {};
+  const Simulator& simulator = shooting.simulator();
+  const int last = simulator.num_steps() - (simulator.traits().grid_steps > 1 ? 1 : 0);
+  std::vector<double> positions, x(simulator.state_size());
+  for (int k = 0; k <= last; ++k) {
+    simulator.GetState(k, x);
+    positions.insert(positions.end(), {x[0], x[1]});
+  }
+  return positions;
+}
+
+// Returns a stiffness as the notebooks spell it: Python's floats, 1000.0, except for the lowest, 100.
+std::string StiffnessName(double stiffness) {
+  return std::to_string(static_cast<long>(stiffness)) + (stiffness == 100 ? "" : ".0");
+}
+
+}  // namespace
+
+void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir) {
+  const std::string results = output_dir + "/results";
+  MakeDirectory(results);
+  for (const Experiment& experiment : experiments.all()) {
+    const auto published = PublishedNames().find(experiment.contact);
+    const SolvedRun* run = experiment.Find("gd");
+    if (published == PublishedNames().end() || experiment.precision != published->second.precision) continue;
+    if (run == nullptr || run->report.losses.size() < 2) continue;
+    const SolveReport& report = run->report;
+    const Scene& scene = experiment.scene;
+    const std::string model = published->second.name;
+    std::string name = "two_balls_1_" + model;
+    NpzArrays arrays = {{"loss", LossArray(report)}};
+    if (scene.optimize == Optimize::kVelocity) {
+      name = "ground_wall_" + model + (scene.contact.friction > 0 ? "_mu_0.1" : "");
+      std::vector<double> velocities;
+      for (const std::vector<double>& z : report.iterates) velocities.insert(velocities.end(), z.begin(), z.end());
+      const std::vector<double> trajectory = TrajectoryAt(experiment, report.iterates[report.iterates.size() - 2]);
+      arrays["init_vel"] = {{std::ssize(report.iterates), 2}, velocities};
+      arrays["last_traj"] = {{std::ssize(trajectory) / 2, 2}, trajectory};
+    } else {
+      if (experiment.contact == "compliant_warp") name += "_kn_" + StiffnessName(scene.contact.stiffness);
+      arrays["ctrls"] = {{std::ssize(report.control) / 2, 2}, report.control};
+    }
+    OrOutputError(WriteNpz(results + "/" + name + ".npz", arrays));
+  }
 }
 
 }  // namespace saltus

@@ -71,6 +71,10 @@ class Experiments {
   std::vector<Experiment> experiments_;
 };
 
+// Writes the files that the authors' published analysis notebooks read, under the same names and keys: results/*.npz
+// below `output_dir`. Throws InputError if a file cannot be written.
+void WriteNotebookFiles(const Experiments& experiments, const std::string& output_dir);
+
 // Returns the CPU time of this thread, s, which other load of the machine disturbs little.
 inline double ThreadTime() {
   timespec time;

@@ -245,6 +245,7 @@ int Reproduce(const std::vector<std::string>& arguments) {
   const bool published = RunStage("comparison with the published values", [&] {
     CompareWithPublished(experiments, &parts.rows);
     for (const auto& [name, caption] : PublishedTables()) write_table(name, caption, ToTable(parts.rows, name));
+    WriteNotebookFiles(experiments, output_dir);
   });
   if (!published) return kAnswerFailed;
   const OtherSolvers others = FLAGS_every_solver       ? OtherSolvers::kEverySolver

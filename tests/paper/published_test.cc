@@ -2,18 +2,21 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <map>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "folders.h"
+#include "output/npz.h"
 #include "paper/experiments.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
 namespace {
 
+using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::Not;
@@ -114,6 +117,31 @@ TEST_F(Published, NotesOfTablesAreNumbered) {
     EXPECT_EQ(*numbers.begin(), 1) << name;
     EXPECT_EQ(*numbers.rbegin(), std::ssize(notes)) << name;
   }
+}
+
+// The names that the authors' notebooks open.
+TEST_F(Published, NotebooksFindTheirFiles) {
+  const std::string directory = TempFile("notebooks");
+  WriteNotebookFiles(*experiments_, directory);
+  std::vector<std::string> names;
+  for (const auto& entry : std::filesystem::directory_iterator(directory + "/results")) {
+    names.push_back(entry.path().filename());
+  }
+  for (const char* name : {"two_balls_1_soft_warp_kn_100.npz",
+                           "two_balls_1_soft_warp_kn_1000.0.npz",
+                           "two_balls_1_soft_warp_kn_10000.0.npz",
+                           "two_balls_1_soft_warp_kn_100000.0.npz",
+                           "two_balls_1_specialized_difftaichi_w_toi.npz",
+                           "ground_wall_pbd_brax.npz",
+                           "ground_wall_convexopt_diffcosim_symplectic_euler_wo_toi_mu_0.1.npz"}) {
+    EXPECT_THAT(names, Contains(name));
+  }
+  EXPECT_THAT(names, Not(Contains("two_balls_1_soft_warp_kn_100.0.npz")));
+  const StatusOr<NpzArrays> arrays = ReadNpz(directory + "/results/two_balls_1_soft_warp_kn_100.npz");
+  ASSERT_TRUE(arrays.ok()) << arrays.status().message();
+  EXPECT_THAT(arrays->at("loss").shape, ElementsAre(1000));
+  EXPECT_THAT(arrays->at("ctrls").shape, ElementsAre(480, 2));
+  std::filesystem::remove_all(directory);
 }
 
 }  // namespace
