@@ -43,6 +43,8 @@ constexpr double kLastRadius = 1e16;  // near an optimum: steps are those of Gau
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
+constexpr int kAccurate = 1;        // the first solve whose minimum tells of the costs of an optimum
+constexpr double kGainsAhead = 10;  // of the last iteration of a solve: what is left to its minimum, at most
 
 Eigen::SparseMatrix<double, Eigen::RowMajor> SparseRowsOf(const ceres::CRSMatrix& matrix) {
   return Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>>(matrix.num_rows,
@@ -125,20 +127,22 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
 
   double LargestMultiplier() const { return Largest(multipliers_); }
 
-  // Moves the multipliers on, adds the cost rows' squares to *cost, and raises *change to the largest change of a
-  // multiplier. Returns the largest violation.
-  double Update(const std::vector<double*>& blocks, double* cost, double* change) {
+  // Moves the multipliers on, adds the costs to *cost and the augmented Lagrangian before that to *lagrangian, and
+  // raises *change to the largest change of a multiplier. Returns the largest violation.
+  double Update(const std::vector<double*>& blocks, double* cost, double* lagrangian, double* change) {
     std::vector<double> rows(num_residuals());
     if (!function_->Evaluate(blocks.data(), rows.data(), nullptr)) return INFINITY;
     double violation = 0;
     for (int row = 0; row < num_residuals(); ++row) {
       if (row >= num_constraints()) {
         *cost += CostOf(row, rows[row]);
+        *lagrangian += CostOf(row, rows[row]);
         continue;
       }
       const bool equality = row < roles_.equalities;
       const double before = multipliers_[row];
       SetMultiplier(row, before + WeightOf(row) * rows[row]);
+      *lagrangian += (multipliers_[row] * multipliers_[row] - before * before) / WeightOf(row);
       *change = std::max(*change, std::abs(multipliers_[row] - before));
       violation = std::max(violation, equality ? std::abs(rows[row]) : rows[row]);
     }
@@ -256,11 +260,11 @@ double AugmentedLagrangian::Cost() const {
   return cost;
 }
 
-double AugmentedLagrangian::UpdateMultipliers(double* cost, double* change) {
+double AugmentedLagrangian::UpdateMultipliers(double* cost, double* lagrangian, double* change) {
   double violation = 0;
-  *cost = *change = 0;
+  *cost = *lagrangian = *change = 0;
   for (const auto& [function, blocks] : functions_) {
-    violation = std::max(violation, function->Update(blocks, cost, change));
+    violation = std::max(violation, function->Update(blocks, cost, lagrangian, change));
   }
   return violation;
 }
@@ -363,8 +367,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     if (summary.termination_type == ceres::FAILURE) break;
     result.usable = true;
     const double before = result.cost, open_before = result.violation;
-    double change_of_multipliers = 0;
-    result.violation = UpdateMultipliers(&result.cost, &change_of_multipliers);
+    double lagrangian = 0, change_of_multipliers = 0;
+    result.violation = UpdateMultipliers(&result.cost, &lagrangian, &change_of_multipliers);
     // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
     near = near || (round == 0 && !estimated && result.iterations == 0);
     if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
@@ -385,6 +389,8 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
       stalls = round > 0 && result.violation > kStalled * open_before ? stalls + 1 : 0;
       if (stalls == kMostStalled || (result.iterations > kManyIterations && result.violation > kHopeless)) break;
     }
+    const double gain_ahead = kGainsAhead * ceres_options.function_tolerance * std::abs(lagrangian);
+    if (round >= kAccurate && lagrangian - gain_ahead > options.most_cost) break;
     const double same = std::max(kSameCost * std::abs(result.cost), least_change);
     // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
     const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;

@@ -73,6 +73,8 @@ class AugmentedLagrangian {
     // Whether the start is one of many. It is then given up where constraints stay far from met, and solves before they
     // are nearly met are not accurate.
     bool one_of_many = false;
+    // A minimum of the augmented Lagrangian above this ends the solve: no optimum near by has lower costs.
+    double most_cost = INFINITY;
     // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
@@ -113,7 +115,7 @@ class AugmentedLagrangian {
   void WeighByCosts(double factor);
   double Cost() const;
   double LargestWeight() const;
-  double UpdateMultipliers(double* cost, double* change);
+  double UpdateMultipliers(double* cost, double* lagrangian, double* change);
   double LargestMultiplier() const;
   std::vector<double> Values() const;
   void SetValues(const std::vector<double>& values);

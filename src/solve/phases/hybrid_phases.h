@@ -42,7 +42,8 @@ class HybridPhaseRun final : public SequenceRun {
   using Event = ModeEvent;
   using Motion = HybridMotion;
   class Transcriber;
-  static constexpr double kUneven = 1.25;  // a step so many times the mean one is too long
+  static constexpr double kUneven = 1.25;     // a step so many times the mean one is too long
+  static constexpr bool kHoldsGuards = true;  // at the ends of all steps, beside those of events that are to stay open
 
   // Precondition: WhyNotHybridPhases(problem) is empty. From the guess of the problem, or another motion, which is
   // simulated; along a sequence that is given, or that of the motion.

@@ -760,6 +760,7 @@ AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::
   options.most_open = kMostOpen;
   options.gain = kGain;
   options.change_of_multipliers = kChangeOfMultipliers;
+  options.most_cost /= scales_.loss;
   options.ScaleTo(steps);
   if (options.callback) {
     options.callback = [this, callback = options.callback](double cost) { return callback(cost * scales_.loss); };

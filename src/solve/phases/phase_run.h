@@ -46,7 +46,8 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   using Event = Candidate;
   using Motion = Trial;
   class Transcriber;
-  static constexpr double kUneven = 2;  // a step so many times the mean one is too long
+  static constexpr double kUneven = 2;         // a step so many times the mean one is too long
+  static constexpr bool kHoldsGuards = false;  // at the ends of all steps, beside those of events that are to stay open
 
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options);
   // Begins with a motion in place of the initial guess.

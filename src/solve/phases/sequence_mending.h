@@ -42,10 +42,13 @@ namespace mending {
 
 inline constexpr int kMostAttempts = 60;
 inline constexpr int kPatience = 5;           // attempts after which nothing better than an optimum is expected
+inline constexpr int kPatienceOfMany = 8;     // ... or no optimum from one of many starts
 inline constexpr int kMostStarts = 5;         // of one plan
 inline constexpr double kBetterStart = 0.99;  // of the merit of an earlier one
 inline constexpr double kVanished = 1e-3;     // of the horizon: a phase so short wants to be none
 inline constexpr double kActive = 1e-6;       // ... or is none, at an optimum
+inline constexpr double kGone = 1e-5;         // ... or no solve brings it back, if it is so short in many iterations
+inline constexpr int kMostVanished = 30;      // iterations, one after the other
 inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one sequence
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
 inline constexpr int kMostKinks = 5;          // left one after the other
@@ -75,6 +78,7 @@ class SequenceUpdate {
     for (int attempts = 0; attempts < mending::kMostAttempts && !interrupted_ && !run_.IsOutOfIterations();
          ++attempts) {
       if (HasOptimum() && idle_ >= mending::kPatience) tasks_.clear();
+      if (run_.is_one_of_many() && idle_ >= mending::kPatienceOfMany) tasks_.clear();
       if (tasks_.empty()) LeaveSaddleOfBest();
       if (tasks_.empty() && mends) LeaveKinkOfBest();
       if (tasks_.empty()) LeaveNodesOfBest();
@@ -167,9 +171,12 @@ class SequenceUpdate {
 
   void Attempt(const Task& task, bool mends) {
     bool left = false;
+    int vanished = 0;  // iterations in which a phase is hardly any, one after the other
     if (passed_.empty() || !(passed_.back() == task.plan)) passed_.push_back(task.plan);
     const PlanAttempt attempt = try_(task.plan, task.start, [&](const auto& times, const auto& speeds) {
-      left = mends && task.rank != Rank::kHold && Leaves(task.plan, times, speeds);
+      vanished = HasVanished(task.plan, times) ? vanished + 1 : 0;
+      const bool leaves = task.rank != Rank::kHold && Leaves(task.plan, times, speeds);
+      left = mends && (leaves || vanished > mending::kMostVanished);
       return !left;
     });
     run_.report().evaluations += attempt.jacobians;
@@ -182,7 +189,10 @@ class SequenceUpdate {
     Meet(attempt.trial);
     Remember(task, attempt, left);
     const bool better = attempt.feasible() && IsBetter(task.plan, attempt);
-    idle_ = better ? 0 : idle_ + 1;
+    const double least = std::min(Merit(task.start.trial), Merit(attempt.trial));
+    const bool nearer = !HasOptimum() && least < run_.most_loss() && least < mending::kBetterStart * least_;
+    if (nearer) least_ = least;
+    idle_ = better || nearer ? 0 : idle_ + 1;
     if (better) {
       best_ = attempt;
       best_plan_ = task.plan;
@@ -222,6 +232,14 @@ class SequenceUpdate {
     return false;
   }
 
+  // Whether a phase between two events is hardly any.
+  static bool HasVanished(const PhasePlan& plan, const std::vector<double>& times) {
+    for (size_t k = 0; k + 1 < plan.cuts.size(); ++k) {
+      if (!plan.on_grid && !plan.tied[k] && IsShort(times, k, mending::kGone)) return true;
+    }
+    return false;
+  }
+
   // Returns the tasks that follow a solve, best first.
   std::vector<Task> Moves(const Task& task, const PlanAttempt& attempt, bool left) const {
     std::vector<Task> moves;
@@ -235,7 +253,9 @@ class SequenceUpdate {
     // One that has not converged has gone astray, if nothing stopped it.
     const bool trusted = left || attempt.converged || attempt.feasible();
     const PlanStart start = trusted ? PlanStart{{attempt.times.begin(), attempt.times.end() - 1}, trial} : task.start;
-    DropGrazes(task.plan, attempt, start, &moves);
+    // Where phases hold all guards, one that is to stay open changes only an optimum, at which it reaches zero.
+    const bool keeps_apart = attempt.converged || !Run::kHoldsGuards;
+    DropGrazes(task.plan, attempt, start, keeps_apart, &moves);
     Reorder(task.plan, attempt, start, &moves);
     SplitRegimes(task.plan, attempt, start, &moves);
     if (attempt.converged && attempt.feasible()) {
@@ -246,6 +266,7 @@ class SequenceUpdate {
     if (!attempt.realized && std::isfinite(Merit(trial))) {
       moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
       for (const Event& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
+        if (!keeps_apart) break;
         if (Contains(task.plan.Sequence(), met) || Contains(task.plan.apart, met)) continue;
         moves.push_back({task.plan, start});
         moves.back().plan.apart.push_back(met);
@@ -269,7 +290,7 @@ class SequenceUpdate {
     task->start.times.erase(task->start.times.begin() + k);
   }
 
-  void DropGrazes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start,
+  void DropGrazes(const PhasePlan& plan, const PlanAttempt& attempt, const PlanStart& start, bool keeps_apart,
                   std::vector<Task>* moves) const {
     for (size_t k = 0; k < plan.cuts.size(); ++k) {
       if (!plan.cuts[k] || attempt.speeds[k] < -mending::kGrazes) continue;
@@ -278,7 +299,7 @@ class SequenceUpdate {
       // Beside another one of the same event nothing keeps its gap open.
       const bool beside =
           (k > 0 && plan.cuts[k - 1] == plan.cuts[k]) || (k + 1 < plan.cuts.size() && plan.cuts[k + 1] == plan.cuts[k]);
-      if (!beside && !Contains(task.plan.apart, *plan.cuts[k])) task.plan.apart.push_back(*plan.cuts[k]);
+      if (keeps_apart && !beside && !Contains(task.plan.apart, *plan.cuts[k])) task.plan.apart.push_back(*plan.cuts[k]);
       moves->push_back(std::move(task));
     }
   }
@@ -527,7 +548,8 @@ class SequenceUpdate {
   Trial lowest_;                 // the best of all motions met
   int saddles_ = 0, kinks_ = 0;  // that were left
   bool restored_ = false;
-  int idle_ = 0;  // attempts since something better was found
+  double least_ = INFINITY;  // merit of the motions of attempts
+  int idle_ = 0;             // attempts since something better was found
   bool interrupted_ = false;
 };
 

@@ -34,9 +34,14 @@ class SequenceRun {
   // Returns the algorithm that minimises along a sequence.
   AugmentedLagrangian::Algorithm algorithm() const { return algorithm_; }
   void set_algorithm(AugmentedLagrangian::Algorithm algorithm) { algorithm_ = algorithm; }
-  // Whether the run is one of a search, which has other starts (AugmentedLagrangian::Options::one_of_many).
+  // Whether the run is one of a search, which has other starts (AugmentedLagrangian::Options::one_of_many), and to
+  // which an optimum with a loss above `most_loss` is of no use.
   bool is_one_of_many() const { return one_of_many_; }
-  void set_one_of_many(bool one_of_many) { one_of_many_ = one_of_many; }
+  double most_loss() const { return most_loss_; }
+  void set_one_of_many(double most_loss) {
+    one_of_many_ = true;
+    most_loss_ = most_loss;
+  }
 
  protected:
   SolveReport Refuse(Termination termination, std::string reason) const;
@@ -50,6 +55,7 @@ class SequenceRun {
  private:
   AugmentedLagrangian::Algorithm algorithm_ = AugmentedLagrangian::Algorithm::kLeastSquares;
   bool one_of_many_ = false;
+  double most_loss_ = INFINITY;
   std::chrono::steady_clock::time_point start_;
 };
 

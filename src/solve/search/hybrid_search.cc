@@ -98,7 +98,7 @@ class HybridSearch {
     return neighbours;
   }
 
-  Finding SolveAlong(HybridMotion from, const std::optional<Sequence>& sequence, bool is_guess,
+  Finding SolveAlong(HybridMotion from, const SearchStartOf<Run>& search_start, double most_loss,
                      const SolverOptions& options) const {
     Finding finding;
     HybridProblem problem = problem_;
@@ -110,8 +110,8 @@ class HybridSearch {
         at.guess = start.guess;
         from = MotionOf(start.guess);
       }
-      HybridPhaseRun run("mode_search", at, own, from, sequence);
-      run.set_one_of_many(!is_guess);
+      HybridPhaseRun run("mode_search", at, own, from, search_start.sequence);
+      if (!search_start.is_guess) run.set_one_of_many(most_loss);
       if (auto refused = run.WhyNotStart()) return *refused;
       SolveReport report = MendHybrid(&run);
       finding.trial = {report.control, report.durations, report.initial_state, report.parameters, {}};

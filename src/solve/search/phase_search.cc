@@ -83,9 +83,8 @@ class DiscSearch {
     return saltus::NeighboursOf(scene, trial, left_out);
   }
 
-  Finding SolveAlong(Trial from, const std::optional<ContactSequence>& sequence, bool /*is_guess*/,
-                     SolverOptions options) const {
-    options.sequence = sequence;
+  Finding SolveAlong(Trial from, const SearchStartOf<Run>& start, double /*most_loss*/, SolverOptions options) const {
+    options.sequence = start.sequence;
     Finding finding;
     PhaseRun run("mode_search", request_, options, run_.WithinBounds(std::move(from)));
     if (auto refused = run.WhyNotStart()) {

@@ -21,8 +21,10 @@
 //   BeginAtRandom(seed, number)                a motion, or nothing if there is nothing to be drawn
 //   NeighboursOf(trial, &left_out)             the sequences
 //   Shoot(options, &trial)                     a motion nearer to the targets, by shooting; the gradients computed
-//   SolveAlong(trial, sequence, is_guess, options)  one solve; this and Shoot are called by several threads at the same
-//                                              time
+//   SolveAlong(trial, start, most_loss, options)  one solve from a motion, the start or that of Shoot, which is given
+//   up
+//                                              where no optimum has a loss below `most_loss`; this and Shoot are called
+//                                              by several threads at the same time
 //   WorkByRollout(), WorkBySteps()             of a gradient by shooting and of a Jacobian, as SearchOptions::work
 //   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
 #pragma once
@@ -156,6 +158,7 @@ inline constexpr int kIterationsAlong = 400;    // of a neighbour, which begins 
 inline constexpr int kIterationsShooting = 30;  // from random starts
 inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
 inline constexpr double kZero = 1e-12;          // of the loss of the initial guess
+inline constexpr double kMuchWorse = 2;         // relative excess of a loss over that of the best optimum
 
 }  // namespace sequence_search
 
@@ -186,10 +189,11 @@ class SequenceSearch : LimitedSearch {
   using Start = SearchStartOf<typename Problem::Run>;
   using Finding = FindingOf<Trial>;
 
-  // The next start to solve from, and the work that the solve may take (SearchOptions::work).
+  // The next start to solve from, the work that the solve may take (SearchOptions::work), and the loss above which an
+  // optimum is of no use.
   struct Draw {
     const Start* start;
-    double most_work;
+    double most_work, most_loss;
   };
 
   // Whether no motion can have a lower loss.
@@ -263,9 +267,10 @@ class SequenceSearch : LimitedSearch {
       if (end_ || next == starts.end() || IsZero()) return std::nullopt;
       const std::optional<double> most_work = CountDrawn();
       if (!most_work) return std::nullopt;
-      return Draw{&*next++, *most_work};
+      const Start& start = *next++;
+      return Draw{&start, *most_work, MostLoss(start)};
     };
-    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(*draw.start, draw.most_work); };
+    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(draw); };
     line.look = [this](const Draw& draw, Finding finding) {
       if (finding.report.solver.empty()) return EndByStop();  // not begun
       if (const auto& sequence = draw.start->sequence) {
@@ -279,7 +284,16 @@ class SequenceSearch : LimitedSearch {
     if (Stopped()) EndByStop();
   }
 
-  Finding SolveFrom(const Start& start, double most_work) const {
+  // Near the best optimum a sequence of its neighbourhood has to be better; elsewhere other optima are reported too.
+  double MostLoss(const Start& start) const {
+    if (!best_ || start.is_guess || !MeetsConstraints(best_->trial)) return INFINITY;
+    const double loss = best_->trial.exact.loss;
+    return loss + (start.sequence ? kSameOptimum : sequence_search::kMuchWorse) * std::abs(loss);
+  }
+
+  Finding SolveFrom(const Draw& draw) const {
+    const auto& [start_of_draw, most_work, most_loss] = draw;
+    const Start& start = *start_of_draw;
     SolverOptions own;
     own.stop = options_.stop;
     own.search = options_.search;
@@ -293,7 +307,7 @@ class SequenceSearch : LimitedSearch {
         IterationsWithin(most_work,
                          problem_.WorkBySteps(),
                          start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
-    Finding finding = problem_.SolveAlong(std::move(from), start.sequence, start.is_guess, own);
+    Finding finding = problem_.SolveAlong(std::move(from), start, most_loss, own);
     finding.shooting = shooting;
     return finding;
   }

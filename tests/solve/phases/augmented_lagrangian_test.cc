@@ -21,7 +21,8 @@ struct DistanceOnCircle {
   }
 };
 
-AugmentedLagrangian::Summary Minimize(double square_of_radius, bool one_of_many, double* x) {
+AugmentedLagrangian::Summary Minimize(double square_of_radius, bool one_of_many, double* x,
+                                      double most_cost = INFINITY) {
   AugmentedLagrangian lagrangian;
   lagrangian.Add(
       std::make_unique<ceres::AutoDiffCostFunction<DistanceOnCircle, 3, 2>>(new DistanceOnCircle{square_of_radius}),
@@ -31,6 +32,7 @@ AugmentedLagrangian::Summary Minimize(double square_of_radius, bool one_of_many,
   options.equality_weight = 1;
   options.most_open = 0.005;
   options.one_of_many = one_of_many;
+  options.most_cost = most_cost;
   return lagrangian.Minimize(options);
 }
 
@@ -51,6 +53,16 @@ TEST(AugmentedLagrangianTest, OneOfManyIsGivenUpWhereAConstraintCannotBeMet) {
   EXPECT_FALSE(given_up.converged);
   EXPECT_GE(given_up.violation, 1) << "no point violates it by less";
   EXPECT_LT(given_up.jacobians, patient.jacobians / 3);
+}
+
+// At the optimum the costs are (sqrt(5) - 1)^2 = 1.5279.
+TEST(AugmentedLagrangianTest, IsGivenUpWhereAnOptimumCostsTooMuch) {
+  double x[] = {0.3, 0.9}, y[] = {0.3, 0.9};
+  const AugmentedLagrangian::Summary enough = Minimize(1, /*one_of_many=*/true, x, 1.5280);
+  const AugmentedLagrangian::Summary too_little = Minimize(1, /*one_of_many=*/true, y, 1.5278);
+  EXPECT_TRUE(enough.converged);
+  EXPECT_FALSE(too_little.converged);
+  EXPECT_LT(too_little.jacobians, enough.jacobians);
 }
 
 }  // namespace

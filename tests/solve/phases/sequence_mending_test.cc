@@ -285,10 +285,16 @@ class PlainRun {
   using Motion = PlainMotion;
   using Plan = PlanOf<Event>;
 
+  static constexpr bool kHoldsGuards = false;
+
   explicit PlainRun(Motion guess) : guess_(std::move(guess)) {}
 
   // The loss at which a motion is said to be stationary.
   double stationary_loss = -1;
+  bool one_of_many = false;
+
+  bool is_one_of_many() const { return one_of_many; }
+  double most_loss() const { return INFINITY; }
 
   const SolverOptions& options() const { return options_; }
   const Motion& guess() const { return guess_; }
@@ -385,6 +391,47 @@ TEST(SequenceUpdate, LetsTheGapOfAGrazeCloseBesideTheSameEvent) {
   ASSERT_EQ(plans.size(), 1u);
   EXPECT_THAT(plans[0].Sequence(), testing::ElementsAre(2));
   EXPECT_THAT(plans[0].apart, testing::IsEmpty());
+}
+
+// Each attempt ends at a motion with one event more than its plan, which is better by a thousandth.
+int AttemptsWithoutOptimum(bool one_of_many) {
+  PlainRun run(MotionWith(1, {1}));
+  run.one_of_many = one_of_many;
+  int attempts = 0;
+  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+    PlainAttempt attempt = OptimumAlong(plan, start, 0);
+    attempt.converged = attempt.realized = false;
+    std::vector<int> events = plan.Sequence();
+    events.push_back(1);
+    attempt.trial = MotionWith(1 - 1e-3 * ++attempts, events);
+    return attempt;
+  });
+  return attempts;
+}
+
+TEST(SequenceUpdate, GivesUpOneOfManyStartsWithoutABetterMotion) {
+  EXPECT_EQ(AttemptsWithoutOptimum(/*one_of_many=*/false), mending::kMostAttempts);
+  EXPECT_EQ(AttemptsWithoutOptimum(/*one_of_many=*/true), mending::kPatienceOfMany + 1) << "the first is the best";
+}
+
+// The solve of a plan whose two events stay at nearly the same time.
+TEST(SequenceUpdate, LeavesAPlanWhosePhaseDoesNotComeBack) {
+  PlainRun run(MotionWith(3, {1, 2}));
+  int iterations = 0;
+  std::vector<PlainRun::Plan> plans;
+  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const MayGoOn& may_go_on) {
+    plans.push_back(plan);
+    PlainAttempt attempt = OptimumAlong(plan, start, 2);
+    if (plans.size() > 1) return attempt;
+    attempt.times = {0.5, 0.5 + 1e-6, 1};
+    attempt.converged = attempt.realized = false;
+    attempt.trial = MotionWith(INFINITY, {1, 2});
+    while (iterations < 400 && may_go_on(attempt.times, attempt.speeds)) ++iterations;
+    return attempt;
+  });
+  EXPECT_EQ(iterations, mending::kMostVanished);
+  ASSERT_GE(plans.size(), 2u);
+  EXPECT_THAT(plans[1].Sequence(), testing::ElementsAre(2, 1));
 }
 
 // Along the only sequence that is tried the optimum is worse than the guess.
