@@ -16,6 +16,8 @@
 #include <limits>
 #include <mutex>
 #include <unordered_map>
+
+#include "base/statistics.h"
 #endif
 
 namespace saltus {
@@ -41,8 +43,9 @@ using Ipopt::Index;
 using Ipopt::Number;
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-constexpr double kNoBound = 2e19;  // IPOPT takes a bound beyond 1e19 for none
-constexpr double kWidth = 1e-5;    // of differences, relative to the size of a variable
+constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
+constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
+constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
 // the functions name them first (that of ceres::Problem is one of addresses); rows are the constraints of the functions
@@ -155,8 +158,9 @@ class InteriorPointProblem final : public Ipopt::TNLP {
       return true;
     }
     if (!Linearize(x, is_new)) return false;
+    const double inactive = kInactive * Largest(std::span(multipliers, num_rows_));
     for (Function& function : functions_) {
-      values = AddHessian(factor, multipliers, &function, values);
+      values = AddHessian(factor, multipliers, inactive, &function, values);
       multipliers += function.num_constraints();
     }
     return true;
@@ -331,7 +335,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
 
   // Writes the lower triangle of what a function adds to the Hessian, in the order of its structure. Returns the place
   // behind it.
-  Number* AddHessian(Number factor, const Number* multipliers, Function* function, Number* values) {
+  Number* AddHessian(Number factor, const Number* multipliers, double inactive, Function* function, Number* values) {
     const std::vector<Column>& among = function->HasSquares() ? function->columns : function->curved;
     const auto count = static_cast<Eigen::Index>(among.size());
     hessian_.setZero(count, count);
@@ -349,7 +353,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
                      : function->IsValue(row)          ? factor
                                                        : 2 * factor * function->rows[row];
     }
-    if (!weights.isZero(0)) AddDifferences(weights, function);
+    if (weights.cwiseAbs().maxCoeff() > inactive) AddDifferences(weights, function);
     for (Eigen::Index i = 0; i < count; ++i) {
       for (Eigen::Index j = 0; j <= i; ++j) *values++ = 0.5 * (hessian_(i, j) + hessian_(j, i));
     }
@@ -369,7 +373,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
       }
       return by->allFinite();
     };
-    Eigen::VectorXd above, below, middle(static_cast<Eigen::Index>(function->curved.size()));
+    Eigen::VectorXd moved, middle(static_cast<Eigen::Index>(function->curved.size()));
     for (Eigen::Index i = 0; i < middle.size(); ++i) {
       const Column& column = function->curved[i];
       middle[i] = jacobians[column.block].col(column.component).dot(weights);
@@ -378,21 +382,14 @@ class InteriorPointProblem final : public Ipopt::TNLP {
       const int variable = function->curved[j].variable;
       double& value = *components_[variable];
       const double at = value, width = std::max(kWidth * sizes_[variable], 1e-7 * std::abs(at));
-      value = at + width;
-      const double up = value - at;
-      const bool has_above = gradient(&above);
-      value = at - width;
-      const double down = at - value;
-      const bool has_below = gradient(&below);
-      value = at;
-      const auto n = middle.size();
-      auto column = hessian_.col(static_cast<Eigen::Index>(j)).head(n);
-      if (has_above && has_below) {
-        column += (above - below) / (up + down);
-      } else if (has_above) {
-        column += (above - middle) / up;
-      } else if (has_below) {
-        column += (middle - below) / down;
+      for (const double side : {1.0, -1.0}) {
+        value = at + side * width;
+        const double change = value - at;
+        const bool has_moved = gradient(&moved);
+        value = at;
+        if (!has_moved) continue;
+        hessian_.col(static_cast<Eigen::Index>(j)).head(middle.size()) += (moved - middle) / change;
+        break;
       }
     }
     function->rows = rows;

@@ -7,7 +7,7 @@
 //
 //   2 J_f^T J_f + d/dx (J^T w),   w = (2 f, 1, multipliers of c and d)
 //
-// in which the derivative of J^T w at constant w is by central differences of the function's own Jacobian. Only the
+// in which the derivative of J^T w at constant w is by differences of the function's own Jacobian. Only the
 // parameter blocks in which the function is not affine take part in them.
 #pragma once
 
