@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "base/linear_algebra.h"
 #include "base/statistics.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/least_multipliers.h"
@@ -17,6 +18,9 @@
 namespace saltus {
 namespace {
 
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+constexpr double kWidth = 1e-6;      // of differences, relative to the size of a variable
 constexpr double kGrowth = 10;       // of the weights, from solve to solve
 constexpr double kStalled = 0.5;     // of the violation that the solve before has left
 constexpr double kHopeless = 0.1;    // of a row after kManyIterations, where a motion is one of many
@@ -72,12 +76,14 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
         weights_(weights),
         multipliers_(roles.equalities + roles.inequalities, 0.0),
         references_(roles.values, NAN) {
-    set_num_residuals(function_->num_residuals());
+    // The rows of the curvature come last, are zero, and have its root as their Jacobian.
+    set_num_residuals(function_->num_residuals() + (roles.are_curved ? function_->parameter_block_sizes()[0] : 0));
     *mutable_parameter_block_sizes() = function_->parameter_block_sizes();
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     if (!function_->Evaluate(parameters, residuals, jacobians) || !IsFinite(residuals, jacobians)) return false;
+    if (roles_.are_curved) AddCurvature(parameters[0], residuals, jacobians == nullptr ? nullptr : jacobians[0]);
     for (int i = 0; i < roles_.values; ++i) {
       double& row = residuals[num_constraints() + i];
       row += 0.5 - (std::isnan(references_[i]) ? row : references_[i]);
@@ -155,11 +161,42 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
   double CostOf(int row, double value) const { return row < num_constraints() + roles_.values ? value : value * value; }
 
+  // Writes rows of zero whose Jacobian is the root of the positive part of the Hessian of the rows times their
+  // multipliers, by differences of their gradient.
+  void AddCurvature(const double* block, double* rows, double* jacobian) const {
+    const int count = num_constraints(), size = parameter_block_sizes()[0];
+    std::fill_n(rows + count, size, 0.0);
+    if (jacobian == nullptr) return;
+    Eigen::VectorXd multipliers(count);
+    for (int row = 0; row < count; ++row) {
+      multipliers[row] = std::max(0.0, multipliers_[row] + WeightOf(row) * rows[row]);
+    }
+    Eigen::Map<Matrix> root(jacobian + count * size, size, size);
+    root.setZero();
+    if (multipliers.isZero(0)) return;
+    const Eigen::Map<const Matrix> by(jacobian, count, size);
+    const Eigen::VectorXd gradient = by.transpose() * multipliers;
+    std::vector<double> moved(block, block + size), moved_rows(count);
+    Matrix moved_by(count, size);
+    const double* blocks[] = {moved.data()};
+    double* out[] = {moved_by.data()};
+    Eigen::MatrixXd hessian = Eigen::MatrixXd::Zero(size, size);
+    for (int i = 0; i < size; ++i) {
+      moved[i] += kWidth * std::max(std::abs(block[i]), 1 / std::max(by.col(i).cwiseAbs().maxCoeff(), kWidth));
+      const bool is_finite = function_->Evaluate(blocks, moved_rows.data(), out) && moved_by.allFinite();
+      if (is_finite) hessian.col(i) = (moved_by.transpose() * multipliers - gradient) / (moved[i] - block[i]);
+      moved[i] = block[i];
+    }
+    const SymmetricEigen eigen = EigenOf(0.5 * (hessian + hessian.transpose()));
+    root = eigen.values.cwiseMax(0.0).cwiseSqrt().asDiagonal() * eigen.vectors.transpose();
+  }
+
   // Ceres would write all numbers of a function to standard error.
   bool IsFinite(const double* residuals, double** jacobians) const {
-    bool all = AllFinite(std::span(residuals, num_residuals()));
+    const int rows = function_->num_residuals();
+    bool all = AllFinite(std::span(residuals, rows));
     for (size_t block = 0; all && jacobians != nullptr && block < parameter_block_sizes().size(); ++block) {
-      const int size = num_residuals() * parameter_block_sizes()[block];
+      const int size = rows * parameter_block_sizes()[block];
       all = jacobians[block] == nullptr || AllFinite(std::span(jacobians[block], size));
     }
     return all;

@@ -35,6 +35,9 @@ struct RowRoles {
   int affine_blocks = 0;
   // Each row is an inequality of one component, in which it is affine.
   bool are_bounds = false;
+  // The rows are curved inequalities of one parameter block. Their curvature, times their multipliers, counts in steps,
+  // along directions in which it is positive: steps without it are too long, as along the border of a disc.
+  bool are_curved = false;
   // The inequalities have the weight of equalities from the first solve on: without them it would be of another motion.
   bool are_goals = false;
 };

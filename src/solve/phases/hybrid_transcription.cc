@@ -677,6 +677,7 @@ void HybridTranscription::AddTerms() {
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
       roles.are_goals = term.at == HybridTerm::At::kEnd;
+      roles.are_curved = term.with_control && blocks.size() == 1;
     } else if (!plan_.only_violation) {
       roles.equalities = rows;
     }

@@ -316,7 +316,8 @@ void PhaseTranscription::AddBounds() {
           Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4, .are_bounds = true}, {forces_[k].data()});
     }
     if (!control.max_norm.empty()) {
-      problem_.Add(Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1}, {forces_[k].data()});
+      problem_.Add(
+          Sized<2>(NormBound{control.max_norm[c]}), {.inequalities = 1, .are_curved = true}, {forces_[k].data()});
     }
   }
   for (size_t k = 0; scene_.optimize == Optimize::kControl && k < turns_.size(); ++k) {

@@ -65,5 +65,42 @@ TEST(AugmentedLagrangianTest, IsGivenUpWhereAnOptimumCostsTooMuch) {
   EXPECT_LT(too_little.jacobians, enough.jacobians);
 }
 
+struct InUnitDisc {
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    rows[0] = 0.5 * (x[0] * x[0] + x[1] * x[1] - 1.0);
+    return true;
+  }
+};
+struct DistanceToPoint {
+  template <typename T>
+  bool operator()(const T* x, T* rows) const {
+    rows[0] = x[0] - 2.0;
+    rows[1] = x[1] - 1.0;
+    return true;
+  }
+};
+
+// The squared distance of a point of the unit disc to (2, 1).
+AugmentedLagrangian::Summary MinimizeInDisc(bool are_curved, double* x) {
+  AugmentedLagrangian lagrangian;
+  lagrangian.Add(std::make_unique<ceres::AutoDiffCostFunction<InUnitDisc, 1, 2>>(new InUnitDisc),
+                 {.inequalities = 1, .are_curved = are_curved},
+                 {x});
+  lagrangian.Add(std::make_unique<ceres::AutoDiffCostFunction<DistanceToPoint, 2, 2>>(new DistanceToPoint), {}, {x});
+  return lagrangian.Minimize({});
+}
+
+TEST(AugmentedLagrangianTest, CurvatureOfAnInequalityMakesStepsThoseOfNewton) {
+  double x[] = {0.3, 0.9}, y[] = {0.3, 0.9};
+  const AugmentedLagrangian::Summary curved = MinimizeInDisc(/*are_curved=*/true, x);
+  const AugmentedLagrangian::Summary flat = MinimizeInDisc(/*are_curved=*/false, y);
+  EXPECT_TRUE(curved.converged);
+  EXPECT_NEAR(x[0], 2 / std::sqrt(5), 1e-8);
+  EXPECT_NEAR(x[1], 1 / std::sqrt(5), 1e-8);
+  EXPECT_NEAR(curved.cost, std::pow(std::sqrt(5) - 1, 2), 1e-8);
+  EXPECT_LT(curved.iterations, 0.7 * flat.iterations);
+}
+
 }  // namespace
 }  // namespace saltus
