@@ -230,6 +230,7 @@ class TranscribedPlan {
     read();
     attempt->valid = true;
     attempt->converged = summary.converged;
+    attempt->planned_loss = summary.cost;
     attempt->interrupted = summary.interrupted && !left;
     attempt->jacobians += summary.jacobians;
     transcriber_.TakeControl(*transcription, &attempt->trial);

@@ -63,10 +63,11 @@ struct PlanAttemptOf {
   std::vector<double> times;   // s, of the cuts as planned, and the final time
   std::vector<double> speeds;  // of the cuts: the rate at which the gap closes, negative if it does; 0 of instants
   Motion trial;
-  bool converged = false;    // an optimum along the plan
-  bool interrupted = false;  // by the user
-  bool realized = false;     // the exact roll-out has the plan's events and no others
-  double violation = 0;      // of hard constraints, on the exact roll-out
+  bool converged = false;          // an optimum along the plan
+  bool interrupted = false;        // by the user
+  bool realized = false;           // the exact roll-out has the plan's events and no others
+  double violation = 0;            // of hard constraints, on the exact roll-out
+  double planned_loss = INFINITY;  // along the plan, whatever the exact roll-out
   int jacobians = 0;
 
   bool feasible() const { return realized && violation <= kFeasible; }  // within what may be left of hard constraints

@@ -188,6 +188,10 @@ class SequenceUpdate {
     }
     Meet(attempt.trial);
     Remember(task, attempt, left);
+    const double least_planned = unrealized_ ? unrealized_->first.planned_loss : INFINITY;
+    if (attempt.converged && !attempt.realized && attempt.planned_loss < least_planned) {
+      unrealized_ = {attempt, task.plan.Sequence()};
+    }
     const bool better = attempt.feasible() && IsBetter(task.plan, attempt);
     const double least = std::min(Merit(task.start.trial), Merit(attempt.trial));
     const bool nearer = !HasOptimum() && least < run_.most_loss() && least < mending::kBetterStart * least_;
@@ -500,6 +504,10 @@ class SequenceUpdate {
         *reason += "; the sequence of the motion returned is " + run_.NameOf(returned);
     }
     if (reason->empty()) *reason = "no solve along the sequences tried ended at an optimum";
+    if (unrealized_ && unrealized_->first.planned_loss < lowest_.exact.loss) {
+      *reason +=
+          "; lower is the loss of a plan, but " + run_.WhyNotRealized(unrealized_->first.trial, unrealized_->second);
+    }
     return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
   }
 
@@ -544,6 +552,7 @@ class SequenceUpdate {
   std::vector<Tried> tried_;
   std::vector<PhasePlan> passed_;
   std::optional<PlanAttempt> best_, last_;
+  std::optional<std::pair<PlanAttempt, Sequence>> unrealized_;  // the best optimum along a plan that is no real motion
   PhasePlan best_plan_, last_plan_;
   Trial lowest_;                 // the best of all motions met
   int saddles_ = 0, kinks_ = 0;  // that were left

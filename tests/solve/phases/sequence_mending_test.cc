@@ -333,7 +333,7 @@ class PlainRun {
   std::string NamesOf(const std::vector<Plan>&) const { return ""; }
   std::string KinksOf(const Plan&) const { return ""; }
   std::string DescribeMiss(const Motion&) const { return ""; }
-  std::string WhyNotRealized(const Motion&, const std::vector<Event>&) const { return ""; }
+  std::string WhyNotRealized(const Motion&, const std::vector<Event>&) const { return "it is not realized"; }
   SolveReport Finish(const Motion&, double loss, Termination termination, const std::string& reason) const {
     SolveReport report;
     report.final_loss = loss;
@@ -446,6 +446,23 @@ TEST(SequenceUpdate, TakesTheBestMotionIfItIsStationary) {
   const SolveReport report = WhereTheOptimumIsWorse(1);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_EQ(report.final_loss, 1);
+}
+
+// A plan without a real motion has a lower loss than the best motion, along which no solve converges.
+TEST(SequenceUpdate, NamesTheBetterPlanThatIsNoMotion) {
+  PlainRun run(MotionWith(3, {1, 2}));
+  int attempts = 0;
+  const SolveReport report = SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+    PlainAttempt attempt = OptimumAlong(plan, start, 2.0 - 0.1 * ++attempts);
+    attempt.converged = attempts == 1;
+    attempt.realized = attempts > 1;
+    attempt.planned_loss = 1;
+    if (attempts == 1) attempt.trial.exact.contacts = {1};
+    return attempt;
+  });
+  EXPECT_GE(attempts, 2);
+  EXPECT_EQ(report.termination, Termination::kNoProgress);
+  EXPECT_THAT(report.reason, HasSubstr("lower is the loss of a plan, but it is not realized"));
 }
 
 TEST(SequenceUpdate, SaysThatTheBestMotionIsNoOptimum) {
