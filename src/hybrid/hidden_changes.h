@@ -1,21 +1,32 @@
 // Changes of the flow and of guards within steps of a motion that no stage of the steps sees, such as a pulse in time.
 //
 // Bounds of the functions over the times and states of a step (HybridFunctions::Bound) rule them out for most steps at
-// once. Steps with wide bounds are divided until the bounds of the parts are not, or a change is seen.
+// once. Steps with wide bounds are divided until the bounds of the parts are not wide.
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "hybrid/motion_tape.h"
 
 namespace saltus {
 
-struct HiddenChange {
-  std::string what;   // empty: none was found
-  double length = 0;  // s: of the part of a step at whose end it was seen
+struct HiddenChanges {
+  std::string what;   // that of the shortest change; empty: none was found
+  double length = 0;  // s: of the part of a step at whose middle that one was seen
+  // The ends of the parts of all steps with changes, and times beside each of these steps at distances that double, as
+  // parts of the duration, in order. Steps between these times see the changes, and what they do nearby.
+  std::vector<double> ends;
+  int steps = 0;           // so many of the motion have changes
+  bool unbounded = false;  // whether the shortest change has no bounds, as one beside a pole
 };
 
-// Returns the shortest change that was found. None is found in modes whose functions have no known bounds.
-HiddenChange FindHiddenChange(const HybridSystem& system, const HybridInput& input, const MotionTape& tape);
+// Which changes are looked for: those that steps may not see, by modes whose functions are flat beside them
+// (HybridFunctions::MayHideChanges), or also those that steps see and do not resolve, in all modes.
+enum class Changes { kHidden, kAll };
+
+// Finds changes that are larger than a relative tolerance of the states.
+HiddenChanges FindHiddenChanges(const HybridSystem& system, const HybridInput& input, const MotionTape& tape,
+                                double tolerance, Changes which);
 
 }  // namespace saltus

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numeric>
 
@@ -50,14 +51,18 @@ constexpr double kLeastFall = 1.2, kMostFall = 7;  // factors by which they fall
 constexpr double kMargin = 4;                      // of the number of steps that such a fall leads to
 constexpr int kScanned = 128;                      // points in a step
 constexpr int kBisections = 46;
-constexpr double kJump = 1e-6;           // of a slope, relative, and of what it does to the motion
-constexpr double kPole = 1e6;            // of the slopes at the ends of the step: beside a pole
-constexpr double kSamePlace = 1e-12;     // relative: on both sides of a jump
-constexpr double kConverges = 0.3;       // at most, an error in comparison to that of half as many steps
-constexpr int kStalls = 2;               // doublings without convergence after which the error is rounding
-constexpr int kScatters = 3;             // likewise, after which it is that of impacts
-constexpr double kMostScatter = 1e-2;    // the largest of these that is accepted
-constexpr int kFewestForScatter = 2048;  // steps of a motion with it
+constexpr double kJump = 1e-6;                 // of a slope, relative, and of what it does to the motion
+constexpr double kPole = 1e6;                  // of the slopes at the ends of the step: beside a pole
+constexpr double kSamePlace = 1e-12;           // relative: on both sides of a jump
+constexpr double kConverges = 0.3;             // at most, an error in comparison to that of half as many steps
+constexpr int kStalls = 2;                     // doublings without convergence after which the error is rounding
+constexpr int kScatters = 3;                   // likewise, after which it is that of impacts
+constexpr double kMostScatter = 1e-2;          // the largest of these that is accepted
+constexpr int kFewestForScatter = 2048;        // steps of a motion with it
+constexpr int kFewPlaces = 16;                 // one step in so many at most is divided, of those that do not converge
+constexpr double kLooks = 4;                   // times as many steps, after which such steps are looked for again
+constexpr double kSamePart = 1e-13;            // of the duration: times so near to each other are one
+constexpr std::size_t kMostDivided = 1 << 12;  // times that divide control intervals
 
 constexpr const char* kEndsThere =
     ", however short the steps are: there is no solution after that, or the flow has no value beside it. If the motion "
@@ -71,6 +76,7 @@ class HybridSimulator::Impl {
   Impl(HybridSystem of_user, const HybridOptions& chosen)
       : system(std::move(of_user)),
         options(chosen),
+        given(chosen.divided),
         steps(std::max(chosen.steps_per_interval, 0)),
         run(std::make_unique<RolloutRun>(system, options)),
         derivatives(system) {}
@@ -144,18 +150,42 @@ class HybridSimulator::Impl {
   double Error() {
     if (!error) {
       RolloutRun finer(system, options), finest(system, options);
-      error = finer.Run(input, 2 * steps, /*compare_guards=*/true) == RolloutEnd::kDone
+      error = finer.Run(input, Steps(2 * steps), /*compare_guards=*/true) == RolloutEnd::kDone
                   ? std::max(Difference(*run, finer), ErrorOfCutSteps(*run))
                   : std::numeric_limits<double>::infinity();
       if (*error > options.tolerance && std::isfinite(*error) && system.functions().EndsAccumulations() &&
-          finest.Run(input, 4 * steps) == RolloutEnd::kDone) {
+          finest.Run(input, Steps(4 * steps)) == RolloutEnd::kDone) {
         const double but = ErrorButRounding(*run, finer, Difference(*run, finer), Difference(finer, finest));
         error = std::min(*error, but);
       }
       unresolved = finer.unresolved().what;
-      if (unresolved.empty()) unresolved = FindHiddenChange(system, input, run->tape()).what;
+      NoteHidden(FindHidden(*run));
     }
     return *error;
+  }
+
+  // Notes changes of the last rollout whose effect is not known.
+  void NoteHidden(const HiddenChanges& changes) {
+    hides = changes.length > 0;
+    if (hides) error = std::numeric_limits<double>::infinity();
+    if (unresolved.empty()) unresolved = changes.what;
+  }
+
+  RolloutSteps Steps(int per_interval) const { return {per_interval, options.divided}; }
+  HiddenChanges FindHidden(const RolloutRun& of, Changes which = Changes::kHidden) const {
+    return FindHiddenChanges(system, input, of.tape(), options.tolerance, which);
+  }
+
+  // Divides control intervals at the ends of parts of steps with changes. Returns whether they were not so yet.
+  bool Divide(const HiddenChanges& changes) {
+    const auto is_near = [](double a, double b) { return b - a <= kSamePart; };
+    std::vector<double> divided;
+    std::ranges::merge(options.divided, changes.ends, std::back_inserter(divided));
+    const auto repeated = std::ranges::unique(divided, is_near);
+    divided.erase(repeated.begin(), repeated.end());
+    if (divided.size() > kMostDivided || divided.size() == options.divided.size()) return false;
+    options.divided = std::move(divided);
+    return true;
   }
 
   // Returns the step with which a motion and one of twice as many steps begin to differ; null if they do not.
@@ -278,31 +308,58 @@ class HybridSimulator::Impl {
   // Returns the difference of the last rollout from one with another number of steps.
   double DifferenceTo(int other_steps) const {
     RolloutRun other(system, options);
-    return other.Run(input, other_steps) == RolloutEnd::kDone ? Difference(*run, other)
-                                                              : std::numeric_limits<double>::infinity();
+    return other.Run(input, Steps(other_steps)) == RolloutEnd::kDone ? Difference(*run, other)
+                                                                     : std::numeric_limits<double>::infinity();
   }
 
-  // Keeps the rollout `of`, whose error is known, as the last one.
-  bool Accept(std::unique_ptr<RolloutRun> of, double its_error, const RolloutRun& finer) {
+  // Keeps the rollout `of`, whose error is known, as the last one. `guard`: which one its steps do not resolve.
+  bool Accept(std::unique_ptr<RolloutRun> of, double its_error, std::string guard) {
     run = std::move(of);
     error = reached = its_error;
-    unresolved = finer.unresolved().what;
+    unresolved = std::move(guard);
     return true;
   }
 
-  // Doubles the number of steps until they resolve the guards, and the error is at most the tolerance or no longer
-  // falls, as it is rounding.
+  // Returns the number of control intervals, or parts of them, each of which has so many steps.
+  std::size_t num_parts() const { return input.num_intervals + options.divided.size(); }
+  int FewestSteps() const { return (kFewestSteps + input.num_intervals - 1) / input.num_intervals; }
+
+  // Divides control intervals where few steps do not resolve the flow or the guards, if these are longer than the
+  // others need to be. The first division is one of the longest steps, which resolves what a change does nearby as
+  // well.
+  bool DivideAtFew(const RolloutRun& of) {
+    const HiddenChanges changes = FindHidden(of, Changes::kAll);
+    if (changes.steps == 0 || changes.steps * kFewPlaces > of.tape().num_nodes || changes.unbounded) return false;
+    RolloutRun fewest(system, options);
+    if (fewest.Run(input, Steps(FewestSteps())) == RolloutEnd::kDone && Divide(FindHidden(fewest, Changes::kAll))) {
+      return true;
+    }
+    return Divide(changes);
+  }
+
+  // Chooses the number of steps, and divides control intervals where changes hide within them.
   bool ChooseSteps() {
-    int n = (kFewestSteps + input.num_intervals - 1) / input.num_intervals, stalls = 0;
+    for (;;) {
+      if (const std::optional<bool> found = ChooseNumber()) return *found;
+    }
+  }
+
+  // Doubles the number of steps until they resolve the guards, and the error is at most the tolerance or no longer
+  // falls, as it is rounding. Returns whether the motion has such a number; nothing if it has divided intervals.
+  std::optional<bool> ChooseNumber() {
+    int n = FewestSteps(), stalls = 0;
     std::unique_ptr<RolloutRun> best, finer;
     double least = std::numeric_limits<double>::infinity(), reference = least, last = least, last_failure = least,
            scatter = 0;
     std::vector<double> slow;    // differences, of steps that do not resolve the guards
     std::vector<double> errors;  // of those that do
     int same_failures = 0;
+    double next_look = kMostWithoutJump;  // steps, for some that are longer than others need to be
     why.clear();
-    RolloutEnd end = run->Run(input, n);
+    if (!run) run = std::make_unique<RolloutRun>(system, options);
+    RolloutEnd end = run->Run(input, Steps(n));
     for (;; n *= 2) {
+      const double count = static_cast<double>(n) * static_cast<double>(num_parts());
       if (end == RolloutEnd::kDone) why = WrongFlight();
       if (!why.empty()) return false;
       if (end != RolloutEnd::kDone) {
@@ -317,13 +374,13 @@ class HybridSimulator::Impl {
         // Steps that are too long may lead where the motion does not. A refusal counts if half as many steps end with
         // one at the same time, or where no step leads to it.
         if (end == RolloutEnd::kRefused &&
-            (failure == input.begin || apart <= kSameRefusal * h || n * input.num_intervals >= kMostWithoutEnd)) {
+            (failure == input.begin || apart <= kSameRefusal * h || count >= kMostWithoutEnd)) {
           break;
         }
       }
-      if (2.0 * n * input.num_intervals > kMostSteps) {
+      if (2 * count > kMostSteps) {
         if (end == RolloutEnd::kDone) {
-          if (finer) why = WhySlow(errors, static_cast<double>(n) * input.num_intervals, *finer, *run);
+          if (finer) why = WhySlow(errors, count, *finer, *run);
           if (why.empty()) {
             why = "an explicit method needs more than " + std::to_string(kMostSteps) +
                   " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
@@ -332,15 +389,15 @@ class HybridSimulator::Impl {
           why = run->why() +
                 (same_failures >= kSameFailures
                      ? kEndsThere
-                     : " with " + std::to_string(n * input.num_intervals) +
+                     : " with " + ToText(count, 10) +
                            " steps of an explicit method: the flow may be stiff or have no solution" + kOfStiff);
         }
         return false;
       }
       if (!finer) finer = std::make_unique<RolloutRun>(system, options);
-      const RolloutEnd end_of_finer = finer->Run(input, 2 * n, /*compare_guards=*/true);
+      const RolloutEnd end_of_finer = finer->Run(input, Steps(2 * n), /*compare_guards=*/true);
       const bool both = end == RolloutEnd::kDone && end_of_finer == RolloutEnd::kDone;
-      const bool resolves = both && (finer->ResolvesGuards() || 4.0 * n * input.num_intervals > kMostForGuards);
+      const bool resolves = both && (finer->ResolvesGuards() || 4 * count > kMostForGuards);
       const double now = both ? Difference(*run, *finer) : std::numeric_limits<double>::infinity();
       const auto why_hopeless = [&] {
         return "the integration does not converge: the difference between " + std::to_string(n) + " and " +
@@ -348,11 +405,16 @@ class HybridSimulator::Impl {
                (std::isinf(now) ? "that of other events" : ToText(now, 2)) +
                ". The flow may have no solution, or be too sensitive to be computed";
       };
+      const bool converges = resolves && now <= kHardlyFalls * reference;
+      if (both && !converges && count >= next_look) {
+        next_look = kLooks * count;
+        if (DivideAtFew(*finer)) return std::nullopt;
+      }
       if (both && !resolves) {
         slow.push_back(now);
         const double before = slow.size() > kHopeless ? slow[slow.size() - 1 - kHopeless] : least;
         const bool falls = !std::isfinite(before) || now <= std::max(kFirstOrder * before, kRoundingOfMotion);
-        if (!falls && n * input.num_intervals >= kMostWithoutEnd) {
+        if (!falls && count >= kMostWithoutEnd) {
           why = finer->unresolved().what + "; " + why_hopeless();
           steps = 0;
           return false;
@@ -369,12 +431,17 @@ class HybridSimulator::Impl {
         }
         if (least <= options.tolerance || (least < kRoundingOfMotion && stalls >= kStalls)) {
           const double of_cut_steps = ErrorOfCutSteps(*best);
-          const HiddenChange hidden = FindHiddenChange(system, input, best->tape());
+          // Rounding of a guard that is large elsewhere in a step may hide that it falls below zero.
+          const HiddenChanges hidden = FindHidden(*best, best->grazings().empty() ? Changes::kHidden : Changes::kAll);
+          if (Divide(hidden)) return std::nullopt;
           const bool is_resolvable = hidden.length * kMostForGuards > input.duration;
-          if (!is_resolvable &&
-              (of_cut_steps <= std::max(least, options.tolerance) || n * input.num_intervals >= kMostWithoutEnd)) {
-            Accept(std::move(best), std::max(least, of_cut_steps), *finer);
-            if (unresolved.empty()) unresolved = hidden.what;
+          if (!is_resolvable && (of_cut_steps <= std::max(least, options.tolerance) || count >= kMostWithoutEnd)) {
+            // Derivatives by what moves a narrow change have its error, divided by the width.
+            const bool is_narrow = n == steps && options.divided != given;
+            const std::string guard = finer->unresolved().what;
+            if (is_narrow) steps *= 2;
+            Accept(std::move(is_narrow ? finer : best), std::max(least, of_cut_steps), guard);
+            NoteHidden(hidden);
             return true;
           }
           least = reference = std::numeric_limits<double>::infinity();  // blind to cut steps or changes
@@ -385,21 +452,21 @@ class HybridSimulator::Impl {
         last = now;
         if (std::isfinite(but_rounding)) {
           steps = n;
-          return Accept(run ? std::move(run) : std::move(best), but_rounding, *finer);
+          return Accept(run ? std::move(run) : std::move(best), but_rounding, finer->unresolved().what);
         }
         const bool same_events = HaveSameEvents(coarse, *finer);
-        if (n * input.num_intervals >= kMostWithoutJump && same_events) why = FindJump(coarse, *finer, now);
+        if (count >= kMostWithoutJump && same_events) why = FindJump(coarse, *finer, now);
         // Impacts may amplify rounding errors until no number of steps lowers what is left of them.
         if (why.empty() && stalls >= kScatters && scatter <= kMostScatter && system.functions().EndsAccumulations() &&
-            n * input.num_intervals >= kFewestForScatter) {
+            count >= kFewestForScatter) {
           steps = n;
           if (!run) run = std::move(best);
           scatter = std::max(scatter, ErrorOfCutSteps(*run));
-          return Accept(std::move(run), scatter, *finer);
+          return Accept(std::move(run), scatter, finer->unresolved().what);
         }
         errors.push_back(same_events ? now : std::numeric_limits<double>::infinity());
-        if (why.empty()) why = WhySlow(errors, 2.0 * n * input.num_intervals, coarse, *finer);
-        if (stalls >= kHopeless && n * input.num_intervals >= kMostWithoutEnd) why = why_hopeless();
+        if (why.empty()) why = WhySlow(errors, 2 * count, coarse, *finer);
+        if (stalls >= kHopeless && count >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
           if (!run) run = std::move(best);
           steps = 0;
@@ -419,7 +486,7 @@ class HybridSimulator::Impl {
   // with half the steps tells.
   bool KeepsAccuracy() {
     const double most = std::max(options.tolerance, kSameAccuracy * reached);
-    if (unresolved.empty() && FindHiddenChange(system, input, run->tape()).length > 0) return false;
+    if (unresolved.empty() && FindHidden(*run).length > 0) return false;
     if (steps % 2 == 0 && DifferenceTo(steps / 2) <= kHalving * most && ErrorOfCutSteps(*run) <= most) return true;
     return Error() <= most;
   }
@@ -511,15 +578,17 @@ class HybridSimulator::Impl {
   }
 
   const HybridSystem system;
-  const HybridOptions options;
-  int steps;           // in a control interval; 0: to be chosen
-  double reached = 0;  // the error when they were chosen
-  HybridInput input;   // of the last rollout, with zeros where it has no control
+  HybridOptions options;
+  const std::vector<double> given;  // options.divided, before any are chosen
+  int steps;                        // in a control interval; 0: to be chosen
+  double reached = 0;               // the error when they were chosen
+  HybridInput input;                // of the last rollout, with zeros where it has no control
   bool done = false;
   std::vector<char> seen;  // modes in which the closed form has been compared
   std::string why, why_not_finite;
   std::unique_ptr<RolloutRun> run;  // the last rollout
   std::optional<double> error;      // of it, where it is known
+  bool hides = false;               // changes that its steps do not see
   std::string unresolved;           // of a rollout with twice as many steps: a guard that they do not resolve
   MotionDerivatives derivatives;
   // Results about the last rollout, once they have been asked for.
@@ -551,10 +620,11 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   at.ties.clear();
   at.why_not_finite.clear();
   at.error.reset();
+  at.hides = false;
   if (at.steps == 0) {
     at.done = at.ChooseSteps();
   } else {
-    const bool moves = at.run->Run(at.input, at.steps) == RolloutEnd::kDone;
+    const bool moves = at.run->Run(at.input, at.Steps(at.steps)) == RolloutEnd::kDone;
     at.why = moves ? at.WrongFlight() : at.run->why();
     at.done = at.why.empty();
   }
@@ -657,7 +727,10 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
 const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not_finite; }
 
 int HybridSimulator::steps_per_interval() const { return impl_->steps; }
-void HybridSimulator::ChooseStepsAnew() { impl_->steps = std::max(impl_->options.steps_per_interval, 0); }
+void HybridSimulator::ChooseStepsAnew() {
+  impl_->steps = std::max(impl_->options.steps_per_interval, 0);
+  impl_->options.divided = impl_->given;
+}
 
 double HybridSimulator::IntegrationError() {
   CHECK(impl_->done) << "the rollout failed";
@@ -670,6 +743,7 @@ std::string HybridSimulator::WhyInaccurate() {
   if (error <= impl_->options.tolerance) return why;
   if (!why.empty()) why += "; ";
   const std::string steps = std::to_string(impl_->steps) + " steps per interval";
+  if (impl_->hides) return impl_->unresolved;
   if (std::isinf(error)) return why + "twice as many as " + steps + " give other events: take more";
   return why + "the integration error of " + steps + " is " + ToText(error, 2) + ", above the tolerance " +
          ToText(impl_->options.tolerance, 2);

@@ -303,7 +303,7 @@ std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, cons
 void MotionDerivatives::Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
                                 TiedEvents* tied, HybridTie* tie) const {
   FlowStep at = StepOf(input, tape, tape.entries[coincidence.begin + 1]);
-  at.h = input.duration / tape.num_nodes;
+  at.h = tape.step;
   tied->Compare({at, at.t - input.begin, coincidence.guards}, tie);
 }
 
@@ -335,10 +335,10 @@ bool MotionDerivatives::IsOneSided(const HybridInput& input, const MotionTape& t
   const Eigen::VectorXd slope = slope_of(first.mode, x, u), end_slope = slope_of(end_mode, end_state, u);
   const Eigen::VectorXd slope_before = slope_of(first.mode, x, before_jump);
   const Eigen::VectorXd end_slope_after = slope_of(end_mode, end_state, after_jump);
-  const double fraction = jumps ? tape.Fraction(coincidence.jump * (tape.num_nodes / input.num_intervals)) : 0;
-  const double h = input.duration / tape.num_nodes;
-  const TiedEvents::Start start{
-      {{first.mode, first.t, x, before_jump, input.parameters.data()}, h}, first.t - input.begin, coincidence.guards};
+  const double fraction = jumps ? tape.Fraction(tape.begins[coincidence.jump]) : 0;
+  const TiedEvents::Start start{{{first.mode, first.t, x, before_jump, input.parameters.data()}, tape.step},
+                                first.t - input.begin,
+                                coincidence.guards};
   Eigen::VectorXd largest = Eigen::VectorXd::Zero(end_size);  // changes that are rounding
   const Eigen::Index directions = coincidence.guards.size() > kManyGuards ? 2 : of_duration.size();
   for (Eigen::Index column = 0; column < directions; ++column) {

@@ -52,7 +52,9 @@ struct MotionTape {
   std::vector<double> numbers;         // states, one after the other
   std::vector<std::size_t> intervals;  // the entry with which each control interval begins
   std::vector<Coincidence> coincidences;
-  int num_nodes = 0;              // K n
+  int num_nodes = 0;              // the steps of the grid, K n if no interval is divided
+  double step = 0;                // s: of each of K n equal ones
+  std::vector<int> begins;        // the node at which each control interval begins
   std::vector<double> fractions;  // times of the grid as parts of the duration; none: of K n equal steps
   int final_mode = 0;
   std::size_t final_state = 0;  // in numbers
@@ -63,6 +65,7 @@ struct MotionTape {
   void Clear() {
     entries.clear();
     coincidences.clear();
+    begins.clear();
     fractions.clear();
     numbers.clear();
     intervals.clear();

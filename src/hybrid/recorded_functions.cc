@@ -718,26 +718,46 @@ void RecordedFunction::Evaluate(std::span<const Part> inputs, double* outputs) c
   Evaluation(*this, false, inputs).Run(outputs);
 }
 
-void RecordedFunction::Bound(std::span<const Bounds> inputs, Bounds* outputs) const {
-  std::vector<Bounds> slots(inputs.begin(), inputs.begin() + num_inputs_);
-  slots.reserve(values_.size);
-  for (const double constant : values_.constants) slots.push_back({constant, constant});
-  for (const Tape::Instruction& at : values_.instructions) {
-    slots.push_back(ApplyToBounds(at.operation, slots[at.a], slots[at.b], slots[at.c]));
+std::vector<Bounds> RecordedFunction::Tape::BoundSlots(std::span<const Bounds> inputs) const {
+  std::vector<Bounds> slots(inputs.begin(), inputs.end());
+  slots.reserve(size);
+  for (const double constant : constants) slots.push_back({constant, constant});
+  for (const Instruction& at : instructions) {
+    const bool is_square = at.operation == Operation::kMultiply && at.a == at.b;
+    slots.push_back(is_square ? ApplyToBounds(Operation::kPower, slots[at.a], {2, 2}, {})
+                              : ApplyToBounds(at.operation, slots[at.a], slots[at.b], slots[at.c]));
   }
+  return slots;
+}
+
+void RecordedFunction::Bound(std::span<const Bounds> inputs, Bounds* outputs) const {
+  const std::vector<Bounds> slots = values_.BoundSlots(inputs.first(num_inputs_));
   for (const int slot : values_.outputs) *outputs++ = slots[slot];
 }
 
-bool RecordedFunction::IsExponential() const {
+Bounds RecordedFunction::BoundRate(std::span<const Bounds> inputs, std::span<const Bounds> slopes) const {
+  const std::vector<Bounds> slots = derivatives_.BoundSlots(inputs.first(num_inputs_));
+  const int n = static_cast<int>(slopes.size());
+  Bounds rate;
+  for (const Tape::Entry& entry : derivatives_.entries) {
+    if (entry.row > 0 || entry.column > n) continue;
+    const Bounds slope = entry.column < n ? slopes[entry.column] : Bounds{1, 1};
+    const Bounds term = ApplyToBounds(Operation::kMultiply, slots[entry.slot], slope, {});
+    rate = ApplyToBounds(Operation::kAdd, rate, term, {});
+  }
+  return rate;
+}
+
+bool RecordedFunction::MayHideChanges() const {
   using enum Operation;
   constexpr double kLargePower = 16;
   return std::ranges::any_of(values_.instructions, [&](const Tape::Instruction& at) {
-    if (at.operation == kPower) {
-      const auto number = static_cast<std::size_t>(at.b - num_inputs_);
-      return number >= values_.constants.size() || std::abs(values_.constants[number]) >= kLargePower;
-    }
-    return at.operation == kExp || at.operation == kExpm1 || at.operation == kSinh || at.operation == kCosh ||
-           at.operation == kTanh || at.operation == kErf;
+    const auto number = static_cast<std::size_t>(at.b - num_inputs_);
+    const bool by_constant = number < values_.constants.size();
+    if (at.operation == kPower) return !by_constant || std::abs(values_.constants[number]) >= kLargePower;
+    return (at.operation == kDivide && !by_constant) || at.operation == kExp || at.operation == kExpm1 ||
+           at.operation == kSinh || at.operation == kCosh || at.operation == kTanh || at.operation == kErf ||
+           at.operation == kTan;
   });
 }
 
@@ -823,8 +843,8 @@ std::optional<LinearFlow> RecordedSystem::LinearFlowOf(int base, const RecordedF
 // Precondition: mutex_ is held, or no other thread knows of this object.
 int RecordedSystem::Keep(Evaluated mode) const {
   const int index = num_modes_;
-  const auto is_exponential = [](const RecordedFunction* function) { return function->IsExponential(); };
-  mode.has_bounds = mode.flow->IsExponential() || std::ranges::any_of(mode.guards, is_exponential);
+  mode.may_hide_changes =
+      mode.flow->MayHideChanges() || std::ranges::any_of(mode.guards, &RecordedFunction::MayHideChanges);
   const auto number = static_cast<unsigned>(index) + 1;
   const int block = std::bit_width(number) - 1;
   CHECK_LT(block, kBlocks);
@@ -1024,8 +1044,7 @@ void RecordedSystem::Flow(const ModePoint& at, double* xdot) const {
   this->at(at.mode).flow->Evaluate(InputsAt(at), xdot);
 }
 
-void RecordedSystem::Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) const {
-  const Evaluated& mode = at(box.mode);
+std::vector<Bounds> RecordedSystem::InputsIn(const ModeBox& box) const {
   std::vector<Bounds> inputs(box.x, box.x + size(box.mode));
   inputs.push_back(box.t);
   const ModePoint known{box.mode, 0, nullptr, box.u, box.p};
@@ -1033,8 +1052,18 @@ void RecordedSystem::Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) c
   for (const RecordedFunction::Part& part : std::span(rest).subspan(2)) {
     for (int i = 0; i < part.size; ++i) inputs.push_back({part.data[i], part.data[i]});
   }
+  return inputs;
+}
+
+void RecordedSystem::Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) const {
+  const Evaluated& mode = at(box.mode);
+  const std::vector<Bounds> inputs = InputsIn(box);
   mode.flow->Bound(inputs, slopes);
   for (const RecordedFunction* guard : mode.guards) guard->Bound(inputs, guards++);
+}
+
+Bounds RecordedSystem::BoundGuardRate(const ModeBox& box, int guard, const Bounds* slopes) const {
+  return at(box.mode).guards[guard]->BoundRate(InputsIn(box), {slopes, static_cast<std::size_t>(size(box.mode))});
 }
 
 void RecordedSystem::FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const {

@@ -124,9 +124,11 @@ class RecordedFunction {
   void Evaluate(std::span<const Part> inputs, double* outputs) const;
   // Sets bounds of the outputs, given those of the inputs, of which there may be more.
   void Bound(std::span<const Bounds> inputs, Bounds* outputs) const;
-  // Whether it has an exponential, or what behaves so: it may change within any time and be flat beside it to the last
-  // bit. Other functions have tails that steps see.
-  bool IsExponential() const;
+  // Returns bounds of the derivative by time of the first output, given bounds of the inputs [x t ...] and of x'.
+  Bounds BoundRate(std::span<const Bounds> inputs, std::span<const Bounds> slopes) const;
+  // Whether it has an exponential, a quotient or what behaves so: it may change within any time and be flat beside it.
+  // Other functions have tails that steps see.
+  bool MayHideChanges() const;
   // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
@@ -141,6 +143,8 @@ class RecordedFunction {
   friend ExpressionGraph GradientOf(const ExpressionGraph& graph, int n);
   // A flat list of operations on slots: those of the inputs first, then constants, then results.
   struct Tape {
+    // Returns bounds of all slots, given those of the inputs.
+    std::vector<Bounds> BoundSlots(std::span<const Bounds> inputs) const;
     struct Instruction {
       Operation operation;
       int a, b, c;  // slots
@@ -218,7 +222,9 @@ class RecordedSystem final : public HybridFunctions {
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
   void AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const override;
   void Bound(const ModeBox& box, Bounds* slopes, Bounds* guards) const override;
-  bool HasBounds(int mode) const override { return at(mode).has_bounds; }
+  bool HasBounds() const override { return true; }
+  Bounds BoundGuardRate(const ModeBox& box, int guard, const Bounds* slopes) const override;
+  bool MayHideChanges(int mode) const override { return at(mode).may_hide_changes; }
   int OnAccumulation(int mode, int guard) const override {
     return IsSwitch(mode, guard) ? -1 : transition(mode, guard).accumulation_mode;
   }
@@ -247,7 +253,7 @@ class RecordedSystem final : public HybridFunctions {
     std::vector<int> sides;
     std::vector<End> switches;  // the last guards
     std::vector<double> floors;
-    bool has_bounds = false;
+    bool may_hide_changes = false;
   };
 
   // Modes do not move: the first of all blocks has one, each further one twice as many as the one before.
@@ -274,6 +280,7 @@ class RecordedSystem final : public HybridFunctions {
   // The inputs point into the point, which has to outlive them.
   Inputs InputsAt(const ModePoint& at) const;
   Inputs InputsAt(ModePoint&& at) const = delete;
+  std::vector<Bounds> InputsIn(const ModeBox& box) const;
   // The inputs of a guard or a reset: without control, unless it reads it or is one of a piece.
   std::span<const RecordedFunction::Part> InputsOf(const RecordedFunction& function, const Inputs& inputs) const;
 

@@ -202,9 +202,7 @@ bool RolloutRun::UpdateSlope() {
 }
 
 // The time over which errors of the integration that guards see at a time have come about: at most a step.
-double RolloutRun::Elapsed(double time) const {
-  return std::min(time - input_->begin, input_->duration / tape_.num_nodes);
-}
+double RolloutRun::Elapsed(double time) const { return std::min(time - input_->begin, tape_.step); }
 
 void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
@@ -247,24 +245,37 @@ bool RolloutRun::SwitchControl() {
   return true;
 }
 
-RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, bool compare_guards) {
+// Sets the times of the grid: each part of a control interval, which the times in `divided` divide, has as many steps.
+void RolloutRun::SetGrid(int steps, std::span<const double> divided) {
+  const HybridInput& input = *input_;
+  tape_.step = input.duration / (input.num_intervals * steps);
+  tape_.num_nodes = input.num_intervals * steps;
+  for (int k = 0; k < input.num_intervals; ++k) tape_.begins.push_back(k * steps);
+  if (input.lengths.empty() && divided.empty()) return;
+  const std::vector<double> ends = input.Times();
+  tape_.fractions = {0};
+  auto next = divided.begin();
+  for (int k = 0; k < input.num_intervals; ++k) {
+    tape_.begins[k] = static_cast<int>(tape_.fractions.size()) - 1;
+    const double end_of_interval = ends[k + 1] - input.begin;
+    for (double begin = ends[k] - input.begin, end = 0; begin < end_of_interval; begin = end) {
+      while (next != divided.end() && !(*next * input.duration > begin)) ++next;
+      end = next == divided.end() ? end_of_interval : std::min(*next * input.duration, end_of_interval);
+      for (int i = 1; i <= steps; ++i) tape_.fractions.push_back((begin + (end - begin) * i / steps) / input.duration);
+      tape_.fractions.back() = end / input.duration;
+    }
+  }
+  tape_.fractions.back() = 1;
+  tape_.num_nodes = static_cast<int>(tape_.fractions.size()) - 1;
+}
+
+RolloutEnd RolloutRun::Run(const HybridInput& input, const RolloutSteps& steps, bool compare_guards) {
   input_ = &input;
   compare_guards_ = compare_guards;
   unresolved_ = {};
   search_.Forget();
-  steps_ = steps_per_interval;
   tape_.Clear();
-  tape_.num_nodes = input.num_intervals * steps_;
-  if (!input.lengths.empty()) {
-    interval_ends_ = input.Times();
-    tape_.fractions = {0};
-    for (int k = 0; k < input.num_intervals; ++k) {
-      const double begin = interval_ends_[k] - input.begin, length = interval_ends_[k + 1] - interval_ends_[k];
-      for (int i = 1; i <= steps_; ++i) tape_.fractions.push_back((begin + length * i / steps_) / input.duration);
-      tape_.fractions.back() =
-          k + 1 == input.num_intervals ? 1.0 : (interval_ends_[k + 1] - input.begin) / input.duration;
-    }
-  }
+  SetGrid(steps.per_interval, steps.divided);
   events_.clear();
   switches_.clear();
   befores_.clear();
@@ -288,9 +299,10 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, int steps_per_interval, boo
   at_.mode = functions_.PieceAt(StepFrom(0));
   bool goes_on = Enter(Entry::kStart);
   for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
-    if ((node - 1) % steps_ == 0) {
-      const bool jumps = interval_ != (node - 1) / steps_;
-      interval_ = (node - 1) / steps_;
+    const auto next = static_cast<int>(tape_.intervals.size());
+    if (next < input.num_intervals && node - 1 == tape_.begins[next]) {
+      const bool jumps = interval_ != next;
+      interval_ = next;
       tape_.intervals.push_back(tape_.entries.size());
       if (jumps && system_.num_controls() > 0) goes_on = SwitchControl();
     }
@@ -339,7 +351,7 @@ bool RolloutRun::SettleSides() {
   for (;;) {
     if (!UpdateSlope()) return false;
     UpdateGuards();
-    const FlowStep here = StepFrom(input_->duration / tape_.num_nodes);
+    const FlowStep here = StepFrom(tape_.step);
     search_.Enter(here);
     const int count = system_.num_guards(at_.mode);
     int turns = -1, next = -1;
@@ -461,7 +473,7 @@ bool RolloutRun::AllLandOn(int guard) const {
 
 // A motion that begins on a switch, or is reset onto it, has one-sided derivatives if the flow jumps there.
 void RolloutRun::RemarkOnSwitches(Entry entry) {
-  const FlowStep here = StepFrom(input_->duration / tape_.num_nodes);
+  const FlowStep here = StepFrom(tape_.step);
   const int count = system_.num_guards(at_.mode), mode = at_.mode;
   const std::vector<double> slope = at_.slope;
   for (int guard = count - functions_.num_switches(mode); guard < count; ++guard) {
@@ -542,7 +554,7 @@ bool RolloutRun::Enter(Entry entry) {
     if (switches ? !SettleSides() : !UpdateSlope()) return false;
     if (at_.mode != mode && entry == Entry::kControlJump) entry = Entry::kAfterReset;  // with other guards
     if (entry == Entry::kStart) Remark(functions_.WhyNoDerivative(StepFrom(0), -1));
-    const FlowStep ahead = StepFrom(input_->duration / tape_.num_nodes);
+    const FlowStep ahead = StepFrom(tape_.step);
     const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
     int due = -1;
     std::vector<int> at_once;

@@ -3,11 +3,13 @@
 //   x' = f_m(t, x, p, u)
 //   x+ = r_g(t, x-, p), and a new mode, when a guard g_m(t, x, p, u) of the mode falls through zero.
 //
-// The flow is integrated by a Runge-Kutta method of order 8 (runge_kutta.h), in equal steps of the control intervals. A
-// step ends at an event that happens within it (event_search.h), and the next one begins with the state after it.
+// The flow is integrated by a Runge-Kutta method of order 8 (runge_kutta.h), in equal steps of the control intervals,
+// or of the parts into which they are divided where the flow has pulses (hidden_changes.h). A step ends at an event
+// that happens within it (event_search.h), and the next one begins with the state after it.
 #pragma once
 
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -30,13 +32,20 @@ TimedRemark RemarkOnTie(const HybridSystem& system, const HybridTie& tie, const 
 // none does.
 int ControlJumpNear(const HybridInput& input, int num_controls, double time, double margin);
 
+// The steps of a motion: so many, of equal lengths, in each control interval, or in each of the parts into which times
+// within it divide it. The times are parts of the duration, in order.
+struct RolloutSteps {
+  int per_interval = 1;
+  std::span<const double> divided = {};
+};
+
 class RolloutRun {
  public:
   RolloutRun(const HybridSystem& system, const HybridOptions& options);
 
   // Precondition: the input has all numbers of its control. `compare_guards`: counts the steps that do not resolve the
   // guards, which takes an evaluation of all guards for each step.
-  RolloutEnd Run(const HybridInput& input, int steps_per_interval, bool compare_guards = false);
+  RolloutEnd Run(const HybridInput& input, const RolloutSteps& steps, bool compare_guards = false);
 
   // Results of the last run.
   const MotionTape& tape() const { return tape_; }
@@ -87,6 +96,7 @@ class RolloutRun {
   };
   enum class Entry { kStart, kAfterReset, kControlJump };
 
+  void SetGrid(int steps, std::span<const double> divided);
   bool JumpsWithControl(int guard) const;
   bool SwitchControl();
   bool SettleSides();
@@ -129,8 +139,7 @@ class RolloutRun {
   const HybridOptions& options_;
   EventSearch search_;
   const HybridInput* input_ = nullptr;
-  std::vector<double> interval_ends_;
-  int steps_ = 1, interval_ = 0;
+  int interval_ = 0;
   At at_;
   std::vector<double> next_state_, next_slope_, state_within_;
   std::vector<GuardValue> next_guards_;

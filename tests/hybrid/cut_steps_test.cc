@@ -89,5 +89,49 @@ TEST(CutSteps, AStretchToTheEndCountsInTheError) {
   EXPECT_NEAR(simulator.final_state()[0], grown, 1e-12);
 }
 
+// x' = exp(-((t - c) / w)^2) / w.
+struct Pulse {
+  static constexpr int kNumControls = 1;
+  static constexpr int kNumParameters = 2;  // c, w
+  static constexpr std::array kStateSizes = {1};
+  static constexpr std::array kNumGuards = {0};
+
+  template <typename T>
+  void Flow(int, const T& t, const T*, const T* u, const T* p, T* xdot) const {
+    using std::exp;
+    const T z = (t - p[0]) / p[1];
+    xdot[0] = u[0] + exp(-z * z) / p[1];
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* next) const {
+    next[0] = x[0];
+    return 0;
+  }
+};
+
+// Steps see a pulse of a width of 1e-6 of the duration between two times, near it, at which the user divides intervals.
+TEST(CutSteps, TimesThatDivideAnIntervalShowAPulse) {
+  const HybridInput input{.initial = {0},
+                          .parameters = {7.3, 1e-5},
+                          .duration = 10,
+                          .num_intervals = 3,
+                          .control = {1, -2, 3},
+                          .lengths = {1, 3, 1}};
+  HybridSimulator simulator{HybridSystem(Pulse()), {.divided = {0.729992, 0.730008}}};
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  EXPECT_NEAR(simulator.final_state()[0], 2 - 12 + 6 + std::sqrt(M_PI), 1e-10);
+  EXPECT_LT(simulator.num_steps(), 20000);
+  EXPECT_EQ(simulator.ModeAt(2), 0);
+  EXPECT_NEAR(simulator.StateAt(2)[0], 2 - 12 + std::sqrt(M_PI), 1e-10);
+  const HybridGradient gradient = simulator.Adjoint(std::array{1.0});
+  EXPECT_NEAR(gradient.control[0], 2, 1e-12);
+  EXPECT_NEAR(gradient.control[1], 6, 1e-12);
+  EXPECT_NEAR(gradient.control[2], 2, 1e-12);
+}
+
 }  // namespace
 }  // namespace saltus

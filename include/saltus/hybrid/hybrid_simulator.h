@@ -21,7 +21,13 @@
 // within one step is found if it falls at the beginning of the step and rises at its end, and if the cubic through its
 // values and rates there comes closer to zero than half of the smaller value. The number of steps is chosen so that
 // these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names a guard for
-// which this takes too many steps. A dip that is much shorter than all steps may be missed.
+// which this takes too many steps.
+//
+// A pulse of the flow and a dip of a guard that are much shorter than all steps are found in recorded functions
+// (saltus.HybridSystem of Python, files), whose bounds over a step are known, from 1e-12 of the duration on. Steps near
+// them are shorter than others: they divide control intervals. WhyInaccurate() names one that given steps miss.
+// Functions in C++ are known at the stages of the steps alone, and a pulse between these is missed: declare a switch
+// where it begins and ends, or divide the intervals there (HybridOptions::divided).
 #pragma once
 
 #include <functional>
@@ -59,6 +65,9 @@ struct HybridOptions {
   // Integration steps in each control interval; 0: the simulator chooses. IntegrationError and WhyInaccurate report the
   // error of a given number. A motion fails if its steps are so long that they leave the equations of closed contacts.
   int steps_per_interval = 0;
+  // Times within the motion, as parts of the duration, in order, that divide control intervals: each part has as many
+  // steps. The simulator adds those between which steps see pulses of recorded functions, if it chooses their number.
+  std::vector<double> divided = {};
   // Whether a guard below zero at the start is armed once it is above zero, instead of an error.
   bool wait_behind_guards = false;
   int most_events = 100000;  // a motion with more events fails

@@ -121,10 +121,14 @@ class HybridFunctions {
     }
   }
 
-  // Sets bounds of x' and of all guards of a mode, which may be wide. Precondition: HasBounds(box.mode).
+  // Whether bounds of the functions are known.
+  virtual bool HasBounds() const { return false; }
+  // Sets bounds of x' and of all guards of a mode, which may be wide. Precondition: HasBounds().
   virtual void Bound(const ModeBox& /*box*/, Bounds* /*slopes*/, Bounds* /*guards*/) const {}
-  // Whether a mode has functions that may change within any time and are flat beside it, and whose bounds are known.
-  virtual bool HasBounds(int /*mode*/) const { return false; }
+  // Returns bounds of the derivative of a guard by time, given those of x'. Precondition: HasBounds().
+  virtual Bounds BoundGuardRate(const ModeBox& /*box*/, int /*guard*/, const Bounds* /*slopes*/) const { return {}; }
+  // Whether a mode has functions that may change within any time and be flat beside it.
+  virtual bool MayHideChanges(int /*mode*/) const { return false; }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
   // none, and WhyNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the largest
