@@ -114,3 +114,26 @@ def test_saddles_at_an_event_at_the_final_time_are_left():
     for change in ([0, 0.1], [0, -0.1], [0, 1e-2]):
         problem.control = np.asarray(run.control) + change
         assert saltus.loss_and_gradient(problem).loss > loss
+
+
+def test_a_control_at_kinks_whose_loss_a_small_change_lowers_has_not_converged():
+    """The striker is to stay beside the target, which it and the wall just touch: 60 random changes of the control are tried."""
+    scene = saltus.Scene({
+        "name": "stays", "duration": 1.4848, "steps": 24,
+        "bodies": [{"name": "striker", "radius": 0.1452, "mass": 1.0416, "position": [0, 0]},
+                   {"name": "target", "radius": 0.0871, "mass": 0.6337, "position": [-0.1931, 1.1219]}],
+        "planes": [{"name": "wall", "point": [0.0209, 1.534], "normal": [1.0009, -0.8838]}], "contact": {"restitution": 0.6797},
+        "control": {"bodies": ["striker"], "initial": [[-0.52, 1.7622]]},
+        "objective": {"terminal": [
+            {"body": "striker", "quantity": "position", "target": [-0.22105236849, 1.0978198102], "weight": 1},
+            {"body": "target", "quantity": "position", "target": [-0.1931, 1.1219], "weight": 1.34130454598}], "effort": 0.002},
+        "optimize": "control"})
+    run = saltus.solve(scene)
+    plan = saltus.hybrid_problem(scene)
+    plan.control, plan.durations = np.reshape(run.control, (-1, 2)), run.durations
+    batch, control = saltus.HybridBatch(plan, optimize=["control"], threads=1), np.ravel(run.control)
+    changes = np.random.default_rng(0).normal(size=(60, control.size)) * np.sqrt(np.mean(control**2))
+    for size in (1e-2, 3e-3, 1e-3):
+        least = batch.loss(control + size * changes).min()
+        assert run.termination != "converged" or least > run.exact_loss * (1 - 1e-4), (size, run.solver)
+    assert run.exact_loss < 0.0407

@@ -29,6 +29,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <numbers>
 #include <optional>
 #include <string>
 #include <utility>
@@ -52,8 +53,10 @@ inline constexpr int kMostVanished = 30;      // iterations, one after the other
 inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one sequence
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
 inline constexpr int kMostKinks = 5;          // left one after the other
-inline constexpr int kDirections = 4;         // of steps from a kink
-inline constexpr double kLeavesKink = 1e-4;   // relative, by which such a step lowers the loss
+inline constexpr int kDirections = 32;        // of steps from a kink
+inline constexpr int kWaves = 4;              // of every second one of these, which is smooth
+inline constexpr int kMostFromKink = 4;       // of these motions are gone on from
+inline constexpr double kLeavesKink = 1e-5;   // relative, by which such a step lowers the loss
 inline constexpr double kGrazes = 1e-4;       // of the scale of speeds, at which an event wants to be none
 
 // The order in which tasks are tried.
@@ -86,6 +89,9 @@ class SequenceUpdate {
       if (tasks_.empty()) break;
       const Task task = TakeNext();
       if (MayTry(task)) Attempt(task, mends);
+    }
+    if (mends && !interrupted_ && HasOptimum() && EndsWithBest() && IsAtKink()) {
+      for (const Trial& aside : BetterBesideBest()) Meet(aside);
     }
     if (mends && !interrupted_ && !EndsWithBest()) TakeLowest();
     return Report();
@@ -386,24 +392,46 @@ class SequenceUpdate {
     return kinks && !(run_.HasCertificate() && run_.Certify(best_->trial).IsStationary());
   }
 
-  // A motion that keeps a gap open by a margin is better with a smaller one, and one whose node is at an event may be
-  // so with the event beside it, but by little.
   void LeaveKinkOfBest() {
     if (!HasOptimum() || kinks_ >= mending::kMostKinks || !IsAtKink()) return;
-    ++kinks_;
+    std::vector<Trial> better = BetterBesideBest();
+    if (better.size() > mending::kMostFromKink) better.resize(mending::kMostFromKink);
+    GoOnFrom(better);
+  }
+
+  // Returns motions beside the best optimum, best first. A motion that keeps a gap open by a margin is better with a
+  // smaller one, and one whose node is at an event may be so with the event beside it, but by little.
+  std::vector<Trial> BetterBesideBest() {
     std::vector<Trial> better;
-    NormalStream random(static_cast<std::uint64_t>(kinks_));
+    NormalStream random(static_cast<std::uint64_t>(++kinks_));
     const double least = Merit(best_->trial) - mending::kLeavesKink * std::abs(Merit(best_->trial));
     for (int i = 0; i < mending::kDirections; ++i) {
-      std::vector<double> direction(run_.DirectionSize(best_->trial));
-      for (double& entry : direction) entry = random.Next() / std::sqrt(static_cast<double>(direction.size()));
+      const std::vector<double> direction = RandomDirection(i % 2 == 1, &random);
       for (Trial& aside : run_.StepAside(best_->trial, direction)) {
         if (MeetsConstraints(aside) && Merit(aside) < least) better.push_back(std::move(aside));
       }
     }
     std::ranges::stable_sort(better, {}, [&](const Trial& aside) { return Merit(aside); });
-    if (better.size() > mending::kDirections) better.resize(mending::kDirections);
-    GoOnFrom(better);
+    return better;
+  }
+
+  // Returns a direction for steps from the best optimum, along which a control is noise or a few waves in time.
+  std::vector<double> RandomDirection(bool smooth, NormalStream* random) const {
+    const size_t width = run_.control_width(), of_control = best_->trial.control.size();
+    std::vector<double> direction(run_.DirectionSize(best_->trial));
+    for (double& entry : direction) entry = random->Next();
+    if (smooth && of_control > width) std::fill_n(direction.begin(), of_control, 0.0);
+    for (int wave = 0; wave < mending::kWaves && smooth && of_control > width; ++wave) {
+      const double turns = std::numbers::pi * wave / static_cast<double>(of_control - width);
+      for (size_t component = 0; component < width; ++component) {
+        const double size = random->Next();
+        for (size_t i = component; i < of_control; i += width) {
+          direction[i] += size * std::cos(turns * static_cast<double>(i - component));
+        }
+      }
+    }
+    for (double& entry : direction) entry /= std::sqrt(static_cast<double>(direction.size()));
+    return direction;
   }
 
   // Where the loss falls as an event leaves the end of its interval, solves go on with the intervals as they are.
