@@ -137,3 +137,24 @@ def test_a_control_at_kinks_whose_loss_a_small_change_lowers_has_not_converged()
         least = batch.loss(control + size * changes).min()
         assert run.termination != "converged" or least > run.exact_loss * (1 - 1e-4), (size, run.solver)
     assert run.exact_loss < 0.0407
+
+
+def test_an_impact_at_the_final_time_beside_running_costs_has_a_certificate():
+    """The ball is to be below the ground at the end and above it before: it falls until it meets it at the final time."""
+    scene = saltus.Scene({
+        "name": "fall", "duration": 1.0, "steps": 6, "gravity": [0, -1],
+        "planes": [{"name": "ground", "point": [0, 0], "normal": [0, 1]}],
+        "bodies": [{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 0.6]}], "contact": {"restitution": 0.5},
+        "control": {"bodies": ["ball"], "initial": [[0, 0.3]]},
+        "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, -0.3], "weight": 1}], "effort": 0.05,
+                      "running": [{"body": "ball", "quantity": "position", "target": [[0, 0, 0.5]], "weight": 0.5}]},
+        "optimize": "control"})
+    plan = saltus.hybrid_problem(scene)
+    for run in (saltus.solve(scene), saltus.solve(plan)):
+        assert run.termination == "converged", run.reason
+        assert run.certificate.verdict == "stationary_on_grid"
+    plan.start_from(run)
+    batch, control = saltus.HybridBatch(plan, optimize=["control"], threads=1), np.ravel(run.control)
+    for size in (1e-1, 1e-2, 1e-3):
+        changes = size * np.random.default_rng(0).normal(size=(60, control.size))
+        assert batch.loss(control + changes).min() > run.loss

@@ -1521,14 +1521,19 @@ class HybridConditions {
 
   void StationarityOnFixedGrid(Certificate* result) {
     // Behind an event at the final time the motion has none, and the loss another one-sided derivative.
-    const double near_end = times_.back() - kAtNode * LengthOf(input_.num_intervals - 1);
-    if (!events().empty() && events().back().time >= near_end) return;
+    for (int k = 0; k < num_events(); ++k) {
+      if (IsAtEnd(k) && !IsHeldBeforeEnd(k)) return;
+    }
     // Multipliers of events inside intervals are those that the saltation matrix has; of those at the ends of intervals
     // any between the one-sided ones: the loss rises as the event becomes early, and late.
     ConeConditions conditions(num_multipliers());
     Kinds kinds;
     AddVariables(false, &conditions, &kinds);
     for (int k = 0; k < num_events(); ++k) {
+      if (IsAtEnd(k)) {
+        Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
+        continue;
+      }
       if (on_node_[k] && !FallsOnBothSides(k)) continue;
       const int sign = on_node_[k] ? 1 : 0;
       if (sign != 0) {
@@ -1551,6 +1556,15 @@ class HybridConditions {
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
     PlaceMultipliers(result);
+  }
+
+  bool IsAtEnd(int k) const { return events()[k].time >= times_.back() - kAtNode * LengthOf(input_.num_intervals - 1); }
+  // Whether a constraint keeps motions on the side of the final time on which they have an event.
+  bool IsHeldBeforeEnd(int k) const {
+    return std::ranges::any_of(constraints_, [&](const Constraint& constraint) {
+      return constraint.term >= 0 && constraint.inequality && terms_[constraint.term].event == k &&
+             terms_[constraint.term].term->with_time;
+    });
   }
 
   // Whether a guard falls with the control before its event, and with that after it.
