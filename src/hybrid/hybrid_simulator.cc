@@ -727,6 +727,7 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
 const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not_finite; }
 
 int HybridSimulator::steps_per_interval() const { return impl_->steps; }
+const std::vector<double>& HybridSimulator::divided() const { return impl_->options.divided; }
 void HybridSimulator::ChooseStepsAnew() {
   impl_->steps = std::max(impl_->options.steps_per_interval, 0);
   impl_->options.divided = impl_->given;

@@ -258,12 +258,14 @@ void RolloutRun::SetGrid(int steps, std::span<const double> divided) {
   for (int k = 0; k < input.num_intervals; ++k) {
     tape_.begins[k] = static_cast<int>(tape_.fractions.size()) - 1;
     const double end_of_interval = ends[k + 1] - input.begin;
-    for (double begin = ends[k] - input.begin, end = 0; begin < end_of_interval; begin = end) {
+    double begin = ends[k] - input.begin;
+    do {  // once for an interval of length zero
       while (next != divided.end() && !(*next * input.duration > begin)) ++next;
-      end = next == divided.end() ? end_of_interval : std::min(*next * input.duration, end_of_interval);
+      const double end = next == divided.end() ? end_of_interval : std::min(*next * input.duration, end_of_interval);
       for (int i = 1; i <= steps; ++i) tape_.fractions.push_back((begin + (end - begin) * i / steps) / input.duration);
       tape_.fractions.back() = end / input.duration;
-    }
+      begin = end;
+    } while (begin < end_of_interval);
   }
   tape_.fractions.back() = 1;
   tape_.num_nodes = static_cast<int>(tape_.fractions.size()) - 1;

@@ -104,6 +104,7 @@ class KinkCertifier {
       HybridSimulator simulator(problem.system, problem.integration);
       if (simulator.Rollout(Until(problem.guess, (1 - kOpen) * input.duration))) {
         problem.integration.steps_per_interval = simulator.steps_per_interval();
+        problem.integration.divided = simulator.divided();
       }
     }
     return problem;

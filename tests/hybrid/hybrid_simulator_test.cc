@@ -460,6 +460,23 @@ TEST(HybridSimulator, ResetOntoAGuardIsReported) {
   EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("leads onto guard 'guard 0'"));
 }
 
+// An interval that is shorter than rounding errors of the time has steps, too.
+TEST(HybridSimulator, AnIntervalMayBeShorterThanRounding) {
+  HybridSimulator with{HybridSystem(BouncingBall())}, without{HybridSystem(BouncingBall())};
+  HybridInput input{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 2};
+  input.lengths = {0.4, 0.6};
+  ASSERT_TRUE(without.Rollout(input)) << without.WhyFailed();
+  input.num_intervals = 4;
+  input.lengths = {0.4, 1e-18, 0.6, 1e-18};
+  ASSERT_TRUE(with.Rollout(input)) << with.WhyFailed();
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_NEAR(with.StateAt(1)[i], without.StateAt(1)[i], 1e-12);
+    EXPECT_NEAR(with.StateAt(2)[i], without.StateAt(1)[i], 1e-12);
+    EXPECT_NEAR(with.StateAt(3)[i], without.final_state()[i], 1e-12);
+    EXPECT_NEAR(with.final_state()[i], without.final_state()[i], 1e-12);
+  }
+}
+
 TEST(HybridSimulator, EventAtTheFinalTimeCounts) {
   HybridSimulator simulator = Ball();
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {8, 0.5}, .duration = 0.5}));

@@ -24,8 +24,9 @@
 // which this takes too many steps.
 //
 // A pulse of the flow and a dip of a guard that are much shorter than all steps are found in recorded functions
-// (saltus.HybridSystem of Python, files), whose bounds over a step are known, from 1e-12 of the duration on. Steps near
-// them are shorter than others: they divide control intervals. WhyInaccurate() names one that given steps miss.
+// (saltus.HybridSystem of Python, files), whose bounds over a step are known, unless they are as short as rounding
+// errors of the time. Steps near them are shorter than others: they divide control intervals. WhyInaccurate() names one
+// that given steps miss.
 // Functions in C++ are known at the stages of the steps alone, and a pulse between these is missed: declare a switch
 // where it begins and ends, or divide the intervals there (HybridOptions::divided).
 #pragma once
@@ -180,6 +181,8 @@ class HybridSimulator {
 
   // Returns the number of steps in a control interval, after the first rollout.
   int steps_per_interval() const;
+  // Returns the times that divide control intervals (HybridOptions), with those that the simulator has added.
+  const std::vector<double>& divided() const;
   // Makes the next rollout choose the number of steps anew, unless it is given.
   void ChooseStepsAnew();
   // Returns the largest relative difference of final state and event times from those of a rollout with twice as many

@@ -438,6 +438,7 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const auto integrated = [&](int per_interval) {
     HybridProblem other = problem;
     other.integration.steps_per_interval = per_interval;
+    other.integration.divided = simulator.divided();
     return other;
   };
   const auto initial_gradient = [&](const Change& change, int more) {
