@@ -1081,8 +1081,26 @@ class HybridConditions {
     }
   }
 
+  // Returns the largest change of a state with which a residual that counts in the loss would vanish.
+  double SizeOfMisses() const {
+    constexpr double kCounts = 1e-6;  // of the loss
+    double size = 0;
+    for (const HybridShooting::TermAt& at : terms_) {
+      if (!at.term->IsCost() || !at.term->with_state) continue;
+      const auto columns = static_cast<Eigen::Index>(at.blocks[0].size());
+      for (size_t row = 0; row < at.residuals.size(); ++row) {
+        if (std::abs(at.term->LossOf(at.residuals[row])) < kCounts * std::abs(loss_)) continue;
+        const double slope =
+            Eigen::Map<const VectorXd>(at.jacobians[0].data() + row * columns, columns).cwiseAbs().maxCoeff();
+        if (slope > 0) size = std::max(size, std::abs(at.residuals[row]) / slope);
+      }
+    }
+    return size;
+  }
+
   // Finds the sizes of states by mode, of controls and of parameters over the motion. A component of the control that
-  // is zero has the size that, held for the whole motion, changes a state by as much as the largest state is.
+  // is zero has the size that, held for the whole motion, changes a state by as much as the largest state is, or misses
+  // what the costs ask for.
   void FindSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
       state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
@@ -1104,7 +1122,7 @@ class HybridConditions {
       change = (step.by.leftCols(n) * change + step.by.middleCols(step.by.cols() - 1 - width(), width())).eval();
       largest[step.mode] = largest[step.mode].cwiseMax(change.cwiseAbs());
     }
-    double of_states = 0;
+    double of_states = SizeOfMisses();
     for (const VectorXd& sizes : state_sizes_) of_states = std::max(of_states, sizes.maxCoeff());
     VectorXd moved = VectorXd::Zero(width());  // the largest state, by each component
     for (const Eigen::MatrixXd& of_mode : largest) moved = moved.cwiseMax(of_mode.colwise().maxCoeff().transpose());
@@ -1408,6 +1426,19 @@ class HybridConditions {
     }
   }
 
+  // Returns the largest product of a multiplier and the residual of its constraint, in parts of the loss: what the loss
+  // would change by if that were zero, whatever the unit of the constraint. It tells inequalities that are not active,
+  // and constraints that are violated.
+  double Complementarity() const {
+    double largest = 0;
+    for (size_t c = 0; c < constraints_.size(); ++c) {
+      if (constraints_[c].term < 0) continue;
+      const double residual = terms_[constraints_[c].term].residuals[constraints_[c].row];
+      largest = std::max(largest, std::abs(theta_[num_events() + static_cast<Eigen::Index>(c)] * residual));
+    }
+    return loss_ != 0 ? largest / std::abs(loss_) : 0;
+  }
+
   // Adds the conditions of the intervals in which an inequality of the control alone is active.
   void AddCones(ConeConditions* conditions) {
     size_t count = 0;
@@ -1509,7 +1540,7 @@ class HybridConditions {
     Keep(kinds, &conditions);
     SetMultipliersOfSizes(theta_);
     result->stationarity = std::max(Largest(conditions, kinds.controls), conditions.LargestForce());
-    result->transversality = Largest(conditions, kinds.variables);
+    result->transversality = std::max(Largest(conditions, kinds.variables), Complementarity());
     if (!kinds.duration.empty()) result->final_time = conditions.Number(kinds.duration[0]);
     result->hamiltonian = std::max(Largest(conditions, kinds.events), Largest(conditions, kinds.duration));
     for (int k = 0; k < num_events(); ++k) {
@@ -1552,6 +1583,7 @@ class HybridConditions {
     Keep(kinds, &conditions);
     result->gradient = std::max({Largest(conditions, kinds.controls),
                                  conditions.LargestForce(),
+                                 Complementarity(),
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
