@@ -799,3 +799,27 @@ def test_a_term_at_the_time_of_an_event_is_remarked(at):
         jumps = "guard 'ground' has an event at t = 0.5, where cost at" in found.remark
         assert jumps == (height == 1.25), found.remark
         assert jumps == any("the loss jumps as the event crosses this time" in remark["text"] for remark in found.remarks)
+
+
+@pytest.mark.parametrize("scale", [1, 1e-4, 1e-6, 1e-7])
+@pytest.mark.parametrize("solver", ["auto", "ceres_phases"])
+def test_an_inequality_in_small_units_is_not_taken_as_active(scale, solver):
+    """From x = 0 with x' = u towards x(1) = 2: the bound x(1) <= 5 is far, whatever the unit in which it is written."""
+    system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda x, u: [u[0]]})
+    far = saltus.residuals(lambda x: scale * (x[0] - 5), at="end", role="inequality")
+    problem = saltus.HybridProblem(system, mode="m", initial=[0], duration=1, control=np.zeros((4, 1)),
+                                   costs=[saltus.terminal([2.0]), saltus.effort(0.1), far])
+    run = saltus.solve(problem, solver=solver, bounds={"u": (-3, 3)})
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, 4 * 0.1 / 1.1, rtol=1e-6)
+
+
+def test_a_guess_that_hardly_moves_is_no_optimum():
+    """The component without a guess is the one that matters; that with a guess of 1e-7 must not set its size."""
+    system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["a", "b"], flow={"m": lambda x, u: [u[0], u[1]]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1, control=np.tile([0, 1e-7], (4, 1)),
+                                   costs=[saltus.terminal([1.0, None]), saltus.cost(lambda x: 0.3 * x[1]**4),
+                                          saltus.effort(0.1)])
+    run = saltus.solve(problem)
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, 0.1 / 1.1, rtol=1e-6)

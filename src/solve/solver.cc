@@ -6,6 +6,7 @@
 #include <span>
 #include <utility>
 
+#include "control/hybrid_shooting.h"
 #include "optimality/hybrid_conditions.h"
 #include "optimality/kink_conditions.h"
 #include "saltus/control/objective.h"
@@ -208,8 +209,17 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   guess.lengths = report->durations;
   guess.num_intervals = static_cast<int>(report->durations.size());
   guess.duration = std::accumulate(report->durations.begin(), report->durations.end(), 0.0);
-  // Takes a control, if it is certified and no worse.
+  HybridShooting shooting(problem);
+  // Takes a control, if it is feasible, certified and no worse.
   const auto take = [&](const std::vector<double>& control, const std::vector<double>& durations) {
+    HybridInput input = guess;
+    input.control = control;
+    input.lengths = durations;
+    input.duration = std::accumulate(durations.begin(), durations.end(), 0.0);
+    HybridShooting::Outcome outcome;
+    if (!shooting.Simulate(input, &outcome) || outcome.violation > std::max(kFeasible, report->final_violation)) {
+      return false;
+    }
     const ExactRun exact = SimulateExactly(designed, report->initial_state, control, durations, options.stop);
     if (!exact.ok || IsLess(report->final_loss, exact.loss)) return false;
     Certificate certificate = Certify(designed, report->initial_state, control, durations, options.stop);
@@ -218,6 +228,7 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
     report->control = control;
     report->durations = durations;
     report->final_loss = exact.loss;
+    report->final_violation = outcome.violation;
     return true;
   };
   std::optional<HybridInput> input = guess;
@@ -237,7 +248,6 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   report->evaluations += found.evaluations;
   report->seconds += found.seconds;
   if (found.termination != Termination::kConverged || !take(found.control, found.durations)) return;
-  report->final_violation = found.final_violation;
   if (!report->iterates.empty()) return;  // of which there is one for each loss
   report->iterations += found.iterations;
   report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());

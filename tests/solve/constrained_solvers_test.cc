@@ -255,5 +255,27 @@ TEST(ConstrainedShooting, RefusesAFreeDurationWhereStepsHaveNoDerivativeByTheirL
   EXPECT_THAT(report.reason, HasSubstr("by their length"));
 }
 
+// Few intervals, and a running target whose rate jumps within one: the solution is polished, and keeps the hard term.
+TEST(Constrained, PolishingKeepsHardTerms) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 12;
+  scene.objective.terminal[0].target = {0, 0.1};
+  scene.objective.terminal[0].hard = true;
+  scene.objective.effort = 0.01;
+  scene.objective.running = {{.body = 0,
+                              .quantity = TerminalTerm::Quantity::kVelocity,
+                              .times = {0, 0.3},
+                              .targets = {{-2, -2}, {-1.5, -1.4}},
+                              .weight = 0.2}};
+  for (const char* solver : {"ceres_phases", "ipopt"}) {
+    const SolveReport report = Solve(solver, {scene, "event"}, FromGuess(scene));
+    if (report.termination == Termination::kNotApplicable) continue;  // this build has no IPOPT
+    EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    EXPECT_NEAR(exact.end[4], 0, 1e-8) << solver;
+    EXPECT_NEAR(exact.end[5], 0.1, 1e-8) << solver;
+  }
+}
+
 }  // namespace
 }  // namespace saltus
