@@ -823,3 +823,14 @@ def test_a_guess_that_hardly_moves_is_no_optimum():
     run = saltus.solve(problem)
     assert run.termination == "converged", run.reason
     assert_allclose(run.loss, 0.1 / 1.1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["auto", "ceres_phases"])
+def test_a_maximum_at_a_bound_that_does_not_press_is_left(solver):
+    """The loss (x(1)^2 - 1)^2 + 0.1 int u^2 has its maximum at the guess, at the bound u >= 0, where its slope is zero."""
+    system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda x, u: [u[0]]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0], duration=1, control=np.zeros((4, 1)),
+                                   costs=[saltus.residuals(lambda x: [x[0]**2 - 1]), saltus.effort(0.1)])
+    run = saltus.solve(problem, solver=solver, bounds={"u": (0, 1)})
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, 0.0975, rtol=1e-6)

@@ -972,13 +972,31 @@ class HybridConditions {
     return 0.5 * (second + second.transpose());
   }
 
+  // Turns a direction to where all bounds of controls that do not press allow it. Returns whether one side is so.
+  bool TurnInside(std::vector<double>* direction) const {
+    if (std::ranges::count(is_weak_, true) > 0) return false;
+    bool forward = true, backward = true;
+    for (const size_t i : weak_variables_) {
+      const auto& [variable, sign] = variables_[i];
+      if (variable.kind != Kind::kControl) return false;
+      const double inside = sign * (*direction)[variable.index];
+      forward = forward && inside >= 0;
+      backward = backward && inside <= 0;
+    }
+    if (!forward && backward) {
+      for (double& change : *direction) change = -change;
+    }
+    return forward || backward;
+  }
+
   // Returns the curvature along directions that keep active bounds and inequalities. Where one of these does not press,
   // a minimum needs a positive curvature also where it ends; sets the reason if that is not so.
   std::optional<Curvature> CurvatureAlongFree(bool moving, std::string* reason) {
     const bool any_weak = !weak_variables_.empty() || std::ranges::count(is_weak_, true) > 0;
     if (any_weak) {
-      const std::optional<Curvature> wider = CurvatureAlong(moving, /*with_weak=*/true);
+      std::optional<Curvature> wider = CurvatureAlong(moving, /*with_weak=*/true);
       if (wider && wider->kind == Curvature::Kind::kMinimum) return wider;
+      if (wider && wider->kind == Curvature::Kind::kSaddle && TurnInside(&wider->direction)) return wider;
     }
     std::optional<Curvature> found = CurvatureAlong(moving, /*with_weak=*/false);
     if (!any_weak || (found && found->kind != Curvature::Kind::kMinimum)) return found;
