@@ -345,7 +345,7 @@ class HybridSimulator::Impl {
   }
 
   // Doubles the number of steps until they resolve the guards, and the error is at most the tolerance or no longer
-  // falls, as it is rounding. Returns whether the motion has such a number; nothing if it has divided intervals.
+  // falls, as it is rounding. Returns whether the motion has such a number; std::nullopt if it has divided intervals.
   std::optional<bool> ChooseNumber() {
     int n = FewestSteps(), stalls = 0;
     std::unique_ptr<RolloutRun> best, finer;

@@ -1332,7 +1332,7 @@ class HybridConditions {
     }
   }
 
-  // Adds the equations of the rows of a term that are held, but for those of one interval, which directions keep.
+  // Adds the equations of the rows of a term that are held, except those of one interval, which directions keep.
   void AddHeld(size_t term, const Directions& to, const SparseRows& along, QuadraticForm* form) const {
     const HybridShooting::TermAt& at = terms_[term];
     const auto rows = static_cast<Eigen::Index>(at.residuals.size());

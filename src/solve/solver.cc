@@ -192,7 +192,7 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
   });
 }
 
-// Goes on from a solution on intervals of its own that its certificate denies, with the scene as a hybrid system: by
+// Goes on from a solution on unequal intervals that its certificate denies, with the scene as a hybrid system: by
 // steps of Newton's method, which are more accurate than differences of losses, and then by the solver in phases, which
 // also holds the intervals where they are, as where the loss falls as an impact leaves the end of its interval. Design
 // parameters stay.
@@ -275,26 +275,6 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, SolveRep
     certificate.parameters[i].value = report->parameters[i];
   }
   JudgeByCertificate(report);
-}
-
-// Descends once more, from the parameters found, where the loss falls as an impact leaves the end of its interval:
-// along the descent each impact is at the end of one interval, which may be another one for the best parameters.
-void DescendAnew(const SolverEntry& entry, const SolveRequest& request, const SolverOptions& options,
-                 SolveReport* report) {
-  const auto leaves = [](const ImpactCertificate& impact) { return impact.LeavesNode(); };
-  if (report->termination != Termination::kNoProgress || !report->certificate) return;
-  if (std::ranges::none_of(report->certificate->impacts, leaves)) return;
-  SolveChain chain(options);
-  chain.Add(*report);
-  if (chain.IsOutOfIterations()) return;
-  SolveRequest anew = request;
-  anew.scene = WithDesign(request.scene, report->parameters);
-  SolverOptions rest = chain.Next();
-  rest.guess = ControlGuess{report->control, {}};
-  SolveReport found = DescendDesign(entry, anew, rest);
-  Confirm(anew, rest, &found);
-  chain.Add(found);
-  *report = chain.Finish(EndsBetter(found, *report) ? std::move(found) : std::move(*report));
 }
 
 // A free duration between equal bounds is none: the scene lasts as long, and its price is a part of every loss.
@@ -476,7 +456,6 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
     const bool descends = !converted.scene.design.empty() && !entry->design;
     report = descends ? DescendDesign(*entry, converted, own) : entry->solve(converted, own);
     Confirm(converted, own, &report);
-    if (descends) DescendAnew(*entry, converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.durations.empty() && !report.control.empty()) {

@@ -45,7 +45,7 @@ struct ImpactCertificate {
   std::string a, b;             // as in Event
   double speed = 0;             // of approach along the normal, m/s
   double multiplier = 0;        // nu, 1/m
-  double jump = 0;              // residual of the costate jump; 0 but for certificates of hmp, as costates are carried
+  double jump = 0;              // residual of the costate jump; zero except in certificates of hmp
   double hamiltonian = 0;       // residual: the Hamiltonian after less that before
   bool on_node = false;         // the impact is at the boundary of two control intervals
   std::optional<double> theta;  // if the force jumps there
