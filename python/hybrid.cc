@@ -688,9 +688,7 @@ class Problem {
           .plan = MakePlan(*simulator, problem.guess),
           .linear = std::move(linear),
           .what_is_wrong_with = [simulator](const TrackingCost& cost) { return WhatIsWrongWith(cost, *simulator); },
-          .make_plant = [system = problem.system,
-                         input = problem.guess,
-                         steps = simulator->steps_per_interval()] { return MakePlant(system, input, steps); },
+          .make_plant = [simulator, input = problem.guess] { return MakePlant(*simulator, input); },
           .remark = simulator->WhyNotDifferentiable()};
     });
     return planned;

@@ -101,3 +101,22 @@ def test_a_filter_passes_switches():
     estimate.predict(1.0)
     assert estimate.mode == "m"
     np.testing.assert_allclose([estimate.mean[0], estimate.covariance[0, 0]], [2.5, 0.09], rtol=1e-12)
+
+
+def test_the_closed_loop_sees_a_pulse_of_the_flow():
+    """A push of 1 N s that lasts about 1e-4 s moves the plant, too, and the branches before and after an event."""
+    width = 1e-4
+    push = lambda t, at: np.exp(-(((t - at) / width) ** 2)) / (width * np.sqrt(np.pi))
+    system = saltus.HybridSystem(
+        states={"m": ["x", "v"]},
+        controls=["u"],
+        flow={"m": lambda t, x, u: [x[1], u[0] + push(t, 0.33) - 2 * push(t, 0.71)]},
+        guards={"m": {"wall": lambda x: 0.3 - x[0]}},
+        resets={"m": {"wall": lambda x: ("m", [x[0], -x[1]])}},
+    )
+    problem = saltus.HybridProblem(system, mode="m", initial=[0.0, 0.0], duration=1.0, control=np.zeros((8, 1)))
+    motion = saltus.rollout(problem)
+    assert len(motion.events) == 1 and abs(motion.events[0][0] - 0.63) < 1e-6
+    runs = saltus.noisy_runs(problem, initial=1e-20 * np.eye(2), samples=4)
+    assert runs.otherwise == 0
+    assert np.allclose(runs.mean, motion.final, rtol=0, atol=1e-8)

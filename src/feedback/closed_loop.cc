@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <optional>
 
 #include "base/parallel_for.h"
@@ -18,11 +19,17 @@ namespace {
 
 class HybridPlant final : public Plant {
  public:
-  HybridPlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval)
+  HybridPlant(const HybridSimulator& motion, const HybridInput& input)
       : mode_at_start_(input.mode),
         times_(input.Times()),
         piece_{.parameters = input.parameters},
-        simulator_(system, {.steps_per_interval = steps_per_interval, .wait_behind_guards = true}) {}
+        simulator_(motion.system(), {.steps_per_interval = motion.steps_per_interval(), .wait_behind_guards = true}) {
+    for (int k = 0; k < input.num_intervals; ++k) {
+      HybridOptions options = motion.StepsBetween(times_[k], times_[k + 1]);
+      options.wait_behind_guards = true;
+      if (!options.divided.empty()) of_divided_.try_emplace(k, motion.system(), options);
+    }
+  }
 
   void Start(const Eigen::VectorXd& x) override {
     mode_ = mode_at_start_;
@@ -41,12 +48,14 @@ class HybridPlant final : public Plant {
     piece_.control.assign(u.begin(), u.end());
     piece_.begin = times_[k];
     piece_.duration = times_[k + 1] - times_[k];
-    if (!simulator_.Rollout(piece_)) return false;
-    for (const std::vector<HybridEvent>* events : {&std::as_const(at_once), &simulator_.events()}) {
+    const auto divided = of_divided_.find(k);
+    HybridSimulator& simulator = divided == of_divided_.end() ? simulator_ : divided->second;
+    if (!simulator.Rollout(piece_)) return false;
+    for (const std::vector<HybridEvent>* events : {&std::as_const(at_once), &simulator.events()}) {
       for (const HybridEvent& event : *events) events_.push_back({event.mode, event.guard, event.next_mode, k});
     }
-    mode_ = simulator_.final_mode();
-    x_ = Eigen::Map<const Eigen::VectorXd>(simulator_.final_state().data(), simulator_.final_state().size());
+    mode_ = simulator.final_mode();
+    x_ = Eigen::Map<const Eigen::VectorXd>(simulator.final_state().data(), simulator.final_state().size());
     return true;
   }
 
@@ -55,6 +64,7 @@ class HybridPlant final : public Plant {
   std::vector<double> times_;
   HybridInput piece_;
   HybridSimulator simulator_;
+  std::map<int, HybridSimulator> of_divided_;  // those of intervals that the motion's steps divide
 };
 
 class ScenePlant final : public Plant {
@@ -245,13 +255,21 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
     Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(x0.data(), x0.size()), next(x.size());
     const double* u = plan.control.data() + static_cast<std::ptrdiff_t>(interval) * plan.num_controls;
     for (int node = from, by = from <= to ? 1 : -1; node != to + by; node += by) {
-      const int steps = std::max(motion.steps_per_interval(), 1);
-      const double h = (times[node] - t) / steps;
-      for (int i = 0; i < steps; ++i, t += h) {
-        integrator.Step({{mode, t, x.data(), u, input.parameters.data()}, h}, next.data());
-        std::swap(x, next);
+      const double begin = t, end = times[node];
+      HybridOptions parts = motion.StepsBetween(std::min(begin, end), std::max(begin, end));
+      if (end < begin) {
+        std::ranges::reverse(parts.divided);
+        for (double& part : parts.divided) part = 1 - part;
       }
-      t = times[node];
+      parts.divided.push_back(1);
+      for (const double part : parts.divided) {
+        const double h = (begin + part * (end - begin) - t) / parts.steps_per_interval;
+        for (int i = 0; i < parts.steps_per_interval; ++i, t += h) {
+          integrator.Step({{mode, t, x.data(), u, input.parameters.data()}, h}, next.data());
+          std::swap(x, next);
+        }
+        t = begin + part * (end - begin);
+      }
       states.push_back(x);
     }
     if (from > to) std::reverse(states.begin(), states.end());
@@ -411,8 +429,8 @@ bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains
   return true;
 }
 
-std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval) {
-  return std::make_unique<HybridPlant>(system, input, steps_per_interval);
+std::unique_ptr<Plant> MakePlant(const HybridSimulator& motion, const HybridInput& input) {
+  return std::make_unique<HybridPlant>(motion, input);
 }
 
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator) {

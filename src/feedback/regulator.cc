@@ -102,7 +102,6 @@ class GuardsWithin {
         input_(input),
         times_(input.Times()),
         ties_(ties),
-        part_(system_, {.steps_per_interval = motion.steps_per_interval(), .wait_behind_guards = true}),
         gradient_(system_.functions().most_states() + 1 + system_.num_parameters() + system_.num_controls()) {}
 
   // Adds guards that reach zero at the time of the event of another one, and with it; guards that touch zero and
@@ -179,11 +178,15 @@ class GuardsWithin {
                       .duration = (time - times_[k]) * (1 - kBefore)};
     input.control.assign(ControlOf(k), ControlOf(k) + system_.num_controls());
     input.begin = times_[k];
-    if (!(input.duration > 0) || !part_.Rollout(input) || part_.final_mode() != mode) return;
-    const HybridSensitivity by = part_.Sensitivity();
+    if (!(input.duration > 0)) return;
+    HybridOptions options = motion_.StepsBetween(input.begin, input.begin + input.duration);
+    options.wait_behind_guards = true;
+    HybridSimulator part(system_, options);
+    if (!part.Rollout(input) || part.final_mode() != mode) return;
+    const HybridSensitivity by = part.Sensitivity();
     const int n = system_.state_size(mode), m = system_.num_controls(), first = static_cast<int>(x.size());
     const Eigen::Map<const RowMajor> all(by.final_state.data(), n, by.columns);
-    const ModePoint at{mode, time, part_.final_state().data(), ControlOf(k), input_.parameters.data()};
+    const ModePoint at{mode, time, part.final_state().data(), ControlOf(k), input_.parameters.data()};
     const auto change_of = [&](int of, Eigen::RowVectorXd* by_state, Eigen::RowVectorXd* by_control) {
       const double value = system_.functions().GuardGradient(at, of, gradient_.data());
       const Eigen::Map<const Eigen::RowVectorXd> by_x(gradient_.data(), n),
@@ -214,7 +217,6 @@ class GuardsWithin {
   const HybridInput& input_;
   const std::vector<double> times_, none_ = std::vector<double>(1 + system_.num_controls());
   const std::vector<HybridTie>& ties_;
-  HybridSimulator part_;
   std::vector<double> gradient_;
 };
 

@@ -728,6 +728,14 @@ const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not
 
 int HybridSimulator::steps_per_interval() const { return impl_->steps; }
 const std::vector<double>& HybridSimulator::divided() const { return impl_->options.divided; }
+HybridOptions HybridSimulator::StepsBetween(double begin, double end) const {
+  HybridOptions steps{.steps_per_interval = std::max(impl_->steps, 1)};
+  for (const double part : impl_->options.divided) {
+    const double time = impl_->input.begin + part * impl_->input.duration;
+    if (time > begin && time < end) steps.divided.push_back((time - begin) / (end - begin));
+  }
+  return steps;
+}
 void HybridSimulator::ChooseStepsAnew() {
   impl_->steps = std::max(impl_->options.steps_per_interval, 0);
   impl_->options.divided = impl_->given;

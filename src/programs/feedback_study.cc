@@ -274,7 +274,7 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   std::vector<double> controls;
   for (int i = 0; i < system.num_controls(); ++i) controls.push_back(DeviationOf(options, system.ControlName(i)));
   study.noise = {of_states(""), Diagonal(controls), of_states("process_"), of_states("measured_")};
-  study.make_plant = [&, steps = motion.steps_per_interval()] { return MakePlant(system, input, steps); };
+  study.make_plant = [&] { return MakePlant(motion, input); };
   FeedbackStudy out = Run(study);
   if (out.reason.empty()) out.remark = motion.WhyNotDifferentiable();
   return out;

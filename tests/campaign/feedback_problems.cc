@@ -76,15 +76,15 @@ Case OfScene(const char* name, const Scene& scene) {
 }
 
 Case OfSystem(const char* name, const HybridProblem& problem, std::vector<MatrixXd> Q) {
-  HybridSimulator motion(problem.system, problem.integration);
-  CHECK(motion.Rollout(problem.guess)) << motion.WhyFailed();
-  Case at{.name = name, .plan = MakePlan(motion, problem.guess), .linear = Linearize(motion, problem.guess)};
+  const auto motion = std::make_shared<HybridSimulator>(problem.system, problem.integration);
+  CHECK(motion->Rollout(problem.guess)) << motion->WhyFailed();
+  Case at{.name = name, .plan = MakePlan(*motion, problem.guess), .linear = Linearize(*motion, problem.guess)};
   const Eigen::Index n0 = at.plan.states.front().size(), n = at.plan.states.back().size();
   const int m = problem.system.num_controls();
   at.regulator =
       Track(at.linear, {.Q = std::move(Q), .R = 1e-2 * MatrixXd::Identity(m, m), .QT = 10 * MatrixXd::Identity(n, n)});
   at.noise.initial = 1e-6 * MatrixXd::Identity(n0, n0);
-  at.plant = [problem, steps = motion.steps_per_interval()] { return MakePlant(problem.system, problem.guess, steps); };
+  at.plant = [motion, input = problem.guess] { return MakePlant(*motion, input); };
   return at;
 }
 

@@ -46,7 +46,7 @@ class BallInClosedLoop : public ::testing::Test {
     plan_ = MakePlan(motion_, input_);
     regulator_ = Track(linear_, Weights(2, 0.05));
   }
-  std::unique_ptr<Plant> Ball() const { return MakePlant(motion_.system(), input_, motion_.steps_per_interval()); }
+  std::unique_ptr<Plant> Ball() const { return MakePlant(motion_, input_); }
 
   const HybridInput input_{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1.2, .num_intervals = 24};
   HybridSimulator motion_{HybridSystem(BouncingBall())};
@@ -162,8 +162,8 @@ TEST_F(BallInClosedLoop, ProbabilityThatTheImpactComesTooLate) {
   EXPECT_NEAR(covariance.risks[0].probability, expected, 1e-12);
   EXPECT_NE(covariance.Warning().find("comes after the end"), std::string::npos) << covariance.Warning();
   EXPECT_EQ(Propagate(Linearize(motion_, input), {.initial = Eigen::Vector2d(1e-4, 0).asDiagonal()}).Warning(), "");
-  const MonteCarlo samples = RunMonteCarlo(
-      MakePlan(motion_, input), {}, noise, [&] { return MakePlant(motion_.system(), input, 1); }, {.samples = 4000});
+  const MonteCarlo samples =
+      RunMonteCarlo(MakePlan(motion_, input), {}, noise, [&] { return MakePlant(motion_, input); }, {.samples = 4000});
   // The height is quadratic in the time: within a tenth, and four standard errors.
   EXPECT_NEAR(
       samples.otherwise / 4000.0, covariance.change_probability, 0.1 * expected + 4 * std::sqrt(expected / 4000));

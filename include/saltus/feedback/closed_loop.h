@@ -107,10 +107,10 @@ class Plant {
   Eigen::VectorXd x_ = {};
   std::vector<EventLabel> events_ = {};  // since Start
 };
-// Makes a plant of the system itself, with the mode and the intervals of `input`. If noise moves the state behind a
-// guard, the event of the guard happens at once if the guard falls there; otherwise the guard is armed once it is above
-// zero.
-std::unique_ptr<Plant> MakePlant(const HybridSystem& system, const HybridInput& input, int steps_per_interval);
+// Makes a plant of the system of a motion, with its steps and the mode and the intervals of `input`, of which it is the
+// motion. If noise moves the state behind a guard, the event of the guard happens at once if the guard falls there;
+// otherwise the guard is armed once it is above zero.
+std::unique_ptr<Plant> MakePlant(const HybridSimulator& motion, const HybridInput& input);
 // Makes a plant of the scene under the contact model of the simulator. A contact over several steps is one event. A
 // state has the numbers of the initial state of the scene, or all numbers of the state of the model.
 std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);

@@ -183,6 +183,9 @@ class HybridSimulator {
   int steps_per_interval() const;
   // Returns the times that divide control intervals (HybridOptions), with those that the simulator has added.
   const std::vector<double>& divided() const;
+  // Returns options with which a simulator takes the steps of the last rollout between two times of it: their number in
+  // a control interval, and the times between that divide it, as parts of the time from `begin` to `end`.
+  HybridOptions StepsBetween(double begin, double end) const;
   // Makes the next rollout choose the number of steps anew, unless it is given.
   void ChooseStepsAnew();
   // Returns the largest relative difference of final state and event times from those of a rollout with twice as many
