@@ -191,6 +191,14 @@ def test_a_remainder_as_a_guard_has_a_remark():
     assert "guard 'tick' grazes zero at t = 0.1 and 8 more times" in motion.remark
 
 
+def test_remarks_beyond_the_first_are_counted():
+    guards = {f"touch_{i:02}": lambda t, x, p, at=0.1 + i / 25: (t - at) ** 2 for i in range(20)}
+    system = one_mode(lambda t, x, u, p: [-x[0]], guards={"m": guards}, resets={"m": {name: lambda x: ("m", [x[0]]) for name in guards}})
+    remark = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[1], duration=1.0)).remark
+    assert "touch_00" in remark and "touch_07" in remark and "touch_08" not in remark
+    assert remark.endswith("; and 12 more such remarks")
+
+
 def test_steps_that_are_too_few_have_a_remark():
     system = one_mode(lambda t, x, u, p: [x[1], -p[0] * x[0]], ["x", "v"], ["stiffness"])  # integrated, not flown
     problem = saltus.HybridProblem(system, mode="m", initial=[1, 0], parameters=[1.0], duration=20.0, steps_per_interval=16)

@@ -34,7 +34,8 @@ struct TimedRemark {
 
   bool empty() const { return what.empty(); }
 };
-// Returns all remarks in one text. Those that differ in time only are told once, with the first time and their number.
+// Returns the first remarks in one text, which counts the others. Those that differ in time only are told once, with
+// the first time and their number.
 // Times have six digits, to which the same optimum agrees from machine to machine.
 std::string JoinRemarks(const std::vector<TimedRemark>& remarks);
 

@@ -30,6 +30,8 @@ constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve t
 constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose accuracy asks for no short steps
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
+constexpr int kMostRemarks = 8;  // that one text tells
+
 constexpr const char *kSinks = " falls from zero", *kAtRateZero = ", with a rate of zero";
 
 std::string Text(double value) { return ToText(value, 10); }
@@ -38,17 +40,19 @@ std::string Text(double value) { return ToText(value, 10); }
 
 std::string JoinRemarks(const std::vector<TimedRemark>& remarks) {
   std::string text;
+  int different = 0;
   for (auto first = remarks.begin(); first != remarks.end(); ++first) {
     const auto same = [&](const TimedRemark& other) {
       return other.what == first->what && other.where == first->where;
     };
-    if (std::any_of(remarks.begin(), first, same)) continue;
+    if (std::any_of(remarks.begin(), first, same) || ++different > kMostRemarks) continue;
     const auto more = std::count_if(first + 1, remarks.end(), same);
     text += (text.empty() ? "" : "; ") + first->what;
     if (first->time) text += " at t = " + ToText(*first->time, 6);
     if (first->time && more > 0) text += " and " + std::to_string(more) + " more times";
     text += first->where;
   }
+  if (different > kMostRemarks) text += "; and " + std::to_string(different - kMostRemarks) + " more such remarks";
   return text;
 }
 
