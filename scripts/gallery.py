@@ -17,6 +17,7 @@ import os
 import pathlib
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -319,7 +320,7 @@ def write_reports(build, folder):
     for path in [*scenes(), *systems()]:
         with tempfile.TemporaryDirectory() as made:
             run(build, [*command(path), f"--output_dir={made}", "--progress=none"])
-            (pathlib.Path(made) / "report.html").replace(folder / f"{path.stem}.html")
+            shutil.move(pathlib.Path(made) / "report.html", folder / f"{path.stem}.html")  # the folders may be on two disks
 
 
 def check():

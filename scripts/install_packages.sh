@@ -13,7 +13,7 @@ packages=(
   python3-dev pybind11-dev python3-numpy # the Python module
   python3-pytest python3-scipy python3-matplotlib # its tests; those with python3-torch, python3-distributed and mypy are skipped without
   python3-nbclient python3-ipykernel # the example notebook
-  python3-jsonschema codespell # the tests of schemas/ and docs/
+  python3-jsonschema python3-sphinx codespell # the tests of schemas/, docs/ and docstrings
   universal-ctags # the test of names that are defined twice
   dpkg-dev python3-pip python3-setuptools python3-wheel # the test of packages
   "$@"

@@ -638,12 +638,13 @@ def terminal(
 ) -> Cost | dict[str, Any]:
     """weight * |x_i - target_i|^2 at the end. NaN or None leaves a component out; weight: a number, or one for each.
 
-    hard: the state must be the target there, in place of a cost.
-    min, max: a goal region in place of a target: the least and the greatest value of each component, or None.
-    mode: in which the motion must end; without one the number of targets must be that of its states.
-    body: a disc of a scene, or a body of a box file. The result is then an entry of ``terminal`` in the ``objective`` of the
-        scene: ``saltus.terminal(min=[2, -0.1], max=[None, 0.1], body="puck")``.
-    quantity: of the body, "position" (the default), "velocity", "angle" or "angular_velocity".
+    Args:
+        hard: the state must be the target there, in place of a cost.
+        min, max: a goal region in place of a target: the least and the greatest value of each component, or None.
+        mode: in which the motion must end; without one the number of targets must be that of its states.
+        body: a disc of a scene, or a body of a box file. The result is then an entry of ``terminal`` in the ``objective`` of
+            the scene: ``saltus.terminal(min=[2, -0.1], max=[None, 0.1], body="puck")``.
+        quantity: of the body, "position" (the default), "velocity", "angle" or "angular_velocity".
     """
     expect("True or False", hard=hard)
     if body is not None:
