@@ -94,6 +94,7 @@ class SceneSystem final : public HybridFunctions {
       });
       pairs_.push_back({contact, MakeImpactConstants(scene_, contact), must_not_touch});
     }
+    if (scene_.objective.running.empty() && scene_.num_bodies() > 1) AddParts();
   }
 
   void Flow(const ModePoint& from, double* xdot) const override {
@@ -179,6 +180,45 @@ class SceneSystem final : public HybridFunctions {
     }
     for (const RunningTerm& term : scene_.objective.running) AddRunning(term, step, after, jacobian);
     return true;
+  }
+
+  // Discs fly by themselves, and turn by themselves; a running term integrates what discs do.
+  std::vector<StatePart> Parts(int mode) const override {
+    return parts_.empty() ? HybridFunctions::Parts(mode) : parts_;
+  }
+  std::vector<int> PartsOf(int mode, int guard) const override {
+    if (parts_.empty()) return HybridFunctions::PartsOf(mode, guard);
+    if (IsWaypoint(guard)) return {};
+    const Candidate& c = pairs_[guard].contact;
+    const int turning = scene_.Spins() ? at_.num_bodies() : 0;
+    std::vector<int> parts = {c.a};
+    if (!c.plane) parts.push_back(c.b);
+    for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
+      if (pairs_[guard].law.inverse_inertia[side] > 0) parts.push_back(turning + parts[side]);
+    }
+    return parts;
+  }
+  void MovePart(int part, const FlowStep& step, double* after, double* jacobian) const override {
+    const bool turns = part >= at_.num_bodies();
+    const int body = part % at_.num_bodies(), m = static_cast<int>(parts_[part].controls.size());
+    const int dimension = turns ? 1 : 2, n = 2 * dimension, columns = n + 1 + m + 1;
+    const double h = step.h, by = turns ? RateOfTurn(body) : InverseMass(scene_.bodies[body]);
+    if (jacobian != nullptr) std::fill_n(jacobian, n * columns, 0.0);
+    for (int j = 0; j < dimension; ++j) {
+      const int v = dimension + j;
+      const double acceleration = (turns ? 0 : scene_.gravity[j]) + (m > 0 ? by * step.u[j] : 0);
+      after[j] = step.x[j] + h * (step.x[v] + 0.5 * h * acceleration);
+      after[v] = step.x[v] + h * acceleration;
+      if (jacobian == nullptr) continue;
+      double *of_q = jacobian + j * columns, *of_v = jacobian + v * columns;
+      of_q[j] = of_v[v] = 1;
+      of_q[v] = h;
+      of_q[columns - 1] = after[v];
+      of_v[columns - 1] = acceleration;
+      if (m == 0) continue;
+      of_q[n + 1 + j] = 0.5 * h * h * by;
+      of_v[n + 1 + j] = h * by;
+    }
   }
 
   double Guard(const ModePoint& from, int guard) const override {
@@ -284,6 +324,22 @@ class SceneSystem final : public HybridFunctions {
     return layout;
   }
 
+  // Adds the parts of flight of all bodies, and then those of their rotations.
+  void AddParts() {
+    using enum StatePart::Motion;
+    for (const bool turns : {false, true}) {
+      for (int i = 0; i < at_.num_bodies() && (!turns || scene_.Spins()); ++i) {
+        StatePart part;
+        const int first = turns ? at_.AngleOf(i) : at_.PositionOf(i), size = turns ? kSpin : 4;
+        const int control = turns ? at_.TorqueOn(i) : at_.ForceOn(i);
+        for (int k = 0; k < size; ++k) part.states.push_back(first + k);
+        for (int k = 0; k < size / 2 && control >= 0; ++k) part.controls.push_back(control + k);
+        part.motion = scene_.bodies[i].fixed ? kRests : control >= 0 ? kSteps : kCoasts;
+        parts_.push_back(std::move(part));
+      }
+    }
+  }
+
   int Columns() const { return at_.size() + 1 + scene_.control_width(); }
   bool IsWaypoint(int guard) const { return guard == static_cast<int>(pairs_.size()); }
   static Vec2d TwoAt(const double* x, int place) { return {x[place], x[place + 1]}; }
@@ -377,6 +433,7 @@ class SceneSystem final : public HybridFunctions {
   const SceneLayout at_;
   const std::vector<double> waypoints_;
   std::vector<Pair> pairs_;
+  std::vector<StatePart> parts_;  // none: the state is one
 };
 
 // The residuals factor (x_i - target_i) of successive components of a state.

@@ -32,6 +32,21 @@ std::string HybridFunctions::StateName(int mode, int component) const {
   return NameOr(layout().state_names, Before(layout().state_sizes, mode) + component, Indexed("x", component));
 }
 
+std::vector<StatePart> HybridFunctions::Parts(int mode) const {
+  StatePart all;
+  all.states.resize(state_size(mode));
+  all.controls.resize(layout().num_controls);
+  std::iota(all.states.begin(), all.states.end(), 0);
+  std::iota(all.controls.begin(), all.controls.end(), 0);
+  return {all};
+}
+
+std::vector<int> HybridFunctions::PartsOf(int mode, int /*guard*/) const {
+  std::vector<int> all(Parts(mode).size());
+  std::iota(all.begin(), all.end(), 0);
+  return all;
+}
+
 void HybridFunctions::AppendGuardTerms(const ModePoint& at, int guard, std::vector<GuardTerm>* terms) const {
   const int n = state_size(at.mode);
   std::vector<double> gradient(n + 1 + layout().num_parameters + layout().num_controls);

@@ -103,6 +103,51 @@ TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
   for (size_t i = 0; i < steered; ++i) EXPECT_NEAR(gradient[i], by[i], 1e-10 * largest) << i;
 }
 
+// Each part moves as it does in the whole state, where its motion depends on no other part.
+TEST_P(SceneAsHybridProblem, HasPartsThatMoveAsInTheWholeState) {
+  const HybridProblem problem = HybridProblemOf(GetParam().scene);
+  const HybridFunctions& functions = problem.system.functions();
+  const std::vector<StatePart> parts = functions.Parts(0);
+  if (parts.size() == 1) GTEST_SKIP() << "one part";
+  const int n = functions.state_size(0), m = functions.layout().num_controls, columns = n + 1 + m;
+  std::vector<double> x(n), u(m), after(n), jacobian(n * columns), slope(n);
+  for (int i = 0; i < n; ++i) x[i] = problem.guess.initial[i] + 0.1 * std::cos(i);
+  for (int i = 0; i < m; ++i) u[i] = std::sin(1 + i);
+  const FlowStep step{{0, 0.2, x.data(), u.data(), nullptr}, 0.3};
+  ASSERT_TRUE(functions.Fly(step, after.data(), jacobian.data()));
+  functions.Flow({0, 0.5, after.data(), u.data(), nullptr}, slope.data());
+  std::vector<int> times_seen(n + m);
+  for (int k = 0; k < static_cast<int>(parts.size()); ++k) {
+    std::vector<int> inputs = parts[k].states;
+    const int of_part = static_cast<int>(inputs.size());
+    std::vector<double> own_x, own_u;
+    for (const int i : parts[k].states) own_x.push_back(x[i]);
+    for (const int i : parts[k].controls) own_u.push_back(u[i]);
+    inputs.push_back(n);
+    for (const int i : parts[k].controls) inputs.push_back(n + 1 + i);
+    for (const int i : inputs) times_seen[i < n ? i : i - 1] += i != n;
+    const int width = static_cast<int>(inputs.size()) + 1;
+    std::vector<double> own_after = own_x, own_jacobian(of_part * width);
+    for (int i = 0; i < of_part; ++i) own_jacobian[i * width + i] = 1;
+    const FlowStep own{{0, 0.2, own_x.data(), own_u.data(), nullptr}, 0.3};
+    if (parts[k].motion != StatePart::Motion::kRests) {
+      functions.MovePart(k, own, own_after.data(), own_jacobian.data());
+    }
+    EXPECT_EQ(parts[k].motion == StatePart::Motion::kSteps, !parts[k].controls.empty());
+    for (int i = 0; i < of_part; ++i) {
+      const double* row = &jacobian[parts[k].states[i] * columns];
+      EXPECT_DOUBLE_EQ(own_after[i], after[parts[k].states[i]]);
+      EXPECT_DOUBLE_EQ(own_jacobian[i * width + width - 1], slope[parts[k].states[i]]);
+      for (int j = 0; j < columns; ++j) {
+        const auto place = std::ranges::find(inputs, j);
+        const double expected = place == inputs.end() ? 0 : own_jacobian[i * width + (place - inputs.begin())];
+        EXPECT_DOUBLE_EQ(row[j], expected) << k << " " << i << " " << j;
+      }
+    }
+  }
+  EXPECT_EQ(times_seen, std::vector<int>(n + m, 1));
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Scenes, SceneAsHybridProblem,
     testing::Values(SceneCase{"two_balls", With(ProblemScene("two_balls"), 40), 1},
@@ -168,6 +213,7 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
   ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
   EXPECT_NEAR(user.initial_loss, discs.initial_loss, 1e-12);
+  EXPECT_LE(user.iterations, 30);
   ASSERT_TRUE(user.certificate);
   EXPECT_EQ(user.certificate->verdict, Certificate::Verdict::kStationary) << user.certificate->reason;
   ASSERT_EQ(user.certificate->impacts.size(), 1u);

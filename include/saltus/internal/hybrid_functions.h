@@ -62,6 +62,18 @@ struct ModeBox {
   const double *u, *p;
 };
 
+// A block of the state of a mode whose motion between events depends on no other state, with the components of the
+// control that it reads.
+struct StatePart {
+  enum class Motion {
+    kSteps,   // a step for each of the integration
+    kCoasts,  // without a control, in one step of any length
+    kRests,   // not at all, and no event changes it
+  };
+  std::vector<int> states, controls;
+  Motion motion = Motion::kSteps;
+};
+
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
 // the parameters (P). Derivatives are row-major, with respect to [x t p u] (n + 1 + P + m columns) or [x t p].
 //
@@ -103,6 +115,15 @@ class HybridFunctions {
   // Whether the flow of a mode is affine in [x t p u] with constant coefficients, so that the second derivatives of a
   // step by these vanish.
   virtual bool IsLinear(int /*mode*/) const { return false; }
+
+  // Returns the parts of a mode, in which each state and each component of the control is once; one, of all, if the
+  // system is not known to have several.
+  virtual std::vector<StatePart> Parts(int mode) const;
+  // Moves one of several parts by a closed form: x, u and `after` are those of the part. Unless `jacobian` is null, it
+  // is set to the derivative by [x t p u h]. Precondition: the part does not rest.
+  virtual void MovePart(int /*part*/, const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const {}
+  // Returns the parts whose states a guard reads, or its reset reads or changes.
+  virtual std::vector<int> PartsOf(int mode, int guard) const;
 
   virtual double Guard(const ModePoint& at, int guard) const = 0;
   // Returns a guard, and sets its derivative by time along xdot, under a control that is held.

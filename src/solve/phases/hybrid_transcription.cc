@@ -9,6 +9,7 @@
 #include <numeric>
 
 #include "base/statistics.h"
+#include "solve/phases/divided_state.h"
 
 namespace saltus {
 namespace {
@@ -50,69 +51,73 @@ class Rows : public ceres::CostFunction {
   bool AreFinite(const double* rows) const { return AllFinite(std::span(rows, num_residuals())); }
 };
 
-// The sizes that are not 0.
-std::vector<int> Joined(std::initializer_list<int> sizes) {
-  std::vector<int> joined;
-  for (const int size : sizes) {
-    if (size > 0) joined.push_back(size);
-  }
-  return joined;
-}
-
-// The defect of a step. Blocks: state, control and parameters if there are any, begin and end of the phase, next state.
+// The defect of a step of a part. Blocks: its states, its control and the parameters if there are any, begin and end of
+// the phase, next states.
 class StepRows final : public Rows {
  public:
-  StepRows(const HybridFunctions& functions, RungeKutta* integrator, int mode, int index, int count, bool projects,
-           std::vector<double> sizes)
-      : Rows(static_cast<int>(sizes.size()), Joined({functions.state_size(mode),
-                                                     functions.layout().num_controls,
-                                                     functions.layout().num_parameters,
-                                                     1,
-                                                     1,
-                                                     functions.state_size(mode)})),
+  // `only`: the part is the only one.
+  StepRows(const HybridFunctions& functions, RungeKutta* integrator, int mode, const StatePart& part, int part_index,
+           bool only, int index, int count, bool projects, const std::vector<double>& sizes)
+      : Rows(static_cast<int>(part.states.size()), {}),
         functions_(functions),
         integrator_(*integrator),
         mode_(mode),
+        part_(part_index),
+        only_(only),
         index_(index),
         count_(count),
         projects_(projects),
-        scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
+        num_controls_(static_cast<int>(part.controls.size())),
+        scale_(part.states.size()) {
+    const int n = num_residuals(), P = functions.layout().num_parameters;
+    for (const int size : {n, num_controls_, P, 1, 1, n}) {
+      if (size > 0) mutable_parameter_block_sizes()->push_back(size);
+    }
+    for (int i = 0; i < n; ++i) scale_[i] = 1 / sizes[part.states[i]];
+  }
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const int n = num_residuals(), m = functions_.layout().num_controls, P = functions_.layout().num_parameters;
+    const int n = num_residuals(), m = num_controls_, P = functions_.layout().num_parameters;
     const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
     const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
     const double *u = m > 0 ? blocks[of_control] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
     const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
     const FlowStep step{
         {mode_, begin + part * (end - begin), blocks[0], u, p, by_parameters}, (end - begin) / count_, projects_};
-    Eigen::VectorXd after(n);
-    Matrix by;
-    if (jacobians != nullptr) {
-      by = integrator_.Jacobian(step, after.data());
+    after_.resize(n);
+    if (!only_) {
+      by_.resize(n, n + 2 + P + m);
+      functions_.MovePart(part_, step, after_.data(), jacobians != nullptr ? by_.data() : nullptr);
+    } else if (jacobians != nullptr) {
+      by_ = integrator_.Jacobian(step, after_.data());
     } else {
-      integrator_.Step(step, after.data());
+      integrator_.Step(step, after_.data());
     }
     Eigen::Map<Eigen::VectorXd>(rows, n) =
-        scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after);
+        scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[times + 2], n) - after_);
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    by = -(scale_.asDiagonal() * by);
-    Put(jacobians, 0, by.leftCols(n));
-    if (m > 0) Put(jacobians, of_control, by.middleCols(n + 1 + P, m));
-    if (by_parameters) Put(jacobians, of_parameters, by.middleCols(n + 1, P));
-    Put(jacobians, times, (1 - part) * by.col(n) - by.rightCols(1) / count_);
-    Put(jacobians, times + 1, part * by.col(n) + by.rightCols(1) / count_);
-    Put(jacobians, times + 2, Matrix(scale_.asDiagonal()));
+    for (int i = 0; i < n; ++i) by_.row(i) *= -scale_[i];
+    Put(jacobians, 0, by_.leftCols(n));
+    if (m > 0) Put(jacobians, of_control, by_.middleCols(n + 1 + P, m));
+    if (by_parameters) Put(jacobians, of_parameters, by_.middleCols(n + 1, P));
+    Put(jacobians, times, (1 - part) * by_.col(n) - by_.rightCols(1) / count_);
+    Put(jacobians, times + 1, part * by_.col(n) + by_.rightCols(1) / count_);
+    Put(jacobians, times + 2, scale_.asDiagonal().toDenseMatrix());
     return true;
   }
 
  private:
   const HybridFunctions& functions_;
   RungeKutta& integrator_;
-  int mode_, index_, count_;
+  int mode_, part_;
+  bool only_;
+  int index_, count_;
   bool projects_;
+  int num_controls_;
   Eigen::VectorXd scale_;
+  mutable Eigen::VectorXd after_;  // a transcription is evaluated by one thread
+  mutable Matrix by_;
 };
 
 // Rows offset + factor g of some guards of a mode, all or none of which depend on the control. Blocks: state, control
@@ -123,26 +128,34 @@ class GuardRows final : public Rows {
     int guard;
     double offset, factor;
   };
-  GuardRows(const HybridFunctions& functions, int mode, std::vector<Row> rows, const TimeOf& time)
-      : Rows(static_cast<int>(rows.size()),
-             Joined({functions.state_size(mode),
-                     functions.ReadsControl(mode, rows[0].guard) ? functions.layout().num_controls : 0,
-                     functions.layout().num_parameters,
-                     1,
-                     time.one_block ? 0 : 1})),
+  GuardRows(const HybridFunctions& functions, int mode, std::vector<Row> rows, StateAtNode state, Divided control,
+            const TimeOf& time)
+      : Rows(static_cast<int>(rows.size()), {}),
         functions_(functions),
         reads_control_(functions.ReadsControl(mode, rows[0].guard)),
         mode_(mode),
         guards_(std::move(rows)),
-        time_(time) {}
+        state_(std::move(state)),
+        control_(std::move(control)),
+        time_(time),
+        u_(control_.size()) {
+    std::vector<int>& sizes = *mutable_parameter_block_sizes();
+    state_.AppendSizes(&sizes);
+    if (reads_control_) control_.AppendSizes(&sizes);
+    if (functions.layout().num_parameters > 0) sizes.push_back(functions.layout().num_parameters);
+    sizes.resize(sizes.size() + time.num_blocks(), 1);
+  }
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
     const int n = functions_.state_size(mode_), P = functions_.layout().num_parameters,
               m = functions_.layout().num_controls;
-    const int of_parameters = 1 + reads_control_, times = of_parameters + (P > 0);
-    const double *u = reads_control_ ? blocks[1] : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
+    const int of_control = state_.num_blocks(),
+              of_parameters = of_control + (reads_control_ ? control_.num_parts() : 0), times = of_parameters + (P > 0);
+    if (reads_control_) control_.Join(blocks + of_control, u_.data());
+    const double *u = reads_control_ ? u_.data() : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
     const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
-    const ModePoint at{mode_, time_.At(blocks + times), blocks[0], u, p, by_parameters};
+    const double* x = state_.Read(blocks, blocks + times, p, jacobians != nullptr);
+    const ModePoint at{mode_, time_.At(blocks + times), x, u, p, by_parameters};
     const bool one = guards_.size() == 1;
     const int all = one ? 1 : functions_.num_guards(mode_);
     Eigen::VectorXd values(all);
@@ -159,24 +172,21 @@ class GuardRows final : public Rows {
       functions_.GuardRates(at, still.data(), found.data());
       for (int guard = 0; guard < all; ++guard) values[guard] = found[guard].value;
     }
-    const auto place = [&](const Row& row) { return one ? 0 : row.guard; };
+    Matrix by(guards_.size(), gradients.cols());
     for (size_t i = 0; i < guards_.size(); ++i) {
-      rows[i] = guards_[i].offset + guards_[i].factor * values[place(guards_[i])];
+      const int place = one ? 0 : guards_[i].guard;
+      rows[i] = guards_[i].offset + guards_[i].factor * values[place];
+      by.row(static_cast<Eigen::Index>(i)) = guards_[i].factor * gradients.row(place);
     }
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    for (size_t i = 0; i < guards_.size(); ++i) {
-      const auto gradient = gradients.row(place(guards_[i]));
-      const double factor = guards_[i].factor;
-      const auto put = [&](int block, const auto& derivative) {
-        if (jacobians[block] == nullptr) return;
-        Eigen::Map<Eigen::RowVectorXd>(jacobians[block] + i * derivative.size(), derivative.size()) = derivative;
-      };
-      put(0, factor * gradient.head(n));
-      if (reads_control_) put(1, factor * gradient.tail(m));
-      if (by_parameters) put(of_parameters, factor * gradient.segment(n + 1, P));
-      for (int k = 0; k < time_.num_blocks(); ++k) put(times + k, factor * time_.By(k) * gradient.segment(n, 1));
-    }
+    Matrix of_parameter = by_parameters ? Matrix(by.middleCols(n + 1, P)) : Matrix::Zero(by.rows(), P);
+    Matrix by_times(by.rows(), 2);
+    for (int k = 0; k < 2; ++k) by_times.col(k) = (k < time_.num_blocks() ? time_.By(k) : 0) * by.col(n);
+    state_.Put(by.leftCols(n), jacobians, &of_parameter, &by_times);
+    if (reads_control_) control_.Put(by.rightCols(m), jacobians + of_control);
+    if (by_parameters) Put(jacobians, of_parameters, of_parameter);
+    for (int k = 0; k < time_.num_blocks(); ++k) Put(jacobians, times + k, by_times.col(k));
     return true;
   }
 
@@ -185,115 +195,185 @@ class GuardRows final : public Rows {
   bool reads_control_;
   int mode_;
   std::vector<Row> guards_;
+  mutable StateAtNode state_;
+  Divided control_;
   TimeOf time_;
+  mutable Eigen::VectorXd u_;
 };
 
-// The defect of a reset. Blocks: state before, parameters if there are any, time, state after. `control` acts before
-// it; where it matters, for the next mode only, that follows from the guards of the phase behind.
+// The defect of a reset of the parts that it changes. Blocks: state before, parameters if there are any, time, state
+// after. `control` acts before it; where it matters, for the next mode only, that follows from the guards of the phase
+// behind.
 class ResetRows final : public Rows {
  public:
-  ResetRows(const HybridFunctions& functions, const ModeEvent& event, const double* control,
-            const std::vector<double>& sizes)
-      : Rows(static_cast<int>(sizes.size()), Joined({functions.state_size(event.mode),
-                                                     functions.layout().num_parameters,
-                                                     1,
-                                                     functions.state_size(event.next_mode)})),
+  ResetRows(const HybridFunctions& functions, const ModeEvent& event, StateAtNode before, Divided after,
+            std::vector<const double*> control_blocks, Divided control, const std::vector<double>& sizes)
+      : Rows(0, {}),
         functions_(functions),
         event_(event),
-        control_(control),
-        scale_(Eigen::Map<const Eigen::VectorXd>(sizes.data(), sizes.size()).cwiseInverse()) {}
+        before_(std::move(before)),
+        after_(std::move(after)),
+        control_blocks_(std::move(control_blocks)),
+        control_(std::move(control)) {
+    std::vector<int>& blocks = *mutable_parameter_block_sizes();
+    before_.AppendSizes(&blocks);
+    if (functions.layout().num_parameters > 0) blocks.push_back(functions.layout().num_parameters);
+    blocks.push_back(1);
+    after_.AppendSizes(&blocks);
+    for (int part = 0; part < after_.num_parts(); ++part) {
+      rows_.insert(rows_.end(), after_[part].begin(), after_[part].end());
+    }
+    set_num_residuals(static_cast<int>(rows_.size()));
+    scale_.resize(num_residuals());
+    for (int i = 0; i < num_residuals(); ++i) scale_[i] = 1 / sizes[rows_[i]];
+  }
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const int n = functions_.state_size(event_.mode), after = num_residuals(), P = functions_.layout().num_parameters;
+    const int n = functions_.state_size(event_.mode), count = num_residuals(), P = functions_.layout().num_parameters;
     const int most = functions_.most_states();
-    const int time = 1 + (P > 0);
-    Eigen::VectorXd x_plus = Eigen::VectorXd::Constant(most, NAN);
+    const int of_parameters = before_.num_blocks(), time = of_parameters + (P > 0);
+    Eigen::VectorXd x_plus = Eigen::VectorXd::Constant(most, NAN), x(after_.size()), u(control_.size());
     Matrix jacobian(most, n + 1 + P);
-    const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[1] != nullptr;
-    const ModePoint at{event_.mode, blocks[time][0], blocks[0], control_, P > 0 ? blocks[1] : nullptr, by_parameters};
+    const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
+    const double* p = P > 0 ? blocks[of_parameters] : nullptr;
+    const double* before = before_.Read(blocks, nullptr, p, false);
+    control_.Join(control_blocks_.data(), u.data());
+    const ModePoint at{event_.mode, blocks[time][0], before, u.data(), p, by_parameters};
     const int next = functions_.ResetJacobian(at, event_.guard, x_plus.data(), jacobian.data());
     if (next != event_.next_mode && !functions_.CreatesModes()) return false;
-    Eigen::Map<Eigen::VectorXd>(rows, after) =
-        scale_.cwiseProduct(Eigen::Map<const Eigen::VectorXd>(blocks[time + 1], after) - x_plus.head(after));
+    after_.Join(blocks + time + 1, x.data());
+    for (int i = 0; i < count; ++i) rows[i] = scale_[i] * (x[rows_[i]] - x_plus[rows_[i]]);
     if (!AreFinite(rows)) return false;
     if (jacobians == nullptr) return true;
-    const Matrix by = -(scale_.asDiagonal() * jacobian.topRows(after));
-    Put(jacobians, 0, by.leftCols(n));
-    if (by_parameters) Put(jacobians, 1, by.rightCols(P));
+    Matrix by(count, n + 1 + P), by_after = Matrix::Zero(count, x.size());
+    for (int i = 0; i < count; ++i) {
+      by.row(i) = -scale_[i] * jacobian.row(rows_[i]);
+      by_after(i, rows_[i]) = scale_[i];
+    }
+    before_.Put(by.leftCols(n), jacobians, nullptr, nullptr);
+    if (by_parameters) Put(jacobians, of_parameters, by.rightCols(P));
     Put(jacobians, time, by.col(n));
-    Put(jacobians, time + 1, Matrix(scale_.asDiagonal()));
+    after_.Put(by_after, jacobians + time + 1);
     return true;
   }
 
  private:
   const HybridFunctions& functions_;
   ModeEvent event_;
-  const double* control_;
+  mutable StateAtNode before_;
+  Divided after_;
+  std::vector<const double*> control_blocks_;
+  Divided control_;
+  std::vector<int> rows_;  // components of the state after
   Eigen::VectorXd scale_;
 };
 
-// A term of the problem. Blocks: state, control and parameters if it reads them; the time, or begin and end of the
-// phase, if it reads the time or the length.
+// A term of the problem. Blocks: state, initial state, control and parameters if it reads them; the time, or begin and
+// end of the phase, if it reads the time or the length, or the state of a part that coasts.
 class TermRows final : public Rows {
  public:
-  TermRows(const HybridTerm& term, const TimeOf& time, int intervals, double least, double scale)
-      : Rows(term.function->num_residuals(), Blocks(term, time)),
+  TermRows(const HybridTerm& term, std::optional<StateAtNode> state, std::optional<StateAtNode> initial,
+           Divided control, int num_parameters, const TimeOf& time, int intervals, double least, double scale)
+      : Rows(term.function->num_residuals(), {}),
         term_(term),
+        state_(std::move(state)),
+        initial_(std::move(initial)),
+        control_(std::move(control)),
         time_(time),
         intervals_(intervals),
         least_(least),
-        scale_(scale) {}
+        scale_(scale),
+        coasts_(state_ && state_->Coasts()),
+        timed_(term.with_time || term.with_length || coasts_),
+        num_parameters_(term.with_parameters || coasts_ ? num_parameters : 0) {
+    std::vector<int>& sizes = *mutable_parameter_block_sizes();
+    if (state_) state_->AppendSizes(&sizes);
+    if (initial_) initial_->AppendSizes(&sizes);
+    if (term.with_control) control_.AppendSizes(&sizes);
+    of_parameters_ = static_cast<int>(sizes.size());
+    if (num_parameters_ > 0) sizes.push_back(num_parameters_);
+    if (timed_) sizes.resize(sizes.size() + time.num_blocks(), 1);
+  }
+
+  bool is_timed() const { return timed_; }
+  bool reads_parameters() const { return num_parameters_ > 0; }
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const bool timed = term_.with_time || term_.with_length;
-    const int own = static_cast<int>(parameter_block_sizes().size()) - (timed ? time_.num_blocks() : 0);
-    double const* const* times = blocks + own;
+    const int times = of_parameters_ + (num_parameters_ > 0), count = num_residuals();
+    const double* p = num_parameters_ > 0 ? blocks[of_parameters_] : nullptr;
+    const bool derives = jacobians != nullptr;
     double time = 0, length = 0;
     bool grows = false;
-    if (timed) {
-      time = time_.At(times);
-      length = time_.one_block ? 0 : (times[1][0] - times[0][0]) / intervals_;
+    if (timed_) {
+      time = time_.At(blocks + times);
+      length = time_.one_block ? 0 : (blocks[times + 1][0] - blocks[times][0]) / intervals_;
       grows = length > least_;
       length = std::max(length, least_);
     }
-    std::vector<const double*> in(blocks, blocks + own);
-    if (term_.with_time) in.push_back(&time);
-    if (term_.with_length) in.push_back(&length);
-    const int count = num_residuals();
-    std::vector<double*> out(jacobians != nullptr ? in.size() : 0);
-    Eigen::VectorXd by_time(count), by_length(count);
-    for (int i = 0; i < own && jacobians != nullptr; ++i) out[i] = jacobians[i];
-    if (jacobians != nullptr && term_.with_time) out[own] = by_time.data();
-    if (jacobians != nullptr && term_.with_length) out.back() = by_length.data();
-    if (!term_.function->Evaluate(in.data(), rows, jacobians != nullptr ? out.data() : nullptr)) return false;
+    // The blocks of the term's function, and its derivatives by them.
+    std::vector<const double*> in;
+    std::vector<Matrix> by;
+    std::vector<double*> out;
+    const auto add = [&](const double* block, int size) {
+      in.push_back(block);
+      if (derives) by.emplace_back(count, size);
+    };
+    const std::vector<int>& sizes = term_.function->parameter_block_sizes();
+    int block = 0;
+    if (state_) {
+      add(state_->Read(blocks, blocks + times, p, derives), sizes[in.size()]);
+      block += state_->num_blocks();
+    }
+    if (initial_) {
+      add(initial_->Read(blocks + block, nullptr, nullptr, false), sizes[in.size()]);
+      block += initial_->num_blocks();
+    }
+    Eigen::VectorXd u(control_.size());
+    if (term_.with_control) {
+      control_.Join(blocks + block, u.data());
+      add(u.data(), sizes[in.size()]);
+    }
+    if (term_.with_parameters) add(p, num_parameters_);
+    if (term_.with_time) add(&time, 1);
+    if (term_.with_length) add(&length, 1);
+    for (Matrix& derivative : by) out.push_back(derivative.data());
+    if (!term_.function->Evaluate(in.data(), rows, derives ? out.data() : nullptr)) return false;
     for (int i = 0; i < count; ++i) rows[i] *= scale_;
     if (!AreFinite(rows)) return false;
-    if (jacobians == nullptr) return true;
-    for (int i = 0; i < own; ++i) {
-      if (jacobians[i] == nullptr) continue;
-      for (int j = 0; j < count * parameter_block_sizes()[i]; ++j) jacobians[i][j] *= scale_;
+    if (!derives) return true;
+    for (Matrix& derivative : by) derivative *= scale_;
+    Matrix by_times = Matrix::Zero(count, 2), by_parameters = Matrix::Zero(count, num_parameters_);
+    auto next = by.begin();
+    double** jacobian = jacobians;
+    if (state_) {
+      state_->Put(*next++, jacobian, &by_parameters, &by_times);
+      jacobian += state_->num_blocks();
     }
-    for (int i = 0; timed && i < time_.num_blocks(); ++i) {
-      Eigen::VectorXd by = Eigen::VectorXd::Zero(count);
-      if (term_.with_time) by += time_.By(i) * by_time;
-      if (term_.with_length && grows) by += (i == 1 ? 1.0 : -1.0) / intervals_ * by_length;
-      Put(jacobians, own + i, scale_ * by);
+    if (initial_) {
+      initial_->Put(*next++, jacobian, &by_parameters, &by_times);
+      jacobian += initial_->num_blocks();
+    }
+    if (term_.with_control) control_.Put(*next++, jacobian);
+    if (term_.with_parameters) by_parameters += *next++;
+    if (num_parameters_ > 0) Put(jacobians, of_parameters_, by_parameters);
+    for (int i = 0; timed_ && i < time_.num_blocks(); ++i) {
+      if (term_.with_time) by_times.col(i) += time_.By(i) * *next;
+      if (term_.with_length && grows) by_times.col(i) += (i == 1 ? 1.0 : -1.0) / intervals_ * by.back();
+      Put(jacobians, times + i, by_times.col(i));
     }
     return true;
   }
 
  private:
-  static std::vector<int> Blocks(const HybridTerm& term, const TimeOf& time) {
-    std::vector<int> sizes = term.function->parameter_block_sizes();
-    sizes.resize(sizes.size() - term.with_time - term.with_length);
-    if (term.with_time || term.with_length) sizes.resize(sizes.size() + time.num_blocks(), 1);
-    return sizes;
-  }
-
   const HybridTerm term_;
+  mutable std::optional<StateAtNode> state_, initial_;
+  Divided control_;
   TimeOf time_;
   int intervals_;
   double least_, scale_;
+  bool coasts_, timed_;
+  int num_parameters_;  // that are read
+  int of_parameters_ = 0;
 };
 
 // Rows min - z and z - max of the components that have bounds, relative to their sizes.
@@ -431,6 +511,7 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
     }
     boundary_.push_back(static_cast<int>(times_.size()) - 1);
   }
+  FindParts();
   valid_ = Lay(start);
   if (!valid_) return;
   FindScalesOfNewModes();
@@ -443,48 +524,156 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
   AddBounds();
 }
 
+// Finds the parts that are the same in the modes of all phases; one, of all, if they differ.
+void HybridTranscription::FindParts() {
+  const auto same = [](const StatePart& a, const StatePart& b) {
+    return a.states == b.states && a.controls == b.controls && a.motion == b.motion;
+  };
+  parts_ = functions_.Parts(phases_.front().mode);
+  for (const Phase& phase : phases_) {
+    if (std::ranges::equal(parts_, functions_.Parts(phase.mode), same)) continue;
+    parts_ = functions_.HybridFunctions::Parts(phase.mode);
+    break;
+  }
+  all_.resize(parts_.size());
+  std::iota(all_.begin(), all_.end(), 0);
+}
+
+std::vector<int> HybridTranscription::PartsOf(const ModeEvent& event) const {
+  return IsOnePart() ? all_ : functions_.PartsOf(event.mode, event.guard);
+}
+
+int HybridTranscription::StepsOf(int part, int phase) const {
+  const int steps = phases_[phase].intervals * substeps_;
+  if (parts_[part].motion == StatePart::Motion::kRests) return 0;
+  return parts_[part].motion == StatePart::Motion::kCoasts ? std::min(steps, 1) : steps;
+}
+
+bool HybridTranscription::CoastsThrough(int part, int phase, int step) const {
+  return parts_[part].motion == StatePart::Motion::kCoasts && step > 0 && step < phases_[phase].intervals * substeps_;
+}
+
+double* HybridTranscription::NodeAt(int part, int phase, int step) {
+  const std::vector<int>& track = phases_[phase].tracks[part];
+  const int last = static_cast<int>(track.size()) - 1;
+  return nodes_[track[step == phases_[phase].intervals * substeps_ ? last
+                      : CoastsThrough(part, phase, step)           ? 0
+                                                                   : std::min(step, last)]]
+      .data();
+}
+
+std::vector<double*> HybridTranscription::NodesAt(const std::vector<int>& parts, int phase, int step) {
+  std::vector<double*> nodes;
+  for (const int part : parts) nodes.push_back(NodeAt(part, phase, step));
+  return nodes;
+}
+
+std::vector<double> HybridTranscription::StateAt(int phase, int step) {
+  const Phase& of = phases_[phase];
+  std::vector<double> x(functions_.state_size(of.mode));
+  const int count = of.intervals * substeps_;
+  for (int part = 0; part < static_cast<int>(parts_.size()); ++part) {
+    const double* node = NodeAt(part, phase, step);
+    std::vector<double> moved;
+    if (CoastsThrough(part, phase, step)) {
+      moved.resize(parts_[part].states.size());
+      const double length = (*End(phase) - *Begin(phase)) * step / count;
+      functions_.MovePart(
+          part, FlowStep{{of.mode, *Begin(phase), node, nullptr, parameters_.data()}, length}, moved.data(), nullptr);
+      node = moved.data();
+    }
+    for (const int component : parts_[part].states) x[component] = *node++;
+  }
+  return x;
+}
+
+std::vector<double> HybridTranscription::JoinedControl(int interval) const {
+  std::vector<double> u(functions_.layout().num_controls);
+  for (std::size_t part = 0; part < parts_.size(); ++part) {
+    for (std::size_t i = 0; i < parts_[part].controls.size(); ++i) {
+      u[parts_[part].controls[i]] = controls_[interval][part][i];
+    }
+  }
+  return u;
+}
+
+std::vector<double*> HybridTranscription::ControlBlocks(int interval) {
+  std::vector<double*> blocks;
+  for (std::vector<double>& block : controls_[interval]) {
+    if (!block.empty()) blocks.push_back(block.data());
+  }
+  return blocks;
+}
+
 bool HybridTranscription::Lay(const Start& start) {
-  const int m = functions_.layout().num_controls;
-  nodes_.push_back(start.initial);
+  std::vector<int> last;  // node of each part
+  const auto add = [&](int part, const std::vector<double>& x) {
+    std::vector<double>& node = nodes_.emplace_back();
+    for (const int component : parts_[part].states) node.push_back(x[component]);
+    return static_cast<int>(nodes_.size()) - 1;
+  };
+  for (const int part : all_) last.push_back(add(part, start.initial));
   for (int j = 0; j < num_phases(); ++j) {
     Phase& phase = phases_[j];
     const double begin = *Begin(j), length = *End(j) - begin;
     const int count = phase.intervals * substeps_;
-    phase.first_node = static_cast<int>(nodes_.size()) - 1;
     phase.first_control = static_cast<int>(controls_.size()) - (GoesOn(j) ? 1 : 0);
-    for (int k = 0; k < count; ++k) {
-      if (k % substeps_ == 0 && !GoesOn(j)) {
-        const double whole = *End(LastOfInterval(j)) - begin;
-        const double middle = begin + (k / substeps_ + 0.5) * whole / phase.intervals;
-        std::vector<double>& u = controls_.emplace_back(m);
-        for (int i = 0; i < m; ++i) u[i] = start.control(i, middle);
+    for (int k = 0; k < phase.intervals && !GoesOn(j); ++k) {
+      const double whole = *End(LastOfInterval(j)) - begin;
+      const double middle = begin + (k + 0.5) * whole / phase.intervals;
+      std::vector<std::vector<double>>& control = controls_.emplace_back();
+      for (const StatePart& part : parts_) {
+        std::vector<double>& block = control.emplace_back();
+        for (const int i : part.controls) block.push_back(start.control(i, middle));
       }
-      const std::vector<double>& x = nodes_.back();
-      const FlowStep step{
-          {phase.mode, begin + k * length / count, x.data(), controls_.back().data(), parameters_.data()},
-          length / count,
-          Projects(j, k)};
-      std::vector<double> next(x.size());
-      if (start.states.empty()) {
-        integrator_.Step(step, next.data());
-      } else {
-        Interpolate(start.states, (begin + (k + 1) * length / count) / times_.back(), &next);
-      }
-      nodes_.push_back(std::move(next));
     }
-    phase.last_node = static_cast<int>(nodes_.size()) - 1;
+    phase.tracks.resize(parts_.size());
+    for (const int part : all_) {
+      std::vector<int>& track = phase.tracks[part];
+      track.push_back(last[part]);
+      const int steps = StepsOf(part, j);
+      for (int k = 0; k < steps; ++k) {
+        const std::vector<double>& x = nodes_[track.back()];
+        const double* u = controls_[phase.first_control + k / substeps_][part].data();
+        const FlowStep step{
+            {phase.mode, begin + k * length / steps, x.data(), u, parameters_.data()}, length / steps, Projects(j, k)};
+        std::vector<double> next(x.size());
+        if (!start.states.empty()) {
+          std::vector<double> whole(start.initial.size());
+          Interpolate(start.states, (begin + (k + 1) * length / steps) / times_.back(), &whole);
+          track.push_back(add(part, whole));
+          continue;
+        }
+        if (IsOnePart()) {
+          integrator_.Step(step, next.data());
+        } else {
+          functions_.MovePart(part, step, next.data(), nullptr);
+        }
+        nodes_.push_back(std::move(next));
+        track.push_back(static_cast<int>(nodes_.size()) - 1);
+      }
+      last[part] = track.back();
+    }
     if (j + 1 == num_phases()) break;
     if (!plan_.cuts[j]) continue;
     const ModeEvent& event = *plan_.cuts[j];
     if (event.mode != phase.mode) return false;
     if (event.is_switch()) continue;
     std::vector<double> after(functions_.most_states(), NAN);
-    const double* u = controls_.empty() ? nullptr : controls_.back().data();
+    const std::vector<double> before = StateAt(j, count);
+    const std::vector<double> u =
+        controls_.empty() ? std::vector<double>() : JoinedControl(static_cast<int>(controls_.size()) - 1);
     const int next =
-        functions_.Reset({event.mode, *End(j), nodes_.back().data(), u, parameters_.data()}, event.guard, after.data());
+        functions_.Reset({event.mode, *End(j), before.data(), u.data(), parameters_.data()}, event.guard, after.data());
     if (next != event.next_mode && !functions_.CreatesModes()) return false;
-    after.resize(functions_.state_size(event.next_mode));
-    nodes_.push_back(std::move(after));
+    for (const int part : PartsOf(event)) {
+      if (IsOnePart()) {
+        nodes_.emplace_back(after.begin(), after.begin() + functions_.state_size(event.next_mode));
+        last[part] = static_cast<int>(nodes_.size()) - 1;
+      } else {
+        last[part] = add(part, after);
+      }
+    }
   }
   return std::ranges::all_of(nodes_, AllFinite);
 }
@@ -492,38 +681,57 @@ bool HybridTranscription::Lay(const Start& start) {
 void HybridTranscription::AddSteps() {
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
-    const int count = phase.intervals * substeps_;
-    for (int k = 0; k < count; ++k) {
-      std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
-      if (!controls_.front().empty()) blocks.push_back(controls_[phase.first_control + k / substeps_].data());
-      if (!parameters_.empty()) blocks.push_back(parameters_.data());
-      blocks.insert(blocks.end(), {Begin(j), End(j), nodes_[phase.first_node + k + 1].data()});
-      lagrangian_.Add(std::make_unique<StepRows>(
-                          functions_, &integrator_, phase.mode, k, count, Projects(j, k), scales_.state[phase.mode]),
-                      {.equalities = static_cast<int>(scales_.state[phase.mode].size()), .affine_blocks = 1},
-                      blocks);
+    for (const int i : all_) {
+      const int count = StepsOf(i, j);
+      const StatePart part = IsOnePart() ? functions_.HybridFunctions::Parts(phase.mode).front() : parts_[i];
+      for (int k = 0; k < count; ++k) {
+        std::vector<double*> blocks = {nodes_[phase.tracks[i][k]].data()};
+        if (!part.controls.empty()) blocks.push_back(controls_[phase.first_control + k / substeps_][i].data());
+        if (!parameters_.empty()) blocks.push_back(parameters_.data());
+        blocks.insert(blocks.end(), {Begin(j), End(j), nodes_[phase.tracks[i][k + 1]].data()});
+        lagrangian_.Add(std::make_unique<StepRows>(functions_,
+                                                   &integrator_,
+                                                   phase.mode,
+                                                   part,
+                                                   i,
+                                                   IsOnePart(),
+                                                   k,
+                                                   count,
+                                                   Projects(j, k),
+                                                   scales_.state[phase.mode]),
+                        {.equalities = static_cast<int>(part.states.size()), .affine_blocks = 1},
+                        blocks);
+      }
     }
   }
 }
 
 void HybridTranscription::HoldWhatIsGiven() {
   ceres::Problem& ceres = lagrangian_.problem();
-  const auto hold = [&](std::vector<double>& block, const std::vector<int>& free) {
+  const auto hold = [&](std::vector<double>& block, const std::vector<int>& held) {
     ceres.AddParameterBlock(block.data(), static_cast<int>(block.size()));
-    if (free.empty()) {
+    if (held.size() == block.size()) {
       ceres.SetParameterBlockConstant(block.data());
-    } else if (free.size() < block.size()) {
-      std::vector<int> held;
-      for (int i = 0; i < static_cast<int>(block.size()); ++i) {
-        if (std::find(free.begin(), free.end(), i) == free.end()) held.push_back(i);
-      }
+    } else if (!held.empty()) {
       ceres.SetManifold(block.data(), new ceres::SubsetManifold(static_cast<int>(block.size()), held));
     }
   };
-  hold(nodes_.front(), problem_.free.initial);
-  if (!parameters_.empty()) hold(parameters_, problem_.free.parameters);
-  if (!problem_.free.control && !controls_.front().empty()) {
-    for (std::vector<double>& u : controls_) ceres.SetParameterBlockConstant(u.data());
+  // The places in a block of the components that are not free.
+  const auto rest = [](const std::vector<int>& components, const std::vector<int>& free) {
+    std::vector<int> held;
+    for (std::size_t i = 0; i < components.size(); ++i) {
+      if (std::ranges::find(free, components[i]) == free.end()) held.push_back(static_cast<int>(i));
+    }
+    return held;
+  };
+  for (const int part : all_) hold(nodes_[part], rest(parts_[part].states, problem_.free.initial));
+  if (!parameters_.empty()) {
+    std::vector<int> all(parameters_.size());
+    std::iota(all.begin(), all.end(), 0);
+    hold(parameters_, rest(all, problem_.free.parameters));
+  }
+  for (std::size_t k = 0; k < controls_.size() && !problem_.free.control; ++k) {
+    for (double* block : ControlBlocks(static_cast<int>(k))) ceres.SetParameterBlockConstant(block);
   }
   ceres.SetParameterBlockConstant(&times_.front());
   if (!problem_.free.duration) ceres.SetParameterBlockConstant(&times_.back());
@@ -552,11 +760,11 @@ void HybridTranscription::FindScalesOfNewModes() {
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
     if (!is_new[phase.mode]) continue;
-    const int count = std::max(phase.intervals * substeps_, 1);
-    for (int node = phase.first_node; node <= phase.last_node; ++node) {
-      const double t = *Begin(j) + (*End(j) - *Begin(j)) * (node - phase.first_node) / count;
-      const double* u = ControlBefore(node - phase.first_node, phase);
-      const ModePoint at{phase.mode, t, nodes_[node].data(), u, parameters_.data()};
+    const int count = phase.intervals * substeps_;
+    for (int k = 0; k <= count; ++k) {
+      const double t = *Begin(j) + (*End(j) - *Begin(j)) * k / std::max(count, 1);
+      const std::vector<double> x = StateAt(j, k), u = JoinedControl(IntervalBefore(k, phase));
+      const ModePoint at{phase.mode, t, x.data(), u.data(), parameters_.data()};
       functions_.Flow(at, slope.data());
       scales_.Add(functions_, at, slope.data(), problem_.guess.duration);
     }
@@ -570,36 +778,51 @@ bool HybridTranscription::Projects(int phase, int step) const {
   return functions_.Projects(phases_[phase].mode) && !to_event;
 }
 
-// The control of the interval that ends at or behind a node of a phase.
-double* HybridTranscription::ControlBefore(int node, const Phase& phase) {
+// The interval that ends at or behind a node of a phase.
+int HybridTranscription::IntervalBefore(int node, const Phase& phase) const {
   const int interval = phase.first_control + (std::max(node, 1) - 1) / substeps_;
-  return controls_[std::min<size_t>(interval, controls_.size() - 1)].data();
+  return std::min(interval, static_cast<int>(controls_.size()) - 1);
 }
 
 void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
+  const int m = functions_.layout().num_controls;
   for (int j = 0; j + 1 < num_phases(); ++j) {
     if (!EndsWithEvent(j)) continue;
     const ModeEvent& event = *plan_.cuts[j];
-    double *before = nodes_[phases_[j].last_node].data(), *after = nodes_[phases_[j + 1].first_node].data();
-    std::vector<double*> blocks = {before};
-    double* control = ControlBefore(phases_[j].last_node - phases_[j].first_node, phases_[j]);
-    if (functions_.ReadsControl(event.mode, event.guard)) blocks.push_back(control);
-    if (!parameters_.empty()) blocks.push_back(parameters_.data());
-    blocks.push_back(End(j));
+    const int count = phases_[j].intervals * substeps_;
+    const std::vector<int> parts = PartsOf(event);
+    const StateAtNode before = MakeState(parts, j, count);
+    std::vector<double*> blocks = NodesAt(parts, j, count);
+    const std::vector<double*> control = ControlBlocks(IntervalBefore(count, phases_[j]));
+    std::vector<double*> with_control = blocks;
+    if (functions_.ReadsControl(event.mode, event.guard)) {
+      with_control.insert(with_control.end(), control.begin(), control.end());
+    }
+    for (std::vector<double*>* all : {&blocks, &with_control}) {
+      if (!parameters_.empty()) all->push_back(parameters_.data());
+      all->push_back(End(j));
+    }
     lagrangian_.Add(
         std::make_unique<GuardRows>(
             functions_,
             event.mode,
             std::vector<GuardRows::Row>{{event.guard, overlaps[j], 1 / scales_.guard[event.mode][event.guard]}},
+            before,
+            ControlParts(parts_, m),
             TimeOf{}),
         {.equalities = 1},
-        blocks);
-    if (functions_.ReadsControl(event.mode, event.guard)) blocks.erase(blocks.begin() + 1);
-    blocks.push_back(after);
-    const std::vector<double>& sizes = scales_.state[event.next_mode];
-    lagrangian_.Add(std::make_unique<ResetRows>(functions_, event, control, sizes),
-                    {.equalities = static_cast<int>(sizes.size()), .affine_blocks = 1},
-                    blocks);
+        with_control);
+    const std::vector<double*> after = NodesAt(parts, j + 1, 0);
+    blocks.insert(blocks.end(), after.begin(), after.end());
+    auto reset = std::make_unique<ResetRows>(functions_,
+                                             event,
+                                             before,
+                                             DividedState(parts, event.next_mode),
+                                             std::vector<const double*>(control.begin(), control.end()),
+                                             ControlParts(parts_, m),
+                                             scales_.state[event.next_mode]);
+    const int rows = reset->num_residuals();
+    lagrangian_.Add(std::move(reset), {.equalities = rows, .affine_blocks = static_cast<int>(after.size())}, blocks);
   }
 }
 
@@ -621,7 +844,8 @@ void HybridTranscription::AddGuards(double margin) {
     if (!of_control.empty()) groups.push_back(of_control);
     for (const std::vector<int>& guards : groups) {
       const bool reads_control = functions_.ReadsControl(phase.mode, guards[0]);
-      const auto add = [&](int k, double* control) {
+      const std::vector<int> parts = guards.size() == 1 ? PartsOf({phase.mode, guards[0]}) : all_;
+      const auto add = [&](int k, int interval) {
         std::vector<GuardRows::Row> rows;
         for (const int guard : guards) {
           if (k == count && EndsWithEvent(j) && plan_.cuts[j]->guard == guard) continue;
@@ -632,40 +856,71 @@ void HybridTranscription::AddGuards(double margin) {
         }
         if (rows.empty()) return;
         const int size = static_cast<int>(rows.size());
-        std::vector<double*> blocks = {nodes_[phase.first_node + k].data()};
-        if (reads_control) blocks.push_back(control);
+        std::vector<double*> blocks = NodesAt(parts, j, k);
+        if (reads_control) {
+          const std::vector<double*> control = ControlBlocks(interval);
+          blocks.insert(blocks.end(), control.begin(), control.end());
+        }
         if (!parameters_.empty()) blocks.push_back(parameters_.data());
         blocks.insert(blocks.end(), {Begin(j), End(j)});
         const TimeOf time{static_cast<double>(k) / count, false};
-        lagrangian_.Add(
-            std::make_unique<GuardRows>(functions_, phase.mode, std::move(rows), time), {.inequalities = size}, blocks);
+        lagrangian_.Add(std::make_unique<GuardRows>(functions_,
+                                                    phase.mode,
+                                                    std::move(rows),
+                                                    MakeState(parts, j, k),
+                                                    ControlParts(parts_, functions_.layout().num_controls),
+                                                    time),
+                        {.inequalities = size},
+                        blocks);
       };
-      for (int k = 1; k <= count; ++k) add(k, ControlBefore(k, phase));
+      for (int k = 1; k <= count; ++k) add(k, IntervalBefore(k, phase));
       // At the beginnings of intervals, under the new control.
-      for (int k = 0; reads_control && k < phase.intervals; ++k) {
-        add(k * substeps_, controls_[phase.first_control + k].data());
-      }
+      for (int k = 0; reads_control && k < phase.intervals; ++k) add(k * substeps_, phase.first_control + k);
     }
   }
 }
 
+Divided HybridTranscription::DividedState(const std::vector<int>& parts, int mode) const {
+  if (IsOnePart()) return {functions_.state_size(mode), {functions_.HybridFunctions::Parts(mode).front().states}};
+  std::vector<std::vector<int>> states;
+  for (const int part : parts) states.push_back(parts_[part].states);
+  return {functions_.state_size(mode), std::move(states)};
+}
+
+StateAtNode HybridTranscription::MakeState(const std::vector<int>& parts, int phase, int step) const {
+  std::vector<bool> coasts;
+  for (const int part : parts) coasts.push_back(CoastsThrough(part, phase, step));
+  const Phase& of = phases_[phase];
+  const double part_of_phase = static_cast<double>(step) / std::max(of.intervals * substeps_, 1);
+  return {functions_, of.mode, DividedState(parts, of.mode), parts, std::move(coasts), part_of_phase};
+}
+
 void HybridTranscription::AddTerms() {
   const double root = 1 / std::sqrt(scales_.loss);
+  // At a node of a phase, with the control of an interval.
   const auto add = [&](const HybridTerm& term,
+                       int phase,
                        int node,
                        int control,
                        const TimeOf& time,
                        int intervals,
                        const std::vector<double*>& times) {
+    const int n = functions_.state_size(phases_[phase].mode), m = functions_.layout().num_controls;
+    if (term.with_state && term.function->parameter_block_sizes()[0] != n) return;
     std::vector<double*> blocks;
+    const auto append = [&](const std::vector<double*>& more) {
+      blocks.insert(blocks.end(), more.begin(), more.end());
+    };
+    std::optional<StateAtNode> state, initial;
     if (term.with_state) {
-      if (term.function->parameter_block_sizes()[0] != static_cast<int>(nodes_[node].size())) return;
-      blocks.push_back(nodes_[node].data());
+      state.emplace(MakeState(all_, phase, node));
+      append(NodesAt(all_, phase, node));
     }
-    if (term.with_initial) blocks.push_back(nodes_[phases_.front().first_node].data());
-    if (term.with_control) blocks.push_back(controls_[control].data());
-    if (term.with_parameters) blocks.push_back(parameters_.data());
-    if (term.with_time || term.with_length) blocks.insert(blocks.end(), times.begin(), times.end());
+    if (term.with_initial) {
+      initial.emplace(MakeState(all_, 0, 0));
+      append(NodesAt(all_, 0, 0));
+    }
+    if (term.with_control) append(ControlBlocks(control));
     const int rows = term.function->num_residuals();
     RowRoles roles;
     double scale = 1;
@@ -677,16 +932,28 @@ void HybridTranscription::AddTerms() {
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
       roles.are_goals = term.at == HybridTerm::At::kEnd;
-      roles.are_curved = term.with_control && blocks.size() == 1;
     } else if (!plan_.only_violation) {
       roles.equalities = rows;
     }
-    lagrangian_.Add(std::make_unique<TermRows>(term, time, intervals, LeastLength(), scale), roles, blocks);
+    auto function = std::make_unique<TermRows>(term,
+                                               std::move(state),
+                                               std::move(initial),
+                                               ControlParts(parts_, m),
+                                               functions_.layout().num_parameters,
+                                               time,
+                                               intervals,
+                                               LeastLength(),
+                                               scale);
+    if (function->reads_parameters()) blocks.push_back(parameters_.data());
+    if (function->is_timed()) append(times);
+    if (term.role == HybridTerm::Role::kInequality) roles.are_curved = term.with_control && blocks.size() == 1;
+    lagrangian_.Add(std::move(function), roles, blocks);
   };
   for (const HybridTerm& term : problem_.terms) {
     int interval = -1;  // of the control, that of the phase
     if (term.at == HybridTerm::At::kEnd) {
-      add(term, phases_.back().last_node, -1, {}, 1, {End(num_phases() - 1)});
+      const int last = num_phases() - 1;
+      add(term, last, phases_[last].intervals * substeps_, -1, {}, 1, {End(last)});
       continue;
     }
     for (int j = 0, found = 0; j < num_phases(); ++j) {
@@ -694,7 +961,11 @@ void HybridTranscription::AddTerms() {
       if (term.at == HybridTerm::At::kEvent) {
         const bool counts = EndsWithEvent(j) && term.CountsAt(functions_, plan_.cuts[j]->mode, plan_.cuts[j]->guard);
         if (!counts || (found++ != term.occurrence && term.occurrence >= 0)) continue;
-        add(term, term.before ? phase.last_node : phases_[j + 1].first_node, -1, {}, 1, {End(j)});
+        if (term.before) {
+          add(term, j, phase.intervals * substeps_, -1, {}, 1, {End(j)});
+        } else {
+          add(term, j + 1, 0, -1, {}, 1, {End(j)});
+        }
         continue;
       }
       if (GoesOn(j)) continue;
@@ -703,7 +974,8 @@ void HybridTranscription::AddTerms() {
       if (term.mode >= 0 && term.mode != functions_.BaseMode(phase.mode)) continue;
       for (int k = 0; k < phase.intervals; ++k) {
         add(term,
-            phase.first_node + k * substeps_,
+            j,
+            k * substeps_,
             phase.first_control + k,
             {static_cast<double>(k) / phase.intervals, false},
             phase.intervals,
@@ -734,12 +1006,44 @@ void HybridTranscription::AddBounds() {
                       {.inequalities = rows, .affine_blocks = 1, .are_bounds = true},
                       {block});
   };
+  // The bounds of the components of a block that are free.
+  const auto of_block =
+      [](const std::vector<int>& components, const std::vector<int>& variables, const std::vector<double>& bounds) {
+        std::vector<double> found;
+        for (std::size_t i = 0; i < variables.size() && !bounds.empty(); ++i) {
+          if (std::ranges::find(components, variables[i]) != components.end()) found.push_back(bounds[i]);
+        }
+        return found;
+      };
+  const auto places = [](const std::vector<int>& components, const std::vector<int>& variables) {
+    std::vector<int> found;
+    for (const int variable : variables) {
+      const auto place = std::ranges::find(components, variable);
+      if (place != components.end()) found.push_back(static_cast<int>(place - components.begin()));
+    }
+    return found;
+  };
+  const auto add_part = [&](std::vector<double>* block,
+                            const std::vector<int>& components,
+                            const std::vector<int>& variables,
+                            const std::vector<double>& min,
+                            const std::vector<double>& max) {
+    add(block->data(),
+        static_cast<int>(block->size()),
+        places(components, variables),
+        of_block(components, variables, min),
+        of_block(components, variables, max));
+  };
   std::vector<int> all(functions_.layout().num_controls);
   std::iota(all.begin(), all.end(), 0);
-  for (std::vector<double>& u : controls_) {
-    if (free.control) add(u.data(), static_cast<int>(u.size()), all, free.control_min, free.control_max);
+  for (std::size_t k = 0; k < controls_.size() && free.control; ++k) {
+    for (const int part : all_) {
+      add_part(&controls_[k][part], parts_[part].controls, all, free.control_min, free.control_max);
+    }
   }
-  add(nodes_.front().data(), static_cast<int>(nodes_.front().size()), free.initial, free.initial_min, free.initial_max);
+  for (const int part : all_) {
+    add_part(&nodes_[part], parts_[part].states, free.initial, free.initial_min, free.initial_max);
+  }
   add(parameters_.data(),
       static_cast<int>(parameters_.size()),
       free.parameters,
@@ -757,7 +1061,8 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  options.weight_of_costs = kWeightOfCosts;
+  // Steps of parts are linear in all but their length, and need no caution.
+  if (IsOnePart()) options.weight_of_costs = kWeightOfCosts;
   options.most_open = kMostOpen;
   options.gain = kGain;
   options.change_of_multipliers = kChangeOfMultipliers;
@@ -777,7 +1082,7 @@ std::vector<double> HybridTranscription::CutTimes() const {
   return times;
 }
 
-std::vector<double> HybridTranscription::CutSpeeds() const {
+std::vector<double> HybridTranscription::CutSpeeds() {
   std::vector<double> speeds, slope;
   for (int j = 0; j + 1 < num_phases(); ++j) {
     if (!EndsWithEvent(j)) {
@@ -785,11 +1090,11 @@ std::vector<double> HybridTranscription::CutSpeeds() const {
       continue;
     }
     const ModeEvent& event = *plan_.cuts[j];
-    const std::vector<double>& x = nodes_[phases_[j].last_node];
-    const int control = std::max(phases_[j].first_control + phases_[j].intervals - 1, 0);
+    const std::vector<double> x = StateAt(j, phases_[j].intervals * substeps_);
+    const std::vector<double> u = JoinedControl(std::max(phases_[j].first_control + phases_[j].intervals - 1, 0));
     const double t = times_[boundary_[j + 1]];
     slope.resize(x.size());
-    const ModePoint at{event.mode, t, x.data(), controls_[control].data(), parameters_.data()};
+    const ModePoint at{event.mode, t, x.data(), u.data(), parameters_.data()};
     functions_.Flow(at, slope.data());
     double rate = 0;
     functions_.GuardRate(at, event.guard, slope.data(), &rate);
@@ -798,10 +1103,22 @@ std::vector<double> HybridTranscription::CutSpeeds() const {
   return speeds;
 }
 
+std::vector<double> HybridTranscription::InitialState() const {
+  std::vector<double> x(problem_.guess.initial.size());
+  for (const int part : all_) {
+    const double* node = nodes_[part].data();
+    for (const int component : parts_[part].states) x[component] = *node++;
+  }
+  return x;
+}
+
 void HybridTranscription::Control(std::vector<double>* control, std::vector<double>* durations) const {
   control->clear();
   durations->clear();
-  for (const std::vector<double>& u : controls_) control->insert(control->end(), u.begin(), u.end());
+  for (int k = 0; k < static_cast<int>(controls_.size()); ++k) {
+    const std::vector<double> u = JoinedControl(k);
+    control->insert(control->end(), u.begin(), u.end());
+  }
   for (int j = 0; j < num_phases(); ++j) {
     const int intervals = phases_[j].intervals;
     const double length = times_[boundary_[j + 1]] - times_[boundary_[j]];

@@ -14,6 +14,9 @@
 // Events happen only between phases, so every function is smooth. Rows are divided by the sizes of what they are of
 // (HybridScales), as the augmented Lagrangian wants rows of order one.
 //
+// Where a system has several parts (HybridFunctions::Parts), each has nodes of its own, and steps and events have the
+// nodes of those that they concern: a part that coasts has one step in each phase.
+//
 // Where the mode changes because the control jumps (ModeEvent), phases meet without rows: the guards of both say when.
 //
 // A plan on a grid (PlanOf::on_grid) has each control interval as a phase of its own, whose ends are held: at given
@@ -28,6 +31,7 @@
 #include "hybrid/runge_kutta.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "solve/phases/augmented_lagrangian.h"
+#include "solve/phases/divided_state.h"
 #include "solve/phases/phase_plan.h"
 
 namespace saltus {
@@ -77,9 +81,9 @@ class HybridTranscription {
 
   std::vector<double> CutTimes() const;
   // The rates of the guards before the events, negative if they fall, times the duration, relative to their sizes.
-  std::vector<double> CutSpeeds() const;
+  std::vector<double> CutSpeeds();
   double Duration() const { return times_.back(); }
-  const std::vector<double>& InitialState() const { return nodes_.front(); }
+  std::vector<double> InitialState() const;
   const std::vector<double>& Parameters() const { return parameters_; }
   // One row an interval, and the intervals' lengths.
   void Control(std::vector<double>* control, std::vector<double>* durations) const;
@@ -87,8 +91,8 @@ class HybridTranscription {
  private:
   struct Phase {
     int mode = 0, intervals = 0;
-    int first_node = 0, last_node = 0;  // before the first step, after the last one
     int first_control = 0;
+    std::vector<std::vector<int>> tracks = {};  // of each part: its nodes
   };
 
   int num_phases() const { return static_cast<int>(phases_.size()); }
@@ -106,11 +110,26 @@ class HybridTranscription {
   }
   double* Begin(int phase) { return &times_[boundary_[phase]]; }
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
+  void FindParts();
+  bool IsOnePart() const { return parts_.size() == 1; }
+  std::vector<int> PartsOf(const ModeEvent& event) const;
+  int StepsOf(int part, int phase) const;
+  // Whether a part has no node at the end of a step, before which there are `step` others.
+  bool CoastsThrough(int part, int phase, int step) const;
+  // Returns the node of a part after some steps of a phase, or that at its beginning where the part coasts through.
+  double* NodeAt(int part, int phase, int step);
+  std::vector<double*> NodesAt(const std::vector<int>& parts, int phase, int step);
+  std::vector<double> StateAt(int phase, int step);
+  Divided DividedState(const std::vector<int>& parts, int mode) const;
+  StateAtNode MakeState(const std::vector<int>& parts, int phase, int step) const;
+  std::vector<double> JoinedControl(int interval) const;
+  // Returns the blocks of the parts that have a control.
+  std::vector<double*> ControlBlocks(int interval);
   bool Lay(const Start& start);
   void AddSteps();
   void FindScalesOfNewModes();
   bool Projects(int phase, int step) const;
-  double* ControlBefore(int node, const Phase& phase);
+  int IntervalBefore(int node, const Phase& phase) const;
   void AddEvents(const std::vector<double>& overlaps);
   void AddGuards(double margin);
   void AddTerms();
@@ -127,10 +146,12 @@ class HybridTranscription {
   RungeKutta integrator_;
   bool valid_ = false;
   std::vector<Phase> phases_;
-  std::vector<double> times_;              // 0, of the cuts, T
-  std::vector<int> boundary_;              // of each phase and after the last one: which of the times
-  std::deque<std::vector<double>> nodes_;  // states; that at the start is the first
-  std::vector<std::vector<double>> controls_;
+  std::vector<double> times_;  // 0, of the cuts, T
+  std::vector<int> boundary_;  // of each phase and after the last one: which of the times
+  std::vector<StatePart> parts_;
+  std::vector<int> all_;                                    // the parts
+  std::deque<std::vector<double>> nodes_;                   // states of parts; those at the start are the first
+  std::vector<std::vector<std::vector<double>>> controls_;  // of each interval and part
   std::vector<double> parameters_;
   AugmentedLagrangian lagrangian_;
 };
