@@ -44,6 +44,8 @@ constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 constexpr double kLastRadius = 1e16;  // near an optimum: steps are those of Gauss-Newton
+constexpr double kLeastLastRadius =
+    1e15;  // where the steps of the last solve gain no more than rounding, damping neither
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
@@ -390,7 +392,10 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   for (int round = 0; round < options.rounds; ++round) {
     const bool crawls = options.one_of_many && result.violation > kNearlyMet;
     ceres_options.function_tolerance = crawls ? kFirstGains[0] : round < kLast ? kFirstGains[round] : options.gain;
-    if (first_optimum) ceres_options.function_tolerance = kExactGain * options.gain;
+    if (first_optimum) {
+      ceres_options.function_tolerance = kExactGain * options.gain;
+      ceres_options.min_trust_region_radius = kLeastLastRadius;
+    }
     // Damping is in proportion to the weights, and would leave unchanged what changes the cost by no more than
     // rounding.
     ceres_options.initial_trust_region_radius = nearly_settled ? kLastRadius
