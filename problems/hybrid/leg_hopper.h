@@ -118,7 +118,7 @@ inline HybridProblem LegHopperProblem() {
                                   {.name = "apex",
                                    .at = HybridTerm::At::kEvent,
                                    .mode = flight,
-                                   .event = "foot hit",
+                                   .event = "hit foot",
                                    .before = true,
                                    .with_state = true,
                                    .with_parameters = true,

@@ -784,7 +784,8 @@ def measurements(
 ) -> Cost:
     """A term that compares a motion with data: the sum of ((state - value) / sigma)^2 over all values.
 
-    times: (N,), beginnings of control intervals or the end; ``durations=`` of the problem puts these anywhere.
+    times: (N,), any times of the motion of a system without controls; otherwise beginnings of control intervals or the end, which
+    ``durations=`` of the problem puts anywhere.
     values: (N, S), or (N,) of one state; NaN is a missing value. states: the names of the S states, or a function of x that
     returns S numbers, which `identify` calls by its name and their place. sigma: the standard deviation of a value: one number, (S,) of one for each state, or one for each value;
     left out, `solve` takes 1, and `identify` estimates it.
@@ -844,7 +845,7 @@ class _EventTimes(Cost):
 def event_times(guard: str, times: ArrayLike, *, sigma: ArrayLike | None = None, mode: str | None = None) -> Cost:
     """A term that compares the times of events with data: the sum of ((time - value) / sigma)^2.
 
-    guard: the name of the events, such as "ground", or "tip hit" of a MechanicalSystem. times: (N,), of the first N such
+    guard: the name of the events, such as "ground", or "hit tip" of a MechanicalSystem. times: (N,), of the first N such
     events of the motion; NaN is one that was not seen. A motion with fewer events has no loss, and further ones do not count.
     sigma: the standard deviation of a time: one number, or one for each time; left out, `solve` takes 1, and `identify`
     estimates it. mode: counts events from this mode only.
@@ -1010,7 +1011,21 @@ class HybridProblem(Closed):
         return {**self.__dict__, "costs": [cost._as_recorded(self) for cost in self._costs()], "_made": None}
 
     def _intervals(self) -> tuple[Any, Any]:
-        """The control, and the lengths of its intervals; None: equal ones. A run's control brings its own."""
+        """The control, and the lengths of its intervals; None: equal ones. Without controls, intervals begin at the times of terms,
+        too."""
+        control, lengths = self._given_intervals()
+        if self.system.controls:
+            return control, lengths
+        nodes = self._nodes(control, lengths)
+        times = np.array([time for cost in self._costs() for time in cost._times if 0 < time < self.duration])
+        new = [time for time in np.unique(times) if np.min(np.abs(nodes - time)) > 1e-9 * self.duration]
+        if not new:
+            return control, lengths
+        divided = np.sort(np.concatenate([nodes, new]))
+        return np.zeros((len(divided) - 1, 0)), np.diff(divided)
+
+    def _given_intervals(self) -> tuple[Any, Any]:
+        """The control, and the lengths of its intervals as they were given. A run's control brings its own."""
         durations = getattr(self.control, "durations", None) if self.durations is None else self.durations
         if durations is None:
             return self.control, None
@@ -1018,7 +1033,7 @@ class HybridProblem(Closed):
             lengths = np.asarray(durations, dtype=float)
         except (TypeError, ValueError):
             raise TypeError(f"durations: found {durations!r}, expected a list of numbers") from None
-        intervals = self.intervals
+        intervals = 1 if self.control is None else len(np.asarray(self.control))
         if self.control is None or lengths.shape != (intervals,):
             raise ValueError(f"durations: found shape {lengths.shape}, expected ({intervals},), one for each row of the control")
         if not np.all(lengths > 0) or not np.all(np.isfinite(lengths)):
@@ -1030,12 +1045,14 @@ class HybridProblem(Closed):
             )
         return np.asarray(self.control), lengths
 
+    def _nodes(self, control: Any, lengths: Any) -> Any:
+        """The times at which control intervals begin, and the final time."""
+        K = 1 if control is None else len(np.asarray(control))
+        return np.concatenate([[0.0], np.cumsum(np.full(K, self.duration / K) if lengths is None else lengths)])
+
     def _nodes_of(self, cost: Cost) -> tuple[int, ...]:
         """The control intervals at whose beginnings the times of a term are; their number K stands for the end."""
-        _, durations = self._intervals()
-        K = self.intervals
-        lengths = np.full(K, self.duration / K) if durations is None else durations
-        nodes = np.concatenate([[0.0], np.cumsum(lengths)])
+        nodes = self._nodes(*self._intervals())
         found = []
         for time in cost._times:
             node = int(np.argmin(np.abs(nodes - time)))
@@ -1086,8 +1103,9 @@ class HybridProblem(Closed):
 
     @property
     def intervals(self) -> int:
-        """K."""
-        return 1 if self.control is None else len(np.asarray(self.control))
+        """K, those that begin at times of terms of systems without controls included."""
+        control, _ = self._intervals()
+        return 1 if control is None else len(np.asarray(control))
 
     def _free(self, optimize: Sequence[str]) -> tuple[bool, list[int], list[int], bool]:
         """What is free: control, components of the initial state, parameters, duration."""

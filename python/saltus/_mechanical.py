@@ -17,7 +17,7 @@ from ._scene import _plain
 from ._types import Closed, expect, expect_path
 
 _LAWS = ("newton", "poisson")
-_EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, behind the name of a contact
+_EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, before the name of a contact
 _REST_SPEED = 1e-5  # that of C++
 _LETTERS = "ons+-"  # of what a contact does, in names of modes
 _MOST_MODES = 1000  # for which a term is recorded
@@ -84,8 +84,8 @@ class MechanicalSystem(System):
     draw: as of a HybridSystem; the function may also read q and v.
 
     A mode is a text with one letter for each contact: "o" open, "n" closed without friction, "+" or "-" closed and sliding
-    with this sign of the velocity, "s" sticking. Events of a contact named tip: "tip hit", "tip off", "tip stop",
-    "tip break-", "tip break+", "tip end", "tip jam", "tip grip".
+    with this sign of the velocity, "s" sticking. Events of a contact named tip: "hit tip", "off tip", "stop tip",
+    "break- tip", "break+ tip", "end tip", "jam tip", "grip tip".
 
         >>> arm = saltus.MechanicalSystem(
         ...     coordinates=["x", "y"], parameters=["m", "g", "e", "mu"],
@@ -238,7 +238,7 @@ class MechanicalSystem(System):
         return self._system.guards(self._system.mode(mode))
 
     def _all_guards(self) -> list[str]:
-        return [f"{contact} {what}" for contact in self.contacts for what in _EVENTS]
+        return [f"{what} {contact}" for contact in self.contacts for what in _EVENTS]
 
     def _size_after(self, mode: str, guard: str) -> int:
         return len(self.states)

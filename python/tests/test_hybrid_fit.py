@@ -150,6 +150,15 @@ def test_a_guess_whose_motion_has_fewer_events_than_the_data():
         assert abs(of(fit, name)["value"] - truth) < 4 * of(fit, name)["standard_error"]
 
 
+def test_times_of_data_are_anywhere():
+    """Without durations, intervals begin at the times of the data."""
+    heights = noisy(TIMES, 4)
+    fits = [saltus.identify(problem, parameters=["e", "g"], bounds={"e": (0, 1)}, loss="none")
+            for problem in (experiment(TIMES, heights), experiment(TIMES, heights, durations=None, duration=1.5, control=None))]
+    for name in ("e", "g"):
+        assert_allclose(of(fits[1], name)["value"], of(fits[0], name)["value"], rtol=1e-9)
+
+
 def test_what_data_leave_open():
     times = np.linspace(0.02, 0.4, 16)  # before the first bounce
     fit = saltus.identify(experiment(times, noisy(times, 6)), parameters=["e", "g"], bounds={"e": (0, 1)})

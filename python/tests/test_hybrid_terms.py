@@ -142,8 +142,14 @@ def test_values_at_given_times():
     assert_allclose(saltus.loss_and_gradient(at_end).loss, 1 + saltus.rollout(at_end).final[0] ** 2, rtol=1e-12)
     copied = pickle.loads(pickle.dumps(problem))
     assert saltus.loss_and_gradient(copied).loss == saltus.loss_and_gradient(problem).loss
-    with pytest.raises(ValueError, match=r"found the time 0.3, expected the beginning of a control interval or the end, such as 0.2"):
-        ball(durations=durations, control=np.zeros((3, 0)), costs=[saltus.residuals(lambda x: x, at=[0.3])])
+    anywhere = ball(costs=[term])  # a system without controls has intervals that begin at the times
+    assert anywhere.intervals == 3 and anywhere.durations is None
+    assert_allclose(saltus.loss_and_gradient(anywhere).loss, expected, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"found the time 1.7, expected the beginning of a control interval or the end, such as 1.5"):
+        ball(costs=[saltus.residuals(lambda x: x, at=[1.7])])
+    driven = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": lambda u: [u[0]]})
+    with pytest.raises(ValueError, match=r"found the time 0.3, expected the beginning of a control interval or the end, such as 0.5"):
+        saltus.HybridProblem(driven, mode="m", initial=[0], duration=1.0, control=[[1.0], [2.0]], costs=[saltus.residuals(lambda x: x, at=[0.3])])
     with pytest.raises(ValueError, match="optimize: found the duration, with which the times of 'cost at given times'"):
         saltus.solve(problem, optimize=["e", "duration"])
     by_steps, by_shooting = (saltus.solve(problem, solver=solver, optimize=["e"]) for solver in ("ceres_phases", "ceres_lm"))
@@ -435,10 +441,10 @@ class TestSequence:
             pytest.skip(f"{solver} is not built")
         problem = self.problem()
         assert saltus.rollout(problem).events == []
-        run = saltus.solve(problem, solver=solver, sequence=["wall hit"])
+        run = saltus.solve(problem, solver=solver, sequence=["hit wall"])
         assert run.solver == (solver or "ceres_phases")
         assert run.termination == "converged", run.reason
-        assert [event[1:] for event in run.events] == [("o", "wall hit", "o")]
+        assert [event[1:] for event in run.events] == [("o", "hit wall", "o")]
         assert 1.29 < run.loss < 1.2940262535645844
 
     def test_no_impact_is_the_optimum_without_a_wall(self):
@@ -453,15 +459,15 @@ class TestSequence:
 
     def test_refusals(self):
         problem = self.problem()
-        with pytest.raises(ValueError, match=r"sequence: found \['floor hit'\], which no modes have from mode 'o' on, whose "
-                                             "events are wall hit"):
-            saltus.solve(problem, sequence=["floor hit"])
+        with pytest.raises(ValueError, match=r"sequence: found \['hit floor'\], which no modes have from mode 'o' on, whose "
+                                             "events are hit wall"):
+            saltus.solve(problem, sequence=["hit floor"])
         with pytest.raises(ValueError, match="sequence: found one for the solver 'gd', expected ceres_phases or ipopt"):
-            saltus.solve(problem, solver="gd", sequence=["wall hit"])
-        with pytest.raises(TypeError, match="sequence: found 'wall hit', expected a list of names of events"):
-            saltus.solve(problem, sequence="wall hit")
+            saltus.solve(problem, solver="gd", sequence=["hit wall"])
+        with pytest.raises(TypeError, match="sequence: found 'hit wall', expected a list of names of events"):
+            saltus.solve(problem, sequence="hit wall")
         with pytest.raises(ValueError, match="does not lead from the mode at the start to one in which the terms at the end"):
-            saltus.solve(self.problem(costs=[saltus.terminal([0, 0], mode="n")]), sequence=["wall hit"])
+            saltus.solve(self.problem(costs=[saltus.terminal([0, 0], mode="n")]), sequence=["hit wall"])
 
 
 class TestPages:
@@ -547,11 +553,11 @@ class TestTimesOfEvents:
             contacts={"wall": saltus.Contact(gap=lambda q: 0.9 - q[0], restitution=1.0),
                       "floor": saltus.Contact(gap=lambda q: q[1], restitution="e")})
         problem = saltus.HybridProblem(system, initial=[0, 1, 1, 0], parameters=[0.8], duration=2.0,
-                                       costs=[saltus.event_times("floor hit", [0.5, 1.2]), saltus.event_times("wall hit", [0.8])])
+                                       costs=[saltus.event_times("hit floor", [0.5, 1.2]), saltus.event_times("hit wall", [0.8])])
         first, second = bounces(2, 0.8)
         assert_allclose(saltus.loss_and_gradient(problem).loss, (first - 0.5) ** 2 + (second - 1.2) ** 2 + 0.01, rtol=1e-10)
         check_gradient(problem, ["parameters"])
-        with pytest.raises(ValueError, match="times of 'floor': found guard 'floor', expected some of wall hit, wall off, .* floor hit"):
+        with pytest.raises(ValueError, match="times of 'floor': found guard 'floor', expected some of hit wall, off wall, .* hit floor"):
             saltus.loss_and_gradient(saltus.HybridProblem(system, initial=[0, 1, 1, 0], parameters=[0.8], duration=2.0,
                                                           costs=[saltus.event_times("floor", [0.5])]))
 

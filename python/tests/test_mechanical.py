@@ -140,7 +140,7 @@ def test_motion_and_derivatives_are_the_exact_ones(name):
         assert len(motion.events) == len(compared)
     for number, event in enumerate(compared):
         time, _, guard, next_mode = motion.events[number]
-        assert guard == f"{event['contact']} {EVENTS[event['kind']]}"
+        assert guard == f"{EVENTS[event['kind']]} {event['contact']}"
         assert next_mode == event["mode"]
         assert abs(time - float(event["t"])) < precise * problem.duration
         size = max([1e-3, *(abs(float(value)) for value in event["dt"].values())])
@@ -167,7 +167,7 @@ def test_an_impact_with_friction_is_the_closed_form(case):
     problem = saltus.HybridProblem(system, initial=[0, -ry, 0, vx, vy, w], parameters=[m, inertia, rx, ry, e, mu],
                                    duration=0.05)
     motion, derivatives = saltus.rollout(problem), saltus.final_derivatives(problem)
-    assert [event[2] for event in motion.events] == ["vertex hit"]
+    assert [event[2] for event in motion.events] == ["hit vertex"]
     assert_allclose(motion.final[3:], numbers(form["v"]), rtol=1e-12)
     for key, row in form["grad"].items():
         if key in ("rx", "ry"):  # the start stays on the ground as the vertex moves
@@ -216,9 +216,9 @@ def test_a_pendulum_that_strikes_a_wall_where_its_control_switches():
         costs=[saltus.terminal([-math.pi, 0], weight=[100, 10]), saltus.effort(0.02)])
     run = saltus.solve(problem, solver="gd", iterations=0)
     assert abs(run.loss - float(pinned["J"])) < 1e-11
-    assert "guard 'wall hit' has an event at t = 0.36, where the control jumps" in run.reason
+    assert "guard 'hit wall' has an event at t = 0.36, where the control jumps" in run.reason
     motion = saltus.rollout(problem)
-    assert [event[1:] for event in motion.events] == [("o", "wall hit", "o")]
+    assert [event[1:] for event in motion.events] == [("o", "hit wall", "o")]
     assert abs(motion.events[0][0] - float(pinned["t"])) < 1e-13
     assert_allclose(motion.final, numbers(pinned["xT"]), rtol=0, atol=1e-12)
     better = saltus.solve(problem, solver="ceres_phases")
@@ -249,7 +249,7 @@ def test_gradients_agree_with_differences():
     """Of a loss with costs at events, on the way and at the end, through impacts of a controlled system."""
     system = cart_pole()
     terms = [saltus.terminal([0.1, 3.0, None, 0.0], weight=2.0), saltus.effort(1e-3),
-             saltus.residuals(lambda x, p: [x[1] - p[2]], at="event", mode="oooo", guard="tip_right hit", before=True)]
+             saltus.residuals(lambda x, p: [x[1] - p[2]], at="event", mode="oooo", guard="hit tip_right", before=True)]
     problem = reference_problem("P2", system, costs=terms)
     found = saltus.loss_and_gradient(problem)
 
@@ -338,7 +338,7 @@ def test_bounces_accumulate_and_what_slides_stops():
     motion = saltus.rollout(point_problem((0, 1, v, 0), (1, e, mu), duration=4.0))
     assert motion.mode == "s"
     stop = motion.events[-1]
-    assert stop[1:] == ("+", "ground stop", "s")
+    assert stop[1:] == ("+", "stop ground", "s")
     falls = math.sqrt(2 / g)
     ends = falls * (1 + e) / (1 - e)
     lost = mu * (1 + e) * g * falls / (1 - e)
@@ -424,12 +424,12 @@ def test_a_gap_that_is_constant_here_and_depends_on_coordinates_elsewhere_is_tak
 
 
 def test_a_term_at_an_event_names_mode_and_guard():
-    term = saltus.residuals(lambda x: [x[0] - 2], at="event", mode="o", guard="ground hit")
+    term = saltus.residuals(lambda x: [x[0] - 2], at="event", mode="o", guard="hit ground")
     motion = saltus.rollout(point_problem())
     expected = sum((state[0] - 2) ** 2 for state in (np.interp(event[0], motion.times, [s[0] for s in motion.states])
                                                       for event in motion.events) for state in [[state]])
     assert abs(saltus.loss_and_gradient(point_problem(costs=[term])).loss - expected) < 1e-9
-    with pytest.raises(ValueError, match="found guard 'ground' of mode 'o', expected some of ground hit"):
+    with pytest.raises(ValueError, match="found guard 'ground' of mode 'o', expected some of hit ground"):
         point_problem(costs=[saltus.residuals(lambda x: x, at="event", mode="o", guard="ground")])
 
 

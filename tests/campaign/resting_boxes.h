@@ -66,7 +66,7 @@ inline void CheckMotion(const RigidBodies2D& scene, const MechanicalSystem& syst
     if (simulator.IsReset(k)) {
       // Newton's law with friction may gain energy in an impact, which the report says.
       const HybridEvent& event = simulator.events()[resets++];
-      if (impact < impacts.impacts.size() && system.hybrid().GuardName(event.mode, event.guard).ends_with(" hit")) {
+      if (impact < impacts.impacts.size() && system.hybrid().GuardName(event.mode, event.guard).starts_with("hit ")) {
         bound += std::max(impacts.impacts[impact++].energy, 0.0);
       }
       continue;

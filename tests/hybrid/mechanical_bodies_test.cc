@@ -42,8 +42,8 @@ TEST(RigidBodies, ATossedBoxHasTheExactMotion) {
     const HybridEvent& event = simulator.events()[i];
     const auto expected = reference["events"][i].at("contact").get<std::string>();
     EXPECT_EQ(system.hybrid().GuardName(event.mode, event.guard),
-              "box." + std::to_string(std::find(corners.begin(), corners.end(), expected) - corners.begin()) +
-                  "-plane 0 hit");
+              "hit box." + std::to_string(std::find(corners.begin(), corners.end(), expected) - corners.begin()) +
+                  "-plane 0");
   }
   for (int i = 0; i < 6; ++i) {
     EXPECT_NEAR(simulator.final_state()[i], Number(reference.at("state_at_T")[i]), 1e-10);

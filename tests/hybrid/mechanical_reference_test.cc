@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <string>
@@ -191,11 +192,9 @@ class Problem {
       }
       ASSERT_LT(at, events.size());
       const std::string what = kind + " at " + event.at("t").get<std::string>();
-      const std::string guard = event.at("contact").get<std::string>() + (kind == "hit"     ? " hit"
-                                                                          : kind == "off"   ? " off"
-                                                                          : kind == "vt0"   ? " stop"
-                                                                          : kind == "slip+" ? " break+"
-                                                                                            : " break-");
+      const std::map<std::string, std::string> names = {
+          {"hit", "hit"}, {"off", "off"}, {"vt0", "stop"}, {"slip+", "break+"}, {"slip-", "break-"}};
+      const std::string guard = names.at(kind) + " " + event.at("contact").get<std::string>();
       EXPECT_EQ(system_.hybrid().GuardName(events[at].mode, events[at].guard), guard) << what;
       EXPECT_EQ(system_.hybrid().ModeName(events[at].next_mode), event.at("mode").get<std::string>()) << what;
       EXPECT_NEAR(events[at].time, Number(event.at("t")), tolerance.state * input_.duration) << what;

@@ -35,7 +35,7 @@ TEST(WallSwingUp, BestControlOnTheGridIsAtAKink) {
   for (int k = 0; k < 40; ++k) problem.guess.control[k] = Number(reference["u"][k]);
   const SolveReport report = Solve("gd", problem, {.iterations = 0});
   EXPECT_NEAR(report.final_loss, Number(reference["J"]), 1e-11);
-  EXPECT_THAT(report.reason, HasSubstr("guard 'wall hit' has an event at t = 0.36, where the control jumps"));
+  EXPECT_THAT(report.reason, HasSubstr("guard 'hit wall' has an event at t = 0.36, where the control jumps"));
   HybridSimulator simulator(problem.system, {.tolerance = 1e-14});
   ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
   ASSERT_EQ(simulator.events().size(), 1u);
@@ -56,7 +56,7 @@ TEST(WallSwingUp, OptimumHasACertificate) {
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
     ASSERT_EQ(report.certificate->impacts.size(), 1u);
-    EXPECT_EQ(report.certificate->impacts[0].b, "wall hit");
+    EXPECT_EQ(report.certificate->impacts[0].b, "hit wall");
   }
 }
 

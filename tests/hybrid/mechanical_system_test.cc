@@ -448,10 +448,10 @@ TEST(MechanicalModes, HaveALetterForEachContact) {
   const int mode = system.Mode("s+oo");
   EXPECT_EQ(system.hybrid().ModeName(mode), "s+oo");
   EXPECT_EQ(system.Mode("s+oo"), mode);
-  EXPECT_EQ(system.hybrid().GuardName(mode, 0), "A off");
-  EXPECT_EQ(system.hybrid().GuardName(mode, 1), "A break-");
-  EXPECT_EQ(system.hybrid().GuardName(mode, 4), "B stop");
-  EXPECT_EQ(system.hybrid().GuardName(mode, 6), "C hit");
+  EXPECT_EQ(system.hybrid().GuardName(mode, 0), "off A");
+  EXPECT_EQ(system.hybrid().GuardName(mode, 1), "break- A");
+  EXPECT_EQ(system.hybrid().GuardName(mode, 4), "stop B");
+  EXPECT_EQ(system.hybrid().GuardName(mode, 6), "hit C");
   EXPECT_DEATH(system.Mode("xooo"), "no contacts of this system have the status");
 }
 

@@ -216,7 +216,7 @@ std::string MechanicalHybrid::ContactName(int contact) const {
 std::string MechanicalHybrid::GuardName(int mode, int guard) const {
   constexpr const char* kNames[] = {"hit", "off", "stop", "break-", "break+", "end", "jam", "grip"};
   const Guarded& guarded = ModeAt(mode).guards[guard];
-  return ContactName(guarded.contact) + " " + kNames[static_cast<int>(guarded.what)];
+  return kNames[static_cast<int>(guarded.what)] + (" " + ContactName(guarded.contact));
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
