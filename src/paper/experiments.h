@@ -40,9 +40,9 @@ struct Experiment {
   std::vector<std::string> solvers;
 
   ModelGradient gradient;
-  std::vector<SolvedRun> runs;  // one per solver; with iterates where velocities are optimised
+  std::vector<CheckedRun> runs;  // one per solver; with iterates where velocities are optimised
 
-  const SolvedRun* Find(const std::string& solver) const;
+  const CheckedRun* Find(const std::string& solver) const;
 };
 
 class Experiments {

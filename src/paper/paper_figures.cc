@@ -25,7 +25,7 @@ template <typename Visit>
 void ForEachModel(const Experiments& experiments, const std::string& problem, double friction, const Visit& visit) {
   for (const ModelTraits& traits : AllContactModels()) {
     const Experiment* experiment = Shown(experiments, problem, friction, std::string(traits.name));
-    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run != nullptr && run->report.losses.size() > 1) visit(*experiment, run->report);
   }
 }
@@ -59,7 +59,7 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
   AddPaths(*first, initial, "initial", "#888888", Dash::kDashed, &panel);
   for (const std::string contact : {"direct_toi", "direct"}) {
     const Experiment* experiment = Shown(experiments, problem, 0, contact);
-    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run == nullptr) continue;
     AddPaths(*experiment,
              {run->report.initial_state, run->report.control, {}},
@@ -157,7 +157,7 @@ PaperFigure SolverLearning(const Experiments& experiments) {
                 .y = {.label = "loss - optimum (m²)", .log = true, .min = 1e-4}};
     for (const Experiment& experiment : experiments.all()) {
       if (experiment.scene.name != "two_balls" || experiment.precision != Precision::kDouble) continue;
-      const SolvedRun* run = experiment.Find(solver);
+      const CheckedRun* run = experiment.Find(solver);
       if (run == nullptr || run->report.losses.size() < 2 || experiment.solvers.size() < 2) continue;
       std::vector<double> gap = run->report.losses;
       for (double& loss : gap) loss -= best;
@@ -191,7 +191,7 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   for (const Experiment& experiment : experiments.all()) {
     const Scene& own = experiment.scene;
     if (own.name != problem || own.contact != scene.contact || experiment.precision != Precision::kDouble) continue;
-    const SolvedRun* run = experiment.Find("gd");
+    const CheckedRun* run = experiment.Find("gd");
     MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
     if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
     const std::string& contact = experiment.contact;

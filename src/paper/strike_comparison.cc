@@ -82,7 +82,7 @@ struct Entry {
   SolverOptions options;
   double optimum = 0;
   const BoundedReference* reference = nullptr;  // null: without bounds
-  SolvedRun run = {};
+  CheckedRun run = {};
 };
 
 Entry Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,

@@ -1,7 +1,6 @@
 // The common parts of all programs: flags, the scene they describe, exit codes, memory, pages.
 #pragma once
 
-#include <cstdint>
 #include <cstdio>
 #include <functional>
 #include <optional>
@@ -11,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "feedback/feedback_study.h"
 #include "output/page.h"
 #include "output/progress.h"
 #include "programs/json_output.h"
@@ -18,6 +18,7 @@
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
+#include "solve/checked_run.h"
 
 namespace saltus {
 
@@ -104,21 +105,6 @@ inline constexpr int kWrongInput = 2;
 // The input was wrong; the message names the place and what was expected. RunMain turns it into exit code 2.
 struct InputError : std::runtime_error {
   using std::runtime_error::runtime_error;
-};
-
-// The name of no solver, --solver=none.
-inline constexpr char kNoSolver[] = "none";
-
-// The options of --feedback.
-struct FeedbackOptions {
-  // The regulator minimizes the integral of state |dx|^2 + control |du|^2, plus final |dx|^2 at the end, in SI units.
-  double state = 10, control = 1e-3, final = 10;
-  // The standard deviations of independent normal errors, by name; not yet multiplied by `scale`.
-  std::vector<std::pair<std::string, double>> deviations;
-  double scale = 1;
-  std::string plant = "event";  // the contact model of the simulated runs of a scene
-  int samples = 1000;           // 0: no runs
-  std::uint64_t seed = 1;
 };
 
 // The options of the flags that programs of scenes and of hybrid systems share.

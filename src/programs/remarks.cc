@@ -88,7 +88,7 @@ Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient) {
   return remarks;
 }
 
-Remarks RemarksOn(const SolvedRun& run) {
+Remarks RemarksOn(const CheckedRun& run) {
   const SolveReport& report = run.report;
   Remarks remarks;
   if (run.HasSolution()) remarks = RemarksOn(run.exact);

@@ -37,7 +37,7 @@ Remarks RemarksOn(const Simulator& simulator, const std::vector<double>& initial
 // Remarks on a loss and its gradient. Precondition: gradient.ok().
 Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient);
 // Remarks on a run of a solver, or on a simulation.
-Remarks RemarksOn(const SolvedRun& run);
+Remarks RemarksOn(const CheckedRun& run);
 // Remarks on the last motion of a hybrid system, which succeeded, and on its integration error, if that is known: it
 // should be at most `tolerance`, up to rounding.
 Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error = std::nullopt,

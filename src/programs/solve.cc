@@ -106,9 +106,12 @@ SolvedRuns SolveAll(const Request& request) {
         options.stop = AskedToStop;
         options.status = say;
         try {
-          SolvedRun run = solver == kNoSolver
-                              ? SimulateOnly(request, contact)
-                              : SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+          const SolveRequest task{request.scene, contact, request.precision};
+          const auto stop = InterruptGuard::GraceIsOver;
+          SolvedRun run{solver == kNoSolver ? SimulateAndCheck(task, request.start, stop)
+                                            : SolveAndCheck(solver, task, options, stop, [&](CheckedRun at) {
+                                                keep({std::move(at)});
+                                              })};
           if (request.feedback) keep(run);
           AddFeedback(request, options.threads, &run);
           return run;

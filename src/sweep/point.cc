@@ -138,9 +138,9 @@ Found SolvePoint(const Request& request, double seconds, const StopRequest& stop
   SolverOptions options = request.options;
   options.stop = stop;
   if (alone) ForgetPeakMemory();
-  SolvedRun run = SolveAndSimulate(request.solvers[0],
-                                   {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
-                                   options);
+  SolvedRun run{SolveAndSimulate(request.solvers[0],
+                                 {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
+                                 options)};
   AddFeedback(request, /*threads=*/1, &run);  // points are computed in several threads
   const SolveReport& report = run.report;
   Found found{StatusOf(report.termination), SolveToJson(request, {{run}})["runs"][0]};
