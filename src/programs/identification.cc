@@ -91,7 +91,7 @@ void AddWork(const IdentifyReport& report, Json* item) {
   SALTUS_ADD_MEMBERS(item, report, starts, sequences, iterations, evaluations, seconds);
 }
 
-Json LawToJson(const LearnedLaw& learned) {
+Json LawToJson(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
   Json item = {{"name", learned.law.name}, {"parameters", learned.law.parameters}, {"impacts", learned.impacts}};
   item["curve"] = Json::array();
   for (const LawPoint& at : learned.curve) {
@@ -102,6 +102,7 @@ Json LawToJson(const LearnedLaw& learned) {
       point["friction"] = at.friction;
       point["friction_standard_error"] = at.friction_error;
     }
+    if (const auto restitution = known ? known->At(at.speed) : std::nullopt) point["known_restitution"] = *restitution;
     item["curve"].push_back(std::move(point));
   }
   return item;
@@ -156,26 +157,14 @@ const LearnedLaw* LawOf(const Identified& identified) {
   return nullptr;
 }
 
-Table LawTable(const Identified& identified) {
-  const std::optional<KnownLaw>& known = identified.known_law;
-  std::vector<Column> columns =
-      ColumnsOf("speed:4; sliding:4; restitution:5; standard error:2; friction:5; standard error of friction:2");
-  if (known) columns.push_back({"known restitution", 5});
-  Table table(columns);
-  const LearnedLaw* learned = LawOf(identified);
-  if (learned == nullptr) return table;
-  const bool friction = learned->law.HasFriction();
-  for (const LawPoint& at : learned->curve) {
-    std::vector<Cell> row = {at.speed,
-                             at.sliding,
-                             at.restitution,
-                             at.restitution_error,
-                             friction ? Cell(at.friction) : Cell(),
-                             friction ? Cell(at.friction_error) : Cell()};
-    if (known) row.emplace_back(known->At(at.speed));
-    table.AddRow(std::move(row));
-  }
-  return table;
+Table LawTable(const Identified& identified, const Json& document) {
+  const auto has_law = [](const Json& fit) { return fit.contains("law") && !fit["law"]["curve"].empty(); };
+  const auto fit = std::ranges::find_if(document["fits"], has_law);
+  return TableOf(fit == document["fits"].end() ? Json::array() : Json::array({*fit}),
+                 "/law/curve",
+                 "speed:4; sliding:4; restitution:5; standard error:2; friction:5; "
+                 "standard error of friction=friction_standard_error:2" +
+                     std::string(identified.known_law ? "; known restitution:5" : ""));
 }
 
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
@@ -211,28 +200,24 @@ Table EventTable(const Scene& scene, const Identified& identified) {
   return table;
 }
 
-Table EstimateTable(const Identified& identified) {
-  Table table(ColumnsOf(identified.by + "; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
-  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-    for (const Estimate& estimate : identified.reports[i].estimates) {
-      std::string remark;
-      if (estimate.determination != Determination::kDetermined) {
-        remark = DeterminationToString(estimate.determination);
-        for (const std::string& other : estimate.with)
-          remark += (&other == &estimate.with[0] ? " with " : ", ") + other;
-      }
-      const auto known = [&](double value) { return IsDetermined(estimate) ? Cell(value) : Cell(); };
-      table.AddRow({identified.contacts[i],
-                    estimate.name,
-                    estimate.start,
-                    HasValue(estimate) ? Cell(estimate.value) : Cell(),
-                    known(estimate.standard_error),
-                    known(estimate.low),
-                    known(estimate.high),
-                    remark});
+Table EstimateTable(const Json& document) {
+  Json fits = document["fits"];
+  for (Json& fit : fits) {
+    if (!fit.contains("parameters")) continue;
+    for (Json& parameter : fit["parameters"]) {
+      if (parameter["determination"] == DeterminationToString(Determination::kDetermined)) continue;
+      std::string remark = parameter["determination"];
+      const auto with = parameter.value("with", std::vector<std::string>());
+      if (!with.empty()) remark += " with " + Joined(with);
+      parameter["remark"] = remark;
     }
   }
-  return table;
+  const std::string by = IsOfScene(document) ? "contact" : "system";
+  return TableOf(fits,
+                 "/parameters",
+                 by + "=^" + by +
+                     "; parameter=name; start:5; value:7; standard error:3; from=interval/0:6; to=interval/1:6; remark",
+                 2);
 }
 
 Table FitTable(const Json& document) {
@@ -323,7 +308,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
     Json item = {{"contact", identified.contacts[i]}};
     AddFit(report, exact, /*of_scene=*/true, &item);
     if (HasMinimum(report)) {
-      if (report.law) item["law"] = LawToJson(*report.law);
+      if (report.law) item["law"] = LawToJson(*report.law, identified.known_law);
       if (report.events) item["events"] = EventsToJson(scene, *report.events);
       item["segments"] = Json::array();
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
@@ -361,7 +346,7 @@ void AddFits(const Identified& identified, const Json& document, Page* page) {
   page->AddHeading("Fits");
   page->AddTableIfAny(FitTable(document), "The fit of each " + identified.by + ".");
   if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
-  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page->AddTableIfAny(EstimateTable(document), "Parameters; `from` and `to` bound the 95 % confidence interval.");
   page->AddTableIfAny(
       ComparisonTable(identified),
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
@@ -427,7 +412,7 @@ void AddResidualsAndOutliers(const Identified& identified, const Json& document,
 
 void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
   AddFits(identified, document, page);
-  const Table law = LawTable(identified);
+  const Table law = LawTable(identified, document);
   if (!law.rows().empty()) {
     page->AddHeading("Law of impact");
     const Figure figure = LawFigure(*LawOf(identified), identified.known_law);
