@@ -842,7 +842,7 @@ void BindHybrid(py::module_* module) {
       .def("experiment", &Problem::Experiment, py::arg("guess"), py::arg("name"), py::arg("data"));
   module->def(
       "render_page",
-      [](const std::string& document) { return RenderPage(Json::parse(document)); },
+      [](const std::string& document) { return HybridPage(Json::parse(document)).Render(); },
       py::arg("document"));
   problem.def("planned", &Problem::Planned, py::arg("guess"))
       .def("track_continuously",

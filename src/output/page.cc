@@ -108,13 +108,13 @@ void Page::AddStyle(const std::string& label, const std::string& colour, Dash da
   document_["styles"].push_back({{"label", label}, {"colour", colour}, {"dash", dash}});
 }
 
-std::string RenderPage(const Json& document) {
+std::string Page::Render() const {
   constexpr std::string_view kMark = "<!-- document -->";
   const std::string_view viewer = internal::Viewer();
   const std::size_t at = viewer.find(kMark);
   std::string html(viewer.substr(0, at));
   // The character < is escaped, so that nothing in the document can end its HTML element.
-  for (const char c : document.dump(-1, ' ', false, Json::error_handler_t::replace)) {
+  for (const char c : document_.dump(-1, ' ', false, Json::error_handler_t::replace)) {
     if (c == '<') {
       html += "\\u003c";
     } else {

@@ -24,9 +24,6 @@ struct Tile {
   Tone tone = Tone::kPlain;
 };
 
-// Returns the file with any document that the viewer supports: one with parts, or that of a hybrid system's program.
-std::string RenderPage(const nlohmann::ordered_json& document);
-
 // Collects the parts in order. All text is taken literally, except that `words between backquotes` are set as code.
 class Page {
  public:
@@ -65,11 +62,18 @@ class Page {
     Add("plot", {{"plot", plot}, {"caption", caption}});
   }
 
+  // Adds the replay and the figure of a motion in the results of a hybrid system: that of the run with this number, or
+  // of the initial guess if it is null.
+  void AddMotion(nlohmann::ordered_json run) { Add("motion", {{"run", std::move(run)}}); }
+
   void SetResults(const nlohmann::ordered_json& results);
+  // Sets the results without thinning their lists.
+  void SetWholeResults(nlohmann::ordered_json results) { document_["results"] = std::move(results); }
   // Sets the style of each run of the results in plots, in their order.
   void AddStyle(const std::string& label, const std::string& colour, Dash dash);
 
-  std::string Render() const { return RenderPage(document_); }
+  // Returns the file.
+  std::string Render() const;
   Status Write(const std::string& path) const;
 
  private:

@@ -121,66 +121,75 @@ Json FeedbackToJson(const FeedbackStudy& study, bool states) {
   return item;
 }
 
-Table FeedbackTable(const NamedStudies& studies) {
-  Table table(ColumnsOf("run; loop; final error:4; first order:4; expected loss:8; ±:2; first order:8; other events:3; "
-                        "first order:3; remark"),
-              2);
-  for (const auto& [name, study] : studies) {
-    if (!study->reason.empty()) {
-      std::vector<Cell> row(table.columns().size());
-      row[0] = name;
-      row.back() = study->reason;
-      table.AddRow(std::move(row));
-      continue;
-    }
-    const auto add = [&](const char* what, const FeedbackStudy::Loop& loop) {
-      std::string remark = study->remark;
-      if (loop.runs && loop.runs->failed > 0) {
-        remark += (remark.empty() ? "" : "; ") + std::to_string(loop.runs->failed) + " runs have failed";
-      }
-      const bool ran = loop.runs && loop.runs->counted > 1, losses = ran && study->loss;
-      table.AddRow({name,
-                    what,
-                    ran ? Cell(FinalError(*study, *loop.runs)) : Cell(),
-                    FinalError(loop.covariance),
-                    losses ? Cell(loop.runs->loss) : Cell(),
-                    losses ? Cell(loop.runs->loss_error) : Cell(),
-                    loop.expected_loss ? Cell(*loop.expected_loss) : Cell(),
-                    loop.runs ? Cell(static_cast<double>(loop.runs->otherwise) / study->samples) : Cell(),
-                    loop.covariance.change_probability,
-                    remark});
-    };
-    add("open", study->open);
-    if (study->closed) add("closed", *study->closed);
-  }
-  return table;
-}
+namespace {
 
-std::string FeedbackCaption(const FeedbackOptions& options) {
+// Returns the caption of the table, a sentence without its full stop.
+std::string FeedbackCaption(const NamedStudies& studies) {
+  int samples = 0;
+  for (const auto& [name, study] : studies) samples = study.value("/open/runs/samples"_json_pointer, samples);
   return "errors of the final state (root mean square), expected loss with its standard error, and the share of runs "
          "whose events are not as "
          "planned, of " +
-         std::to_string(options.samples) + " noisy runs in each loop and to first order";
-}
-
-void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies) {
-  PrintTableIfAny(name + FeedbackCaption(options), FeedbackTable(studies));
-  const size_t width = LayoutOfStandardOutput().width;
-  for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, width) << std::endl;
+         std::to_string(samples) + " noisy runs in each loop and to first order";
 }
 
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies) {
   std::vector<std::string> lines;
   for (const auto& [name, study] : studies) {
-    if (!study->reason.empty()) continue;
-    const auto warn = [&, of = name](const char* loop, const Covariance& covariance) {
-      const std::string warning = covariance.Warning();
-      if (!warning.empty()) lines.push_back(of + loop + warning);
-    };
-    warn(", open loop: ", study->open.covariance);
-    if (study->closed) warn(", closed loop: ", study->closed->covariance);
+    for (const std::string loop : {"open", "closed"}) {
+      const std::string warning = study.value(Json::json_pointer("/" + loop + "/warning"), "");
+      if (!warning.empty()) lines.push_back(name + ", " + loop + " loop: " + warning);
+    }
   }
   return lines;
+}
+
+}  // namespace
+
+Table FeedbackTable(const NamedStudies& studies) {
+  Json rows = Json::array();
+  for (const auto& [name, study] : studies) {
+    if (study.contains("failed")) rows.push_back({{"run", name}, {"remark", study["failed"]}});
+    for (const std::string loop : {"open", "closed"}) {
+      if (!study.contains(loop)) continue;
+      Json& row = rows.emplace_back(study[loop]);
+      std::string remark = study.value("remark", "");
+      if (row.contains("runs")) {
+        const Json& runs = row["runs"];
+        const int failed = runs["failed"];
+        if (failed > 0) remark += (remark.empty() ? "" : "; ") + std::to_string(failed) + " runs have failed";
+        row["share_otherwise"] = runs["otherwise"].get<double>() / runs["samples"].get<double>();
+      }
+      row.update({{"run", name}, {"loop", loop}, {"remark", remark}});
+    }
+  }
+  return TableOf(rows,
+                 "",
+                 "run; loop; final error=runs/final_error:4; first order=final_error:4; expected loss=runs/loss:8; "
+                 "±=runs/loss_error:2; first order=expected_loss:8; other events=share_otherwise:3; "
+                 "first order=change_probability:3; remark",
+                 2);
+}
+
+void PrintFeedback(const std::string& name, const NamedStudies& studies) {
+  PrintTableIfAny(name + FeedbackCaption(studies), FeedbackTable(studies));
+  const size_t width = LayoutOfStandardOutput().width;
+  for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, width) << std::endl;
+}
+
+void AddFeedbackSection(const NamedStudies& studies, Page* page) {
+  page->AddHeading("Feedback");
+  page->AddTable(FeedbackTable(studies), "The " + FeedbackCaption(studies) + ".");
+  if (const std::vector<std::string> warnings = FeedbackWarnings(studies); !warnings.empty()) page->AddList(warnings);
+}
+
+int FeedbackExitCode(const NamedStudies& studies) {
+  for (const auto& [name, study] : studies) {
+    if (study.value("failed", "") != kNoRegulator) continue;
+    std::cerr << "error: --feedback_weights: " << name << ": " << kNoRegulator << std::endl;
+    return kWrongInput;
+  }
+  return kDone;
 }
 
 }  // namespace saltus

@@ -23,14 +23,16 @@ std::optional<FeedbackOptions> SceneFeedbackFromFlags();
 // With `states`, also the costs to go and the covariances at all nodes.
 Json FeedbackToJson(const FeedbackStudy& study, bool states);
 
-using NamedStudies = std::vector<std::pair<std::string, const FeedbackStudy*>>;
+// Studies as FeedbackToJson() returns them, with the names of their plans.
+using NamedStudies = std::vector<std::pair<std::string, Json>>;
 // One row for each loop of each study.
 Table FeedbackTable(const NamedStudies& studies);
 // Prints table and warnings on standard output, with `name` before the caption.
-void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies);
-// Returns the caption of the table, a sentence without its full stop.
-std::string FeedbackCaption(const FeedbackOptions& options);
-// The warnings of the studies.
-std::vector<std::string> FeedbackWarnings(const NamedStudies& studies);
+void PrintFeedback(const std::string& name, const NamedStudies& studies);
+// Adds the table, and the warnings as a list.
+void AddFeedbackSection(const NamedStudies& studies, Page* page);
+// The exit code of feedback studies: wrong input, with a message on stderr, if weights of the regulator differ so much
+// that there is none.
+int FeedbackExitCode(const NamedStudies& studies);
 
 }  // namespace saltus

@@ -199,7 +199,7 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   item["remarks"] = RemarksToJson(remarks);
   if (!report.certificate) return item;
   const Certificate& found = *report.certificate;
-  Json certificate = {{"verdict", VerdictToString(found.verdict)}};
+  Json certificate = {{"verdict", VerdictToString(found.verdict)}, {"in_words", VerdictInWords(found)}};
   if (!found.reason.empty()) certificate["reason"] = found.reason;
   SALTUS_ADD_MEMBERS(&certificate, found, stationarity, costate_jump, hamiltonian, transversality, final_time);
   AddCurvature(found, &certificate);

@@ -21,6 +21,7 @@
 #include <string>
 #include <vector>
 
+#include "programs/feedback_study.h"
 #include "programs/json_output.h"
 #include "programs/program.h"
 #include "saltus/audit/hybrid_audit.h"
@@ -119,6 +120,22 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
 // {"scheme", "verdict", "reason", "steps", "loss", "exact_loss", "order", "gradient", "exact_gradient", "parts",
 // "segments", "first_wrong", "width_sweep"}, as in hybrid_audit.h.
 Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit);
+
+// The tables of a document, for the terminal and for the page.
+Table EventsTable(const Json& motion);
+Table GradientTable(const Json& document);
+Table RunsTable(const Json& document);
+// Returns the variables beside the control that some solver has changed: their values in the guess and in each
+// solution.
+Table SolutionTable(const Json& document);
+Table AuditsTable(const Json& document);
+// Returns the loss of the initial guess, or why there is none or no gradient.
+std::string DescribeLoss(const Json& document);
+// Returns the feedback studies of each solution, or of the guess if there are no solvers.
+NamedStudies StudiesIn(const Json& document);
+
+// Returns the page of a document, whose motions have their states and, to be played, their frames.
+Page HybridPage(Json document);
 
 // Files of planar bodies as problems of mechanical systems. docs/reference/box-files.md lists the keys.
 struct BodiesTask : HybridTask {

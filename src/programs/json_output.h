@@ -97,6 +97,9 @@ void AddBias(const std::string& contact, const std::optional<Surrogate>& surroga
 // A boolean as "yes" or "no", finite numbers and text as they are, of a list or an object its size; else empty.
 Cell CellOf(const Json& value);
 
+// The numbers of nested lists and objects, in their order.
+std::vector<double> NumbersIn(const Json& json);
+
 // A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
 // those of ColumnsOf(), each header with a path behind it, after "=", from the object, or with ^ from the parent
 // (default: the header, its spaces as underscores). A path that ends in [] makes a row of each element, and # stands

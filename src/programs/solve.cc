@@ -6,7 +6,6 @@
 
 #include "base/interrupt.h"
 #include "control/surrogate_names.h"
-#include "feedback/noisy_states.h"
 #include "programs/parallel.h"
 #include "programs/remarks.h"
 #include "saltus/simulate/registry.h"
@@ -182,20 +181,11 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
           (HasCurvatures(solved) ? ", a minimum with positive curvature (1 is that of the effort alone)" : ""),
       CertificateTable(solved));
   const NamedStudies studies = StudiesOf(solved);
-  if (!studies.empty()) PrintFeedback(name, *request.feedback, studies);
+  if (!studies.empty()) PrintFeedback(name, studies);
 }
 
 std::string RemarkOn(const SolvedRun& run) {
   return ReasonAndRemarks(run, run.HasSolution() ? RemarksOn(run.exact) : Remarks());
-}
-
-int FeedbackExitCode(const NamedStudies& studies) {
-  for (const auto& [name, study] : studies) {
-    if (study->reason != kNoRegulator) continue;
-    std::cerr << "error: --feedback_weights: " << name << ": " << study->reason << std::endl;
-    return kWrongInput;
-  }
-  return kDone;
 }
 
 int SolveExitCode(const SolvedRuns& solved) {

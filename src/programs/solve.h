@@ -69,9 +69,6 @@ std::string WhyNoAnswer(const SolveReport& report);
 
 Table RunTable(const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);
-// The exit code of feedback studies: wrong input, with a message on stderr, if weights of the regulator differ so much
-// that there is none.
-int FeedbackExitCode(const NamedStudies& studies);
 // The exit code: wrong input if no run asked for is applicable, failed if a run is no answer. Says why on stderr.
 int SolveExitCode(const SolvedRuns& solved);
 

@@ -343,7 +343,7 @@ std::string LabelOfRun(const SolveReport& report) {
 NamedStudies StudiesOf(const SolvedRuns& solved) {
   NamedStudies studies;
   for (const SolvedRun& run : solved.runs) {
-    if (run.feedback) studies.emplace_back(LabelOfRun(run.report), &*run.feedback);
+    if (run.feedback) studies.emplace_back(LabelOfRun(run.report), FeedbackToJson(*run.feedback, /*states=*/false));
   }
   return studies;
 }
@@ -497,13 +497,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                           (HasCurvatures(solved) ? "; a curvature of 1 is that of the effort alone." : "."));
   AddImpacts(request.scene, runs, page);
   const NamedStudies studies = StudiesOf(solved);
-  if (!studies.empty()) {
-    page->AddHeading("Feedback");
-    page->AddTable(FeedbackTable(studies), "The " + FeedbackCaption(*request.feedback) + ".");
-    if (const std::vector<std::string> warnings = FeedbackWarnings(studies); !warnings.empty()) {
-      page->AddList(warnings);
-    }
-  }
+  if (!studies.empty()) AddFeedbackSection(studies, page);
   AddRunReplay(request, runs, page);
   if (!studies.empty()) {
     page->AddPlot(

@@ -154,17 +154,6 @@ Found SolvePoint(const Request& request, double seconds, const StopRequest& stop
   return found;
 }
 
-// The numbers of nested lists.
-std::vector<double> NumbersIn(const Json& json) {
-  std::vector<double> numbers;
-  if (json.is_number()) return {json.get<double>()};
-  for (const Json& item : json) {
-    const std::vector<double> more = NumbersIn(item);
-    numbers.insert(numbers.end(), more.begin(), more.end());
-  }
-  return numbers;
-}
-
 Found GradientPoint(const Request& request, double seconds, const StopRequest& stop) {
   const Scene& scene = request.scene;
   const std::optional<Surrogate>& surrogate = request.options.surrogate;
