@@ -12,8 +12,6 @@
 // time-stepping scheme for --audit.
 #pragma once
 
-#include <yaml-cpp/yaml.h>
-
 #include <array>
 #include <functional>
 #include <memory>
@@ -26,7 +24,6 @@
 #include "programs/program.h"
 #include "saltus/audit/hybrid_audit.h"
 #include "saltus/hybrid/hybrid_problem.h"
-#include "saltus/hybrid/mechanical_system.h"
 #include "saltus/solve/hybrid_solver.h"
 
 namespace saltus {
@@ -136,13 +133,5 @@ NamedStudies StudiesIn(const Json& document);
 
 // Returns the page of a document, whose motions have their states and, to be played, their frames.
 Page HybridPage(Json document);
-
-// Files of planar bodies as problems of mechanical systems. docs/reference/box-files.md lists the keys.
-struct BodiesTask : HybridTask {
-  MechanicalSystem system;
-};
-
-// Throws the error of a place in the file, which internal::ReadYaml catches.
-BodiesTask ReadBodies(const YAML::Node& root);
 
 }  // namespace saltus
