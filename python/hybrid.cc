@@ -26,7 +26,7 @@
 #include "hybrid/recorded_mechanics.h"
 #include "output/page.h"
 #include "programs/hybrid_program.h"
-#include "programs/remarks.h"
+#include "programs/json_output.h"
 #include "saltus/control/scene_problem.h"
 #include "saltus/identify/hybrid_fit.h"
 #include "saltus/optimality/hybrid_certificate.h"

@@ -7,7 +7,6 @@
 #include "base/interrupt.h"
 #include "programs/audit.h"
 #include "programs/program.h"
-#include "programs/remarks.h"
 #include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
 

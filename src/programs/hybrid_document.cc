@@ -1,10 +1,8 @@
 #include <algorithm>
 
 #include "blackbox/protocol.h"
-#include "blackbox/session.h"
 #include "control/hybrid_shooting.h"
 #include "programs/hybrid_program.h"
-#include "programs/remarks.h"
 
 namespace saltus {
 namespace {

@@ -296,6 +296,12 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
   return table;
 }
 
+Json RemarksToJson(const Remarks& remarks) {
+  Json list = Json::array();
+  for (const Remark& remark : remarks) list.push_back({{"kind", remark.kind}, {"text", remark.text}});
+  return list;
+}
+
 void PrintJson(const Json& document, Precision precision) {
   std::cout << DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits) << std::endl;
 }

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "audit/remarks.h"
 #include "base/table.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/audit/width_sweep.h"
@@ -107,6 +108,9 @@ std::vector<double> NumbersIn(const Json& json);
 // x=position/0:5".
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
               size_t most_rows = static_cast<size_t>(-1));
+
+// [{"kind", "text"}, ...]
+Json RemarksToJson(const Remarks& remarks);
 
 // Prints the document to stdout with 17 significant digits (9 in single precision).
 void PrintJson(const Json& document, Precision precision);

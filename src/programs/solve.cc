@@ -7,7 +7,6 @@
 #include "base/interrupt.h"
 #include "control/surrogate_names.h"
 #include "programs/parallel.h"
-#include "programs/remarks.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {

@@ -2,14 +2,14 @@
 // JSON and Python show the same ones.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "programs/json_output.h"
-#include "programs/solve.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/simulate/exact_run.h"
+#include "solve/checked_run.h"
 
 namespace saltus {
 
@@ -21,9 +21,6 @@ struct Remark {
   std::string text;  // with the place and the cause
 };
 using Remarks = std::vector<Remark>;
-
-// [{"kind", "text"}, ...]
-Json RemarksToJson(const Remarks& remarks);
 
 // Remarks on a motion that was simulated exactly, or could not be.
 Remarks RemarksOn(const ExactRun& exact);
