@@ -5,39 +5,28 @@
 #include <array>
 #include <charconv>
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <string_view>
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/number_text.h"
 
 namespace saltus {
 
 namespace {
 
-using Json = nlohmann::ordered_json;
-
 constexpr std::size_t kMostItems = 1000;  // of a list of results
 
-// Returns the document with long lists thinned: lists beyond kMostItems keep every n-th, {"every": n, "items": [...]}.
-Json Thinned(const Json& value) {
-  if (!value.is_structured()) return value;
-  if (value.is_array() && value.size() > kMostItems) {
-    const std::size_t every = (value.size() + kMostItems - 1) / kMostItems;
+// Thins long lists: those beyond kMostItems keep every n-th item, {"every": n, "items": [...]}.
+void Thin(Json* json) {
+  if (!json->is_structured()) return;
+  if (json->is_array() && json->size() > kMostItems) {
+    const std::size_t every = (json->size() + kMostItems - 1) / kMostItems;
     Json items = Json::array();
-    for (std::size_t i = 0; i < value.size(); i += every) items.push_back(Thinned(value[i]));
-    return {{"every", every}, {"items", std::move(items)}};
+    for (std::size_t i = 0; i < json->size(); i += every) items.push_back(std::move((*json)[i]));
+    *json = {{"every", every}, {"items", std::move(items)}};
   }
-  Json thinned = value.is_array() ? Json::array() : Json::object();
-  if (value.is_object()) thinned.get_ref<Json::object_t&>().reserve(value.size());
-  for (const auto& [key, item] : value.items()) {
-    if (value.is_array()) {
-      thinned.push_back(Thinned(item));
-    } else {
-      thinned.get_ref<Json::object_t&>().emplace_back(key, Thinned(item));
-    }
-  }
-  return thinned;
+  for (Json& item : *json) Thin(&item);
 }
 
 Json TableToJson(const Table& table) {
@@ -102,7 +91,10 @@ void Page::AddFigure(const Figure& figure, const std::string& caption) {
   Add("figure", {{"figure", FigureToJson(figure)}, {"caption", caption}});
 }
 
-void Page::SetResults(const Json& results) { document_["results"] = Thinned(results); }
+void Page::SetResults(Json results) {
+  Thin(&results);
+  SetWholeResults(std::move(results));
+}
 
 void Page::AddStyle(const std::string& label, const std::string& colour, Dash dash) {
   document_["styles"].push_back({{"label", label}, {"colour", colour}, {"dash", dash}});
@@ -125,6 +117,15 @@ std::string Page::Render() const {
 }
 
 Status Page::Write(const std::string& path) const { return WriteFile(path, Render(), InterruptGuard::Interrupted); }
+
+void Round(int significant_digits, Json* json) {
+  if (json->is_number_float()) {
+    const double value = json->get<double>();
+    *json = std::isfinite(value) ? Json(RoundedTo(significant_digits, value)) : Json();
+  }
+  if (!json->is_structured()) return;
+  for (Json& item : *json) Round(significant_digits, &item);
+}
 
 namespace {
 

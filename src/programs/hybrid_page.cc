@@ -2,7 +2,6 @@
 #include <cmath>
 #include <utility>
 
-#include "base/number_text.h"
 #include "base/statistics.h"
 #include "programs/feedback_study.h"
 #include "programs/hybrid_program.h"
@@ -12,6 +11,9 @@ namespace saltus {
 using nlohmann::literals::operator""_json_pointer;
 
 namespace {
+
+constexpr int kDigitsOfPictures = 7;
+constexpr double kRounding = 1e-13;  // relative: a duration is the sum of its intervals
 
 // Returns the variables of a motion beside its control, with their places in an input and in a gradient: the states,
 // which have the suffix, the parameters and the duration.
@@ -27,13 +29,6 @@ std::vector<std::pair<std::string, Json::json_pointer>> VariablesOf(const Json& 
   add(document["system"]["parameters"], "/parameters"_json_pointer, "");
   variables.emplace_back("duration", "/duration"_json_pointer);
   return variables;
-}
-
-// Rounds numbers to the digits that a picture shows.
-void RoundForPictures(Json* json) {
-  if (json->is_number_float() && std::isfinite(json->get<double>())) *json = RoundedTo(7, json->get<double>());
-  if (!json->is_structured()) return;
-  for (Json& item : *json) RoundForPictures(&item);
 }
 
 void AddMotion(const std::string& name, const Json& motion, Json which, Page* page) {
@@ -90,7 +85,10 @@ Table SolutionTable(const Json& document) {
     const Json& guess = document["guess"][place];
     std::vector<Cell> row = {name, CellOf(guess)};
     for (const Json& solution : solutions) row.push_back(CellOf(solution[place]));
-    const auto is_other = [&, at = place](const Json& solution) { return solution[at] != guess; };
+    const auto is_other = [&, at = place](const Json& solution) {
+      const double from = guess.get<double>(), to = solution[at].get<double>();
+      return std::abs(to - from) > kRounding * std::max(std::abs(from), std::abs(to));
+    };
     if (std::ranges::any_of(solutions, is_other)) table.AddRow(std::move(row));
   }
   return table;
@@ -139,7 +137,7 @@ Page HybridPage(Json document) {
   }
   const auto round = [](Json* motion) {
     for (const char* key : {"states", "guards", "frames"}) {
-      if (motion->contains(key)) RoundForPictures(&(*motion)[key]);
+      if (motion->contains(key)) Round(kDigitsOfPictures, &(*motion)[key]);
     }
   };
   round(&document["motion"]);
