@@ -218,7 +218,9 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   if (const std::string why = audit.Why(); !why.empty()) item["reason"] = why;
   if (audit.interrupted) item["interrupted"] = true;
   if (audit.exact.initial.empty()) return item;
-  SALTUS_ADD_MEMBERS(&item, audit, steps, loss, exact_loss);
+  SALTUS_ADD_MEMBERS(&item, audit, steps);
+  if (audit.ok()) SALTUS_ADD_MEMBERS(&item, audit, loss);
+  SALTUS_ADD_MEMBERS(&item, audit, exact_loss);
   HybridInput audited = problem.guess;
   if (const int width = problem.system.num_controls(); width > 0) {
     audited.num_intervals = static_cast<int>(audit.exact.control.size()) / width;
