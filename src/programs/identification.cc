@@ -8,7 +8,6 @@
 #include "base/csv.h"
 #include "base/number_text.h"
 #include "programs/scene_drawing.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -22,6 +21,9 @@ bool IsOfScene(const Json& document) { return document["fits"].empty() || docume
 bool HasMinimum(const IdentifyReport& report) { return !report.residuals.empty(); }
 
 bool IsDetermined(const Estimate& estimate) { return estimate.determination == Determination::kDetermined; }
+bool IsDetermined(const Json& parameter) {
+  return parameter["determination"] == DeterminationToString(Determination::kDetermined);
+}
 
 // One at its bound has a value, but no standard error.
 bool HasValue(const Estimate& estimate) {
@@ -205,7 +207,7 @@ Table EstimateTable(const Json& document) {
   for (Json& fit : fits) {
     if (!fit.contains("parameters")) continue;
     for (Json& parameter : fit["parameters"]) {
-      if (parameter["determination"] == DeterminationToString(Determination::kDetermined)) continue;
+      if (IsDetermined(parameter)) continue;
       std::string remark = parameter["determination"];
       const auto with = parameter.value("with", std::vector<std::string>());
       if (!with.empty()) remark += " with " + Joined(with);
@@ -239,35 +241,27 @@ std::vector<std::string> FitRemarks(const Identified& identified) {
   return remarks;
 }
 
-// Every parameter under every contact model, beside what the exact fit has; empty without that, or others.
-Table ComparisonTable(const Identified& identified) {
-  Table table(ColumnsOf("parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event:3; "
-                        "iterations; seconds:3; verdict; remark"),
-              2);
-  const IdentifyReport* exact = ExactFit(identified);
-  if (exact == nullptr || identified.reports.size() < 2) return table;
-  for (std::size_t p = 0; p < exact->estimates.size(); ++p) {
-    const Estimate& reference = exact->estimates[p];
-    for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-      const IdentifyReport& report = identified.reports[i];
-      const Estimate* estimate = p < report.estimates.size() ? &report.estimates[p] : nullptr;
-      const bool known = estimate != nullptr && IsDetermined(*estimate);
-      const std::optional<double> bias = Bias(exact, report, p);
-      std::string remark = report.reason;
-      if (estimate != nullptr && !known) remark = DeterminationToString(estimate->determination);
-      table.AddRow({reference.name,
-                    identified.contacts[i],
-                    estimate != nullptr && HasValue(*estimate) ? Cell(estimate->value) : Cell(),
-                    known ? Cell(estimate->standard_error) : Cell(),
-                    bias,
-                    bias ? Cell(*bias / reference.standard_error) : Cell(),
-                    report.iterations,
-                    report.seconds,
-                    FitVerdictToString(report.verdict),
-                    remark});
+Table ComparisonTable(const Json& document) {
+  const Json& fits = document["fits"];
+  const auto exact = std::ranges::find_if(
+      fits, [](const Json& fit) { return fit.value("contact", "") == kExact && fit.contains("parameters"); });
+  Json rows = Json::array();
+  for (std::size_t p = 0; exact != fits.end() && fits.size() > 1 && p < (*exact)["parameters"].size(); ++p) {
+    const Json& reference = (*exact)["parameters"][p];
+    for (const Json& fit : fits) {
+      Json& row = rows.emplace_back(fit.value(Json::json_pointer("/parameters") / p, Json::object()));
+      const bool known = row.empty() || IsDetermined(row);
+      row["remark"] = known ? Json(fit.value("reason", "")) : Json(row["determination"]);
+      if (row.contains("bias")) row["biases"] = row["bias"].get<double>() / reference["standard_error"].get<double>();
+      row["parameter"] = reference["name"];
+      for (const char* key : {"contact", "iterations", "seconds", "verdict"}) row[key] = fit[key];
     }
   }
-  return table;
+  return TableOf(rows,
+                 "",
+                 "parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event=biases:3; "
+                 "iterations; seconds:3; verdict; remark",
+                 2);
 }
 
 Table OutlierTable(const Json& document) {
@@ -348,7 +342,7 @@ void AddFits(const Identified& identified, const Json& document, Page* page) {
   if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
   page->AddTableIfAny(EstimateTable(document), "Parameters; `from` and `to` bound the 95 % confidence interval.");
   page->AddTableIfAny(
-      ComparisonTable(identified),
+      ComparisonTable(document),
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
 }
 

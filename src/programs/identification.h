@@ -67,7 +67,7 @@ Table FitTable(const Json& document);
 std::vector<std::string> FitRemarks(const Identified& identified);
 // Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
 // by `event`, or without others.
-Table ComparisonTable(const Identified& identified);
+Table ComparisonTable(const Json& document);
 // The law of impact that was learned; null if none was.
 const LearnedLaw* LawOf(const Identified& identified);
 // With standard errors, beside the law that is known; empty if none was learned.

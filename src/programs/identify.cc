@@ -95,7 +95,7 @@ void PrintTables(const Scene& scene, const Identified& identified, const Json& d
   for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, width) << std::endl;
   PrintTableIfAny("95 % confidence is from ... to", EstimateTable(document));
   PrintTableIfAny("Beside event, whose motion and derivatives are exact: bias is what a value is more",
-                  ComparisonTable(identified));
+                  ComparisonTable(document));
   PrintTableIfAny("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified, document));
   PrintTableIfAny(
       "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by how "
@@ -114,7 +114,7 @@ void WriteFiles(const std::string& directory, const Scene& scene, const Identifi
     if (!table.rows().empty()) WriteTextFile(path + suffix, table.ToCsv());
   };
   write_if_any("_events.csv", EventTable(scene, identified));
-  write_if_any("_beside_event.csv", ComparisonTable(identified));
+  write_if_any("_beside_event.csv", ComparisonTable(document));
   write_if_any("_law.csv", LawTable(identified, document));
 }
 
