@@ -32,9 +32,7 @@ constexpr const char* kNumberFlags[] = {
 std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>& states,
                                                  const std::vector<std::string>& controls) {
   if (!FLAGS_feedback) {
-    for (const char* flag : kNumberFlags) {
-      if (IsGiven(flag)) throw InputError("--" + std::string(flag) + " needs --feedback");
-    }
+    RefuseFlags(kNumberFlags, " needs --feedback");
     return std::nullopt;
   }
   FeedbackOptions options;

@@ -3,7 +3,6 @@
 #include <gflags/gflags.h>
 
 #include <algorithm>
-#include <cmath>
 #include <iostream>
 
 #include "base/interrupt.h"

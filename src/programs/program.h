@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <functional>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -177,6 +178,9 @@ Scene LoadScene(const std::string& path);
 // Whether a flag was given on the command line, in a flag file or in the environment. Precondition: there is such a
 // flag.
 bool IsGiven(const char* flag);
+
+// Throws InputError that begins with the flag, if one of these is given.
+void RefuseFlags(std::span<const char* const> flags, const std::string& why);
 
 // The learning rate of the published experiments for this kind of problem, per N for controls.
 inline double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }
