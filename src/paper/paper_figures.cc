@@ -4,6 +4,7 @@
 #include "paper/experiments.h"
 #include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -73,6 +74,27 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
 
 }  // namespace
 
+Series ForceOf(const SolveReport& report, const Scene& scene, int axis) {
+  Series force;
+  double end = 0;
+  const std::vector<double> lengths = LengthsOf({report.control, report.durations}, scene);
+  for (size_t k = 0; k < lengths.size(); ++k) {
+    const double begin = end, value = report.control[2 * k + axis];
+    end += lengths[k];
+    force.x.insert(force.x.end(), {begin, end});
+    force.y.insert(force.y.end(), {value, value});
+  }
+  return force;
+}
+
+Series OptimalForce(const Scene& scene) {
+  const auto optimum = FindTwoDiscOptimum(scene, TwoDiscSequence::kImpact);
+  Series force = Series::ForModel("analytic", {}, {});
+  if (optimum) force.x = Range(1001, 1e-3 * scene.duration);
+  for (const double time : force.x) force.y.push_back(optimum->Control(time)[0]);
+  return force;
+}
+
 PaperFigure Trajectories(const Experiments& experiments) {
   Figure figure;
   figure.panels = {TrajectoryPanel(experiments, "bounce_once", "Task 1: one bounce"),
@@ -109,17 +131,11 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
       .title = "Learned force", .x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   ForEachModel(experiments, "two_balls", 0, [&](const Experiment& experiment, const SolveReport& report) {
     loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
-    std::vector<double> force;
-    for (size_t i = 0; i < report.control.size(); i += 2) force.push_back(report.control[i]);
-    const double interval = experiment.scene.duration / static_cast<double>(force.size());
-    control.series.push_back(Series::ForModel(experiment.contact, Range(force.size(), interval), force));
+    const Series force = ForceOf(report, experiment.scene);
+    control.series.push_back(Series::ForModel(experiment.contact, force.x, force.y));
   });
-  if (optimum) {
-    loss.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
-    std::vector<double> time = Range(1001, 1e-3), force;
-    for (double t : time) force.push_back(optimum->Control(t)[0]);
-    control.series.push_back(Series::ForModel("analytic", time, force));
-  }
+  if (optimum) loss.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
+  control.series.push_back(OptimalForce(experiments.scene("two_balls")));
   Figure figure{.panels = {loss, control}};
   return {
       "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "

@@ -9,7 +9,6 @@
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
-#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -401,26 +400,10 @@ PaperFigure ControlProfiles(const Tasks& all) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   for (const CheckedRun& run : all.strike.runs) {
     if (run.report.contact != all.exact || run.report.losses.empty()) continue;
-    std::vector<double> x, y;
-    const std::vector<double> lengths = LengthsOf({run.report.control, run.report.durations}, all.strike.scene);
-    double start = 0;
-    for (size_t k = 0; k < lengths.size(); ++k) {
-      for (const double time : {start, start + lengths[k]}) {
-        x.push_back(time);
-        y.push_back(run.report.control[2 * k]);
-      }
-      start += lengths[k];
-    }
-    panel.series.push_back(SolverSeries(run.report.solver, x, y));
+    const Series force = ForceOf(run.report, all.strike.scene);
+    panel.series.push_back(SolverSeries(run.report.solver, force.x, force.y));
   }
-  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact)) {
-    Series analytic = Series::ForModel("analytic", {}, {});
-    for (int i = 0; i <= 1000; ++i) {
-      analytic.x.push_back(1e-3 * i * all.strike.scene.duration);
-      analytic.y.push_back(optimum->Control(analytic.x.back())[0]);
-    }
-    panel.series.push_back(analytic);
-  }
+  panel.series.push_back(OptimalForce(all.strike.scene));
   Figure figure{.panels = {panel}};
   return {
       "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
