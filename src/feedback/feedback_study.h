@@ -16,8 +16,8 @@
 
 namespace saltus {
 
-// What stands before the name of a component of the state in the names of standard deviations: nothing for the initial
-// state, then the words for the process of each step and for measurements.
+// Prefixes of components of the state in the names of standard deviations: none for the initial state, then those for
+// the process of each step and for measurements.
 inline constexpr std::array<const char*, 3> kDeviationPrefixes = {"", "process_", "measured_"};
 inline constexpr char kAllStates[] = "state";  // the name of every component of the state
 

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "base/statistics.h"
@@ -13,7 +12,6 @@ using nlohmann::literals::operator""_json_pointer;
 namespace {
 
 constexpr int kDigitsOfPictures = 7;
-constexpr double kRounding = 1e-13;  // relative: a duration is the sum of its intervals
 
 // Returns the variables of a motion beside its control, with their places in an input and in a gradient: the states,
 // which have the suffix, the parameters and the duration.
@@ -81,15 +79,12 @@ Table SolutionTable(const Json& document) {
     solutions.push_back(run["solution"]);
   }
   Table table(columns);
+  const auto free = document.value("free", std::vector<std::string>());
   for (const auto& [name, place] : VariablesOf(document, "")) {
-    const Json& guess = document["guess"][place];
-    std::vector<Cell> row = {name, CellOf(guess)};
+    if (solutions.empty() || std::ranges::find(free, name) == free.end()) continue;
+    std::vector<Cell> row = {name, CellOf(document["guess"][place])};
     for (const Json& solution : solutions) row.push_back(CellOf(solution[place]));
-    const auto is_other = [&, at = place](const Json& solution) {
-      const double from = guess.get<double>(), to = solution[at].get<double>();
-      return std::abs(to - from) > kRounding * std::max(std::abs(from), std::abs(to));
-    };
-    if (std::ranges::any_of(solutions, is_other)) table.AddRow(std::move(row));
+    table.AddRow(std::move(row));
   }
   return table;
 }
@@ -120,7 +115,7 @@ Page HybridPage(Json document) {
   if (!runs.empty()) {
     page.AddHeading("Solvers");
     page.AddTable(RunsTable(document), "The runs of the solvers.");
-    page.AddTableIfAny(SolutionTable(document), "The variables that solvers have changed, without the control.");
+    page.AddTableIfAny(SolutionTable(document), "The variables that solvers change, without the control.");
   }
   if (const NamedStudies studies = StudiesIn(document); !studies.empty()) AddFeedbackSection(studies, &page);
   for (std::size_t i = 0; i < runs.size(); ++i) {

@@ -117,6 +117,18 @@ struct HybridResults {
   std::vector<HybridAudit> audits;
 };
 
+// Returns the names of the variables that solvers change: of states at the start and of parameters, "duration", and
+// "control".
+Json FreeToJson(const HybridProblem& problem) {
+  const HybridFree& free = problem.free;
+  Json names = Json::array();
+  for (const int i : free.initial) names.push_back(problem.system.StateName(problem.guess.mode, i));
+  for (const int i : free.parameters) names.push_back(problem.system.ParameterName(i));
+  if (free.duration) names.push_back("duration");
+  if (free.control) names.push_back("control");
+  return names;
+}
+
 HybridResults Compute(const HybridRequest& request) {
   const HybridProblem& problem = request.problem;
   HybridResults results;
@@ -126,6 +138,7 @@ HybridResults Compute(const HybridRequest& request) {
   document = {{"program", request.name},
               {"system", HybridSystemToJson(problem.system)},
               {"guess", HybridInputToJson(problem.system, problem.guess)},
+              {"free", FreeToJson(problem)},
               {"motion", std::move(motion)}};
   if (const HybridFree& free = problem.free; !free.control_min.empty() || !free.control_max.empty()) {
     document["control_bounds"] = {{"min", free.control_min}, {"max", free.control_max}};
