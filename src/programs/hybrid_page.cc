@@ -29,12 +29,18 @@ std::vector<std::pair<std::string, Json::json_pointer>> VariablesOf(const Json& 
   return variables;
 }
 
-void AddMotion(const std::string& name, const Json& motion, Json which, Page* page) {
+// Adds a motion, and rounds its numbers to what its pictures show.
+void AddMotion(const std::string& name, Json which, Json* motion, Page* page) {
   page->AddHeading("Motion: " + name);
-  if (motion.contains("failed")) page->AddParagraph("The motion ends early: " + motion["failed"].get<std::string>());
-  if (motion.contains("remark")) page->AddParagraph(motion["remark"]);
+  if (motion->contains("failed")) {
+    page->AddParagraph("The motion ends early: " + (*motion)["failed"].get<std::string>());
+  }
+  if (motion->contains("remark")) page->AddParagraph((*motion)["remark"]);
   page->AddMotion(std::move(which));
-  page->AddTableIfAny(EventsTable(motion), "Events.");
+  page->AddTableIfAny(EventsTable(*motion), "Events.");
+  for (const char* key : {"states", "guards", "frames"}) {
+    if (motion->contains(key)) Round(kDigitsOfPictures, &(*motion)[key]);
+  }
 }
 
 }  // namespace
@@ -111,7 +117,7 @@ Page HybridPage(Json document) {
   const std::size_t modes = document["system"]["modes"].size();
   Page page(document["program"], std::to_string(modes) + (modes == 1 ? " mode" : " modes"));
   page.AddParagraph("Initial guess: " + DescribeLoss(document));
-  const Json& runs = document["runs"];
+  Json& runs = document["runs"];
   if (!runs.empty()) {
     page.AddHeading("Solvers");
     page.AddTable(RunsTable(document), "The runs of the solvers.");
@@ -119,9 +125,9 @@ Page HybridPage(Json document) {
   }
   if (const NamedStudies studies = StudiesIn(document); !studies.empty()) AddFeedbackSection(studies, &page);
   for (std::size_t i = 0; i < runs.size(); ++i) {
-    if (runs[i].contains("motion")) AddMotion(runs[i]["solver"], runs[i]["motion"], i, &page);
+    if (runs[i].contains("motion")) AddMotion(runs[i]["solver"], i, &runs[i]["motion"], &page);
   }
-  AddMotion("initial guess", document["motion"], nullptr, &page);
+  AddMotion("initial guess", nullptr, &document["motion"], &page);
   if (document.contains("gradient")) {
     page.AddHeading("Gradient of the loss at the initial guess");
     page.AddTable(GradientTable(document), "Derivatives of the loss.");
@@ -129,15 +135,6 @@ Page HybridPage(Json document) {
   if (const Table audits = AuditsTable(document); !audits.rows().empty()) {
     page.AddHeading("Audit of time-stepping schemes");
     page.AddTable(audits, "Verdicts on the gradients of the schemes.");
-  }
-  const auto round = [](Json* motion) {
-    for (const char* key : {"states", "guards", "frames"}) {
-      if (motion->contains(key)) Round(kDigitsOfPictures, &(*motion)[key]);
-    }
-  };
-  round(&document["motion"]);
-  for (Json& run : document["runs"]) {
-    if (run.contains("motion")) round(&run["motion"]);
   }
   page.SetWholeResults(std::move(document));
   return page;
