@@ -20,13 +20,14 @@ using global::kMostParameters;
 using global::Relaxation;
 
 constexpr int kQuarters = 4;
-constexpr double kAppendWidth = 0.26;  // of the whole range: open boxes below are continued, above are halved
-constexpr double kNear = 1.05;         // open boxes with a bound below this times the upper bound are continued
+constexpr double kNear = 1.05;  // of the known loss: open boxes with a bound below it at the middle are continued
+constexpr double kTight = 0.1;  // of the known loss: if their bound is as near to that at the middle
+constexpr double kSmall = 0.1;  // of the whole range: or if they are smaller in all parameters
 constexpr std::size_t kBoxesPerCheck = 256;
 
 struct Node {
   ImpactBox box;
-  double lower = 0, at_middle = 0;
+  double lower = 0, own = 0, at_middle = 0;  // own: the bound of this box; `lower` may be that of one around it
   int split = -1;
 };
 
@@ -103,12 +104,17 @@ class BranchAndBound {
     return 2 * kLargestTau;
   }
 
-  // Whether halving the box is not expected to exclude it.
+  // Whether halving the box is not expected to exclude it: its middle cannot be excluded, and its bound is about as
+  // high as there, or the box is small.
   bool IsStuck(const Node& node) const {
     if (node.split < 0) return true;
     if (!(node.at_middle < kNear * out_.upper)) return false;
-    for (int j = 0; j < node.box.num_parameters(); ++j) {
-      if (node.box.high[j] - node.box.low[j] > kAppendWidth * WholeRange(node.box, j)) return false;
+    return node.own >= node.at_middle - kTight * out_.upper || IsSmall(node.box);
+  }
+
+  bool IsSmall(const ImpactBox& box) const {
+    for (int j = 0; j < box.num_parameters(); ++j) {
+      if (box.high[j] - box.low[j] > kSmall * WholeRange(box, j)) return false;
     }
     return true;
   }
@@ -275,8 +281,11 @@ class BranchAndBound {
   void Bound(Node node) {
     if (!Order(&node.box)) return;
     ++out_.boxes;
-    const BoxBound bound = relaxation_.Bound(node.box, out_.upper);
-    if (bound.lower > node.lower) node.lower = bound.lower;
+    BoxBound bound = relaxation_.Bound(node.box, out_.upper);
+    node.box.low = std::move(bound.low);
+    node.box.high = std::move(bound.high);
+    node.lower = std::max(node.lower, bound.lower);
+    node.own = bound.lower;
     node.at_middle = bound.at_middle;
     node.split = bound.split;
     if (node.lower >= out_.upper) {

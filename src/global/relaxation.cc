@@ -19,8 +19,17 @@ constexpr int kMostMultipliers = 48;
 constexpr int kWeightRounds = 6;
 constexpr int kBoundedRounds = 30;  // where forces are bounded
 constexpr int kSideRounds = 3;
+constexpr int kWorstRounds = 3;
+constexpr int kSpreadRounds = 2;
+constexpr int kCautiousRounds = 40;
+constexpr int kRobustRounds = 12;
+constexpr int kRobustWeights = 4;          // rounds after which weights are improved
+constexpr int kCornersOf = 3;              // parameters: boxes of more have too many corners
+constexpr double kPoor = 0.9;              // of the dual function at the worst point: a lower bound gets more work
+constexpr double kEnough = 2;              // of the known loss: a box needs no larger bound at its worst point
+constexpr double kNarrow = 0.3;            // of the widest parameter: a box is not divided in narrower ones
 constexpr double kViolated = 1e-9;         // of the distance of a wall from the origin: as far must a disc be behind it
-constexpr double kRegularization = 1e-11;  // relative to the largest curvature of the dual
+constexpr double kRegularization = 1e-11;  // relative to the curvature of the dual
 using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostMultipliers, 1>;
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostMultipliers, kMostMultipliers>;
 
@@ -232,7 +241,8 @@ struct Weights {
 
 // Parts of the dual function at given multipliers, by which weights are improved.
 struct Record {
-  double spent = 0;  // subtracted for effort before the end of an open sequence, times the share
+  double factor = 1;  // of what is added
+  double spent = 0;   // subtracted for effort before the end of an open sequence, times the share
   std::vector<std::array<std::array<double, 3>, 2>> parts;  // integrals of squares
   std::vector<double> lengths, durations;                   // integrals of squares, and times, of repeated impacts
   struct Push {
@@ -275,7 +285,9 @@ struct Linear {
 void AddConstant(double factor, Quadratic* dual) { dual->constant += factor; }
 void Add(double factor, const Linear& a, Quadratic* dual) { dual->linear += factor * a.by; }
 void AddSquare(double factor, const Linear& a, Quadratic* dual) {
-  dual->curvature.noalias() -= (2 * factor * a.by) * a.by.transpose();
+  for (int i = 0; i < a.by.size(); ++i) {
+    if (a.by[i] != 0) dual->curvature.col(i) -= (2 * factor * a.by[i]) * a.by;
+  }
 }
 template <typename P, typename S>
 void AddConstant(const P& factor, S* dual) {
@@ -400,7 +412,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
   const auto spend = [&](const P& factor, const S& a) {
     AddSquare(B(-1) / B(weights.share) * factor, a, dual);
     if constexpr (std::is_same_v<S, double>) {
-      if (record != nullptr) record->spent += factor * a * a;
+      if (record != nullptr) record->spent += record->factor * factor * a * a;
     }
   };
   int flight = 0;
@@ -416,10 +428,10 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     if constexpr (std::is_same_v<S, double>) {
       if (record == nullptr) return;
       const double square = Square(mean) + Square(gain) / 12;
-      record->spent += weights.share * price * square;
+      record->spent += record->factor * weights.share * price * square;
       if (weights.held.empty()) return;
-      record->pushes[at].squares[k] = duration * square;
-      record->pushes[at].duration = duration;
+      record->pushes[at].squares[k] += record->factor * duration * square;
+      if (k == 0) record->pushes[at].duration += record->factor * duration;
       record->pushes[at].effort = effort;
     }
   };
@@ -444,7 +456,8 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
         if constexpr (std::is_same_v<S, double>) {
           if (record != nullptr) {
             record->parts[repeated.impact][is_a ? 0 : 1][0] +=
-                duration * (Square(mean[i].x) + Square(mean[i].y)) + twelfth * (Square(gain[i].x) + Square(gain[i].y));
+                record->factor * duration * (Square(mean[i].x) + Square(mean[i].y)) +
+                record->factor * twelfth * (Square(gain[i].x) + Square(gain[i].y));
           }
         }
       }
@@ -483,7 +496,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
           if constexpr (std::is_same_v<S, double>) {
             if (record != nullptr) {
               for_squares([&](double factor, double a) {
-                record->parts[repeated.impact][source][is_a ? 1 : 2] += share * factor * a * a;
+                record->parts[repeated.impact][source][is_a ? 1 : 2] += record->factor * share * factor * a * a;
               });
             }
           }
@@ -496,8 +509,10 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
           AddConstant(B(-1) * half * B(weights.fall[repeated.impact]) * duration, dual);
           if constexpr (std::is_same_v<S, double>) {
             if (record != nullptr) {
-              for_squares([&](double factor, double a) { record->lengths[repeated.impact] += factor * a * a; });
-              record->durations[repeated.impact] += duration;
+              for_squares([&](double factor, double a) {
+                record->lengths[repeated.impact] += record->factor * factor * a * a;
+              });
+              record->durations[repeated.impact] += record->factor * duration;
             }
           }
         }
@@ -631,78 +646,187 @@ class Relaxation::Impl {
     std::vector<Vector> slopes;  // by parameter; none if they are constant
   };
 
+  // The best multipliers and weights at a point of the box.
+  struct Solution {
+    Layout layout;
+    Weights weights = {};
+    Quadratic quadratic{0};
+    std::vector<char> free = {};
+    Vector z = {};
+    double value = 0;  // of the dual function
+  };
+
+  // Divides a box in its widest parameter instead, where cuts have made it much narrower in the other one.
+  void Balance(const ImpactBox& box, BoxBound* bound) const {
+    std::vector<double> widths;  // of the whole range
+    for (int j = 0; j < box.num_parameters(); ++j)
+      widths.push_back((bound->high[j] - bound->low[j]) / (2 * kLargestTau));
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      widths[box.TimeIndex(static_cast<int>(i))] *= 2 * kLargestTau / plain_.duration;
+    }
+    const auto widest = std::max_element(widths.begin(), widths.end());
+    if (widest != widths.end() && (bound->split < 0 || widths[bound->split] < kNarrow * *widest))
+      bound->split = static_cast<int>(widest - widths.begin());
+  }
+
+  // Returns the middle of the box and its corners, or the ends in each parameter if these are many.
+  static std::vector<std::vector<double>> PointsOf(const ImpactBox& box, const std::vector<double>& middle) {
+    const int parameters = box.num_parameters();
+    std::vector<std::vector<double>> points = {middle};
+    for (int corner = 0; parameters <= kCornersOf && corner < 1 << parameters; ++corner) {
+      std::vector<double>& point = points.emplace_back(box.low);
+      for (int j = 0; j < parameters; ++j) {
+        if ((corner >> j & 1) != 0) point[j] = box.high[j];
+      }
+    }
+    if (parameters > kCornersOf) {
+      points.push_back(box.low);
+      points.push_back(box.high);
+      for (int j = 0; j < parameters; ++j) {
+        points.emplace_back(middle)[j] = box.low[j];
+        points.emplace_back(middle)[j] = box.high[j];
+      }
+    }
+    for (std::vector<double>& point : points) KeepInOrder(box, &point);
+    return points;
+  }
+
+  // Delays impacts of a point of the box that are not in the order of time.
+  static void KeepInOrder(const ImpactBox& box, std::vector<double>* point) {
+    double last = 0;
+    for (size_t i = 0; i < box.sequence.size(); ++i) {
+      double& time = (*point)[box.TimeIndex(static_cast<int>(i))];
+      last = time = std::max(last, time);
+    }
+  }
+
+  // Solves at a point. The weights and sides in the solution are the start.
+  void Solve(const ImpactBox& box, const std::vector<Side>& sides, const std::vector<double>& point,
+             Solution* solution) const {
+    const bool bounded = !solution->weights.held.empty();
+    const bool weighted = bounded || box.open || std::count(box.repeated.begin(), box.repeated.end(), true) > 0;
+    if (box.open) solution->weights.share = 0.5;
+    const int rounds = !weighted ? 0 : bounded ? kBoundedRounds : kWeightRounds;
+    const auto maximize = [&] {
+      solution->quadratic = QuadraticAt(box, solution->layout, point, solution->weights);
+      solution->z = Maximize(solution->quadratic,
+                             solution->layout,
+                             solution->weights,
+                             box.open,
+                             &solution->free,
+                             Vector::Zero(solution->layout.size));
+    };
+    for (int side_round = 0;; ++side_round) {
+      maximize();
+      for (int k = 0; k < rounds; ++k) {
+        if (!Improve(box, solution->layout, {point}, solution->z, &solution->weights)) break;
+        maximize();
+      }
+      if (side_round == kSideRounds ||
+          !AddViolated(sides, box, point, solution->z, solution->weights, &solution->layout))
+        break;
+    }
+    solution->value = solution->quadratic.At(solution->z);
+  }
+
+  // Returns the solution where the dual function at its best multipliers is about least in the box, or is below
+  // `upper`. `at_middle` is the solution at the middle. By parameter, the derivative tells on which side the least is.
+  template <int N>
+  Solution Worst(const ImpactBox& box, const std::vector<Side>& sides, const std::vector<double>& middle,
+                 const Solution& at_middle, double upper) const {
+    using S = Jet<double, N>;
+    std::vector<double> low = box.low, high = box.high, point = middle;
+    Solution worst = at_middle, now = at_middle;
+    for (int k = 0; k < kWorstRounds && worst.value >= upper; ++k) {
+      std::vector<S> theta(point.begin(), point.end()), z(now.z.begin(), now.z.end());
+      for (size_t j = 0; j < point.size(); ++j) theta[j].slope[j] = 1;
+      S dual;
+      AddDualFunction<double>(plain_, box, now.layout, theta.data(), z.data(), S(), now.weights, &dual);
+      bool moves = false;
+      for (size_t j = 0; j < point.size(); ++j) {
+        (dual.slope[j] > 0 ? high : low)[j] = point[j];
+        const double next = k > 0 ? 0.5 * (low[j] + high[j]) : dual.slope[j] > 0 ? low[j] : high[j];
+        moves = moves || next != point[j];
+        point[j] = next;
+      }
+      KeepInOrder(box, &point);
+      if (!moves) break;
+      Solve(box, sides, point, &now);
+      if (now.value < worst.value) worst = now;
+    }
+    return worst;
+  }
+
   template <int N>
   BoxBound BoundOf(const ImpactBox& box, double upper) const {
     const int parameters = box.num_parameters();
-    Layout layout(static_cast<int>(plain_.terms.size()), box);
     std::vector<double> middle(parameters);
     for (int j = 0; j < parameters; ++j)
       middle[j] = std::clamp(0.5 * (box.low[j] + box.high[j]), box.low[j], box.high[j]);
 
-    Weights weights;
-    if (box.open) weights.share = 0.5;
+    Solution at_middle{Layout(static_cast<int>(plain_.terms.size()), box)};
+    Weights& weights = at_middle.weights;
     weights.parts.assign(box.sequence.size(), {{{0.3, 0.3, 0.3}, {0.3, 0.3, 0.3}}});
     weights.fall.assign(box.sequence.size(), 1.0);
-    const bool bounded =
-        std::any_of(plain_.discs.begin(), plain_.discs.end(), [](const auto& disc) { return disc.largest > 0; });
-    if (bounded) weights.held.assign((box.sequence.size() + 1) * plain_.discs.size(), {0, 0});
-    const bool weighted = bounded || box.open || std::count(box.repeated.begin(), box.repeated.end(), true) > 0;
-    const int rounds = bounded ? kBoundedRounds : kWeightRounds;
-    Quadratic quadratic(0);
-    std::vector<char> free;
-    Vector z;
-    const auto solve = [&] {
-      quadratic = QuadraticAt(box, layout, middle, weights);
-      z = Maximize(quadratic, layout, weights, box.open, &free, Vector::Zero(layout.size));
-      for (int k = 0; k < rounds && weighted; ++k) {
-        if (!Improve(box, layout, middle, z, &weights)) break;
-        quadratic = QuadraticAt(box, layout, middle, weights);
-        z = Maximize(quadratic, layout, weights, box.open, &free, Vector::Zero(layout.size));
-      }
-    };
-    solve();
+    if (std::any_of(plain_.discs.begin(), plain_.discs.end(), [](const auto& disc) { return disc.largest > 0; }))
+      weights.held.assign((box.sequence.size() + 1) * plain_.discs.size(), {0, 0});
     const std::vector<Side> sides = SidesOf(box);
-    for (int k = 0; k < kSideRounds && AddViolated(sides, box, middle, z, weights, &layout); ++k) solve();
+    Solve(box, sides, middle, &at_middle);
+    const Solution worst = Worst<N>(box, sides, middle, at_middle, upper);
 
     BoxBound bound;
-    bound.at_middle = quadratic.At(z);
+    bound.at_middle = at_middle.value;
     bound.lower = -std::numeric_limits<double>::infinity();
-    const auto keep = [&](const Multipliers& multipliers) {
-      const Weights scaled = Scaled(box, layout, middle, multipliers.at_middle, weights);
-      const BoxBound now = Enclose<N>(box, layout, middle, multipliers, scaled);
-      if (now.lower > bound.lower || bound.split < 0) bound.split = now.split;
-      bound.lower = std::max(bound.lower, now.lower);
+    bound.low = box.low;
+    bound.high = box.high;
+    const std::vector<std::vector<double>> points = PointsOf(box, middle);
+    const auto keep = [&](const Solution& solution, const Multipliers& multipliers) {
+      const Weights scaled = Spread(box, solution.layout, points, multipliers.at_middle, solution.weights);
+      Enclose<N>(box, solution.layout, middle, multipliers, scaled, upper, &bound);
     };
-    Multipliers constant{z, {}};
-    const double enough = 3 * upper;
-    const std::vector<Vector> drifts = Drifts(quadratic, layout, z, box, middle, weights);
-    if (bound.at_middle > enough) {
-      // A part of the multipliers is enough, and is better away from the middle. Weights follow the multipliers, so
-      // that the dual function is least + a s - b s^2 at the part s of them.
-      const auto at = [&](double part) {
-        const Vector some = part * z;
-        const Weights scaled = Scaled(box, layout, middle, some, weights);
-        double dual = 0;
-        AddDualFunction<double>(plain_, box, layout, middle.data(), some.data(), 0.0, scaled, &dual);
-        return dual;
-      };
-      const double least = at(0), half = at(0.5), all = at(1);
-      const double a = 4 * half - all - 3 * least, b = 4 * half - 2 * all - 2 * least, c = enough - least;
-      const double root = a * a - 4 * b * c;
-      if (root >= 0 && c > 0 && a > 0) {
-        const double part = 2 * c / (a + std::sqrt(root));
-        if (part < 1) constant.at_middle = part * z;
-      }
-      keep(constant);
-      if (bound.lower < upper) keep({Cautious(quadratic, layout, weights, box, middle), {}});
-    } else {
-      keep(Following(quadratic, layout, free, z, drifts, box));
-      // A box that is not excluded now gets more work only if more work may exclude it.
-      const bool poor = bound.lower < 0.5 * bound.at_middle;
-      if (bound.lower < upper && (bound.at_middle > upper || poor))
-        keep({Cautious(quadratic, layout, weights, box, middle), {}});
+    std::vector<Quadratic> of_middle;  // by parameter, when needed
+    const auto derivatives = [&]() -> const std::vector<Quadratic>& {
+      if (of_middle.empty())
+        of_middle = Derivatives(at_middle.quadratic, at_middle.layout, box, middle, at_middle.weights);
+      return of_middle;
+    };
+    const double enough = kEnough * upper;
+    keep(worst, {Part(box, worst, middle, enough) * worst.z, {}});
+    if (bound.lower < upper && at_middle.value < enough) {
+      keep(at_middle,
+           Following(at_middle.quadratic, at_middle.layout, at_middle.free, at_middle.z, derivatives(), box));
+    }
+    const double poor = std::min(upper, kPoor * worst.value);
+    if (bound.lower < poor)
+      keep(at_middle, {Cautious(at_middle.quadratic, at_middle.layout, at_middle.weights, box, derivatives()), {}});
+    if (bound.lower < poor) {
+      const Solution robust = Robust(box, points, at_middle, enough);
+      if (robust.value > bound.lower) keep(robust, {robust.z, {}});
+    }
+    Balance(box, &bound);
+    for (int j = 0; j < parameters; ++j) {  // no motion is in both parts that two of the bounds leave
+      if (bound.low[j] > bound.high[j]) bound.lower = std::max(bound.lower, upper);
     }
     return bound;
+  }
+
+  // Returns which part of the multipliers of a solution makes the dual function `enough` at the middle of the box: a
+  // smaller part is better elsewhere. Weights follow the multipliers, so that the dual function is
+  // least + a s - b s^2 at the part s of them.
+  double Part(const ImpactBox& box, const Solution& solution, const std::vector<double>& middle, double enough) const {
+    if (!(solution.value > enough)) return 1;
+    const auto at = [&](double part) {
+      const Vector some = part * solution.z;
+      const Weights scaled = Spread(box, solution.layout, {middle}, some, solution.weights);
+      double dual = 0;
+      AddDualFunction<double>(plain_, box, solution.layout, middle.data(), some.data(), 0.0, scaled, &dual);
+      return dual;
+    };
+    const double least = at(0), half = at(0.5), all = at(1);
+    const double a = 4 * half - all - 3 * least, b = 4 * half - 2 * all - 2 * least, c = enough - least;
+    const double root = a * a - 4 * b * c;
+    if (!(root >= 0 && c > 0 && a > 0)) return 1;
+    return std::min(1.0, 2 * c / (a + std::sqrt(root)));
   }
 
   // Returns the sides of the discs of each impact at its time, and of discs with a term of position at the end.
@@ -753,9 +877,10 @@ class Relaxation::Impl {
     return true;
   }
 
-  // Moves the weights to those that are best for z. Returns false if they are so already.
-  bool Improve(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta, const Vector& z,
-               Weights* weights) const {
+  // Moves the weights to those that are best for z, on average over points of the box. Returns false if they are so
+  // already.
+  bool Improve(const ImpactBox& box, const Layout& layout, const std::vector<std::vector<double>>& points,
+               const Vector& z, Weights* weights, const std::vector<double>* shares = nullptr) const {
     Weights next = *weights;
     bool changed = false;
     const auto move = [&](double* weight, double to) {
@@ -763,13 +888,21 @@ class Relaxation::Impl {
       *weight = to;
     };
     const size_t impacts = box.sequence.size();
-    Record record{0,
+    Record record{1,
+                  0,
                   std::vector(impacts, std::array<std::array<double, 3>, 2>{}),
                   std::vector(impacts, 0.0),
                   std::vector(impacts, 0.0),
                   std::vector<Record::Push>(weights->held.size())};
-    double dual = 0;
-    AddDualFunction<double>(plain_, box, layout, theta.data(), z.data(), 0.0, *weights, &dual, &record);
+    double dual = 0, reach = 0;
+    for (size_t p = 0; p < points.size(); ++p) {
+      const std::vector<double>& theta = points[p];
+      record.factor = shares != nullptr ? (*shares)[p] : 1;
+      AddDualFunction<double>(plain_, box, layout, theta.data(), z.data(), 0.0, *weights, &dual, &record);
+      const double end = impacts == 0 ? 0 : theta[box.TimeIndex(static_cast<int>(impacts) - 1)];
+      const double rest = plain_.duration - end;
+      reach += record.factor * rest * rest * end / (4 * plain_.effort * plain_.lightest);
+    }
     if (!layout.approach.empty() && layout.approach.back() < 0) {
       move(&next.place, std::max(1e-12, std::hypot(z[layout.place.back()], z[layout.place.back() + 1])));
     }
@@ -787,10 +920,7 @@ class Relaxation::Impl {
       for (size_t i = 0; i < of_end.size(); ++i) square += of_end[i].squaredNorm() / plain_.discs[i].mass;
       if (plain_.starts) move(&next.reach, std::max(1e-12, std::sqrt(square)));
       // The parts of the dual function that fall with 1 / share and 1 / (1 - share).
-      const double end = impacts == 0 ? 0 : theta[box.TimeIndex(static_cast<int>(impacts) - 1)];
-      const double rest = plain_.duration - end;
-      const double push = rest * rest * end / (plain_.effort * plain_.lightest);
-      const double after = std::sqrt(0.25 * push * square), before = std::sqrt(record.spent);
+      const double after = std::sqrt(reach * square), before = std::sqrt(record.spent);
       double share = before + after > 0 ? before / (before + after) : 0.5;
       share = square > 0 ? std::clamp(share, 1e-4, 1 - 1e-4) : 1;
       changed = changed || std::abs(share - weights->share) > 0.01 * (1 - weights->share);
@@ -825,17 +955,14 @@ class Relaxation::Impl {
     return changed;
   }
 
-  // The weights for z that grow with it. Those that share out the effort stay: the shares that are best at the middle
-  // of the box for a small part of the best multipliers may be far from good elsewhere.
-  Weights Scaled(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta, const Vector& z,
-                 const Weights& weights) const {
-    Weights best = weights, scaled = weights;
-    Improve(box, layout, theta, z, &best);
-    scaled.reach = best.reach;
-    scaled.place = best.place;
-    scaled.fall = best.fall;
-    scaled.held = best.held;
-    return scaled;
+  // Returns the weights that are best for z on average over the box: those that are best in its middle may be far from
+  // good elsewhere.
+  Weights Spread(const ImpactBox& box, const Layout& layout, const std::vector<std::vector<double>>& points,
+                 const Vector& z, Weights weights) const {
+    for (int k = 0; k < kSpreadRounds; ++k) {
+      if (!Improve(box, layout, points, z, &weights)) break;
+    }
+    return weights;
   }
 
   Quadratic QuadraticAt(const ImpactBox& box, const Layout& layout, const std::vector<double>& theta,
@@ -887,9 +1014,10 @@ class Relaxation::Impl {
     const int m = static_cast<int>(side.size());
     Matrix matrix = q.curvature;
     Vector right = side;
-    const double shift = kRegularization * std::max(1e-300, matrix.diagonal().maxCoeff());
+    // Small weights make some curvatures very large, by which the others are not to be regularized.
+    const double least = std::max(1e-300, 1e-6 * matrix.diagonal().maxCoeff());
     for (int i = 0; i < m; ++i) {
-      matrix(i, i) += shift + penalty[i];
+      matrix(i, i) += kRegularization * std::max(matrix(i, i), least) + penalty[i];
       if (free[i]) continue;
       matrix.row(i).setZero();
       matrix.col(i).setZero();
@@ -900,106 +1028,209 @@ class Relaxation::Impl {
     return z.allFinite() ? z : Vector::Zero(m);
   }
 
-  // The derivatives of the gradient by the multipliers at z, by each parameter.
-  std::vector<Vector> Drifts(const Quadratic& q, const Layout& layout, const Vector& z, const ImpactBox& box,
-                             const std::vector<double>& middle, const Weights& weights) const {
-    std::vector<Vector> drifts;
+  // Returns the derivatives of the linear and quadratic terms of the dual function by each parameter.
+  std::vector<Quadratic> Derivatives(const Quadratic& q, const Layout& layout, const ImpactBox& box,
+                                     const std::vector<double>& middle, const Weights& weights) const {
+    std::vector<Quadratic> derivatives;
     for (size_t j = 0; j < middle.size(); ++j) {
       std::vector<double> theta = middle;
       const double step = std::max(1e-6, 0.01 * (box.high[j] - box.low[j]));
       theta[j] += step;
-      const Quadratic there = QuadraticAt(box, layout, theta, weights);
-      drifts.push_back((there.linear - q.linear - (there.curvature - q.curvature) * z) / step);
+      Quadratic& by = derivatives.emplace_back(QuadraticAt(box, layout, theta, weights));
+      by.linear = (by.linear - q.linear) / step;
+      by.curvature = (by.curvature - q.curvature) / step;
     }
-    return drifts;
+    return derivatives;
   }
 
-  // The best multipliers, which follow the parameters.
-  static Multipliers Following(const Quadratic& q, const Layout& layout, const std::vector<char>& free, const Vector& z,
-                               const std::vector<Vector>& drifts, const ImpactBox& box) {
+  // Returns how far each component of the dual function's gradient at z changes from the middle of the box to its ends.
+  static Vector SpreadOfGradient(const std::vector<Quadratic>& derivatives, const Vector& z, const ImpactBox& box) {
+    Vector spread = Vector::Zero(z.size());
+    for (size_t j = 0; j < derivatives.size(); ++j) {
+      const Vector drift = derivatives[j].linear - derivatives[j].curvature * z;
+      spread += 0.5 * (box.high[j] - box.low[j]) * drift.cwiseAbs();
+    }
+    return spread;
+  }
+
+  // Returns the best multipliers, which follow the parameters. Those of approaches and sides that would become negative
+  // in the box stay, and the others follow as is best then.
+  static Multipliers Following(const Quadratic& q, const Layout& layout, std::vector<char> free, const Vector& z,
+                               const std::vector<Quadratic>& derivatives, const ImpactBox& box) {
     Multipliers out{z, {}};
-    for (const Vector& drift : drifts) out.slopes.push_back(SolveFree(q, free, drift, Vector::Zero(layout.size)));
-    for (const int i : layout.not_negative) {  // none becomes negative in the box
-      double spread = 0;
-      for (size_t j = 0; j < drifts.size(); ++j) {
-        spread += 0.5 * std::abs(out.slopes[j][i]) * (box.high[j] - box.low[j]);
+    for (bool changed = true; changed;) {
+      changed = false;
+      out.slopes.clear();
+      for (const Quadratic& by : derivatives) {
+        out.slopes.push_back(SolveFree(q, free, by.linear - by.curvature * z, Vector::Zero(layout.size)));
       }
-      if (1.001 * spread < z[i]) continue;
-      for (Vector& slope : out.slopes) slope[i] = 0;
+      for (const int i : layout.not_negative) {
+        double spread = 0;
+        for (size_t j = 0; j < derivatives.size(); ++j) {
+          spread += 0.5 * std::abs(out.slopes[j][i]) * (box.high[j] - box.low[j]);
+        }
+        if (1.001 * spread < z[i]) continue;
+        changed = changed || free[i];
+        free[i] = false;
+        for (Vector& slope : out.slopes) slope[i] = 0;
+      }
     }
     return out;
   }
 
-  // Constant multipliers that are smaller where the gradient changes much in the box: about the best of
-  // dual - sum of |z_i| spread_i, by iterated quadratic penalties.
+  // Returns the solution whose multipliers and weights are about best for the least value of the dual function at some
+  // points of the box: the maximum of the average for those shares of the points for which it is least.
+  Solution Robust(const ImpactBox& box, const std::vector<std::vector<double>>& points, Solution start,
+                  double enough) const {
+    Solution best = start, now = start;
+    best.value = -std::numeric_limits<double>::infinity();
+    std::vector<double> shares(points.size(), 1.0 / static_cast<double>(points.size()));
+    std::vector<Quadratic> at(points.size(), Quadratic(0));
+    for (int k = 0; k < kRobustRounds; ++k) {
+      if (k % kRobustWeights == 0) {
+        if (k > 0) Improve(box, now.layout, points, now.z, &now.weights, &shares);
+        for (size_t p = 0; p < points.size(); ++p) at[p] = QuadraticAt(box, now.layout, points[p], now.weights);
+      }
+      now.quadratic = Quadratic(now.layout.size);
+      for (size_t p = 0; p < points.size(); ++p) {
+        now.quadratic.constant += shares[p] * at[p].constant;
+        now.quadratic.linear += shares[p] * at[p].linear;
+        now.quadratic.curvature += shares[p] * at[p].curvature;
+      }
+      now.z = Maximize(now.quadratic, now.layout, now.weights, box.open, &now.free, Vector::Zero(now.layout.size));
+      std::vector<double> values;
+      for (const Quadratic& quadratic : at) values.push_back(quadratic.At(now.z));
+      const auto [least, most] = std::minmax_element(values.begin(), values.end());
+      now.value = *least;
+      if (now.value > best.value) best = now;
+      if (best.value > enough || !(*most > *least)) break;
+      double sum = 0;
+      const double scale = 1 / (*most - *least), lowest = *least;
+      for (size_t p = 0; p < points.size(); ++p) {
+        sum += shares[p] = std::max(1e-6, shares[p]) * std::exp(-scale * (values[p] - lowest));
+      }
+      for (double& share : shares) share /= sum;
+    }
+    return best;
+  }
+
+  // Returns constant multipliers that are smaller where the gradient changes much in the box: about the best of
+  // dual - sum of |z_i| spread_i, by iterated quadratic penalties. Where a small box hardly meets the conditions of an
+  // impact, its multipliers begin many times too large and shrink by a factor in each round.
   Vector Cautious(const Quadratic& q, const Layout& layout, const Weights& weights, const ImpactBox& box,
-                  const std::vector<double>& middle) const {
+                  const std::vector<Quadratic>& derivatives) const {
     std::vector<char> free;
     Vector penalty = 1e-2 * q.curvature.diagonal();
-    Vector z = Maximize(q, layout, weights, box.open, &free, penalty);
-    for (int k = 0; k < 4; ++k) {
-      const std::vector<Vector> drifts = Drifts(q, layout, z, box, middle, weights);
-      Vector spread = Vector::Zero(layout.size);
-      for (size_t j = 0; j < drifts.size(); ++j) spread += 0.5 * (box.high[j] - box.low[j]) * drifts[j].cwiseAbs();
+    Vector z = Maximize(q, layout, weights, box.open, &free, penalty), best = z;
+    double most = -std::numeric_limits<double>::infinity();
+    for (int k = 0; k < kCautiousRounds; ++k) {
+      const Vector spread = SpreadOfGradient(derivatives, z, box);
+      const double value = q.At(z) - spread.dot(z.cwiseAbs());
+      const bool better = value > most + 0.01 * std::abs(most);
+      if (value > most) {
+        most = value;
+        best = z;
+      }
+      if (k >= 4 && !better && most >= 0) break;
       const double least = 1e-6 * (1e-300 + z.cwiseAbs().maxCoeff());
       for (int i = 0; i < layout.size; ++i) penalty[i] = spread[i] / std::max(std::abs(z[i]), least);
       z = Maximize(q, layout, weights, box.open, &free, penalty);
     }
-    return z;
+    return best;
   }
 
-  // The rigorous bound over the box: of the natural extension, and of the mean-value form.
+  // Raises the rigorous bound over the box, and cuts off parts of the box where it is above `upper`.
   template <int N>
-  BoxBound Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
-                   const Multipliers& multipliers, const Weights& weights) const {
+  void Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
+               const Multipliers& multipliers, const Weights& weights, double upper, BoxBound* bound) const {
     const RoundUpward rounding;
-    return EncloseRounded<N>(box, layout, middle, multipliers, weights);
+    EncloseRounded<N>(box, layout, middle, multipliers, weights, upper, bound);
   }
 
   // Called while the processor rounds upward. A function of its own, so that no operation is moved out of that time.
   template <int N>
-  [[gnu::noinline]] BoxBound EncloseRounded(const ImpactBox& box, const Layout& layout,
-                                            const std::vector<double>& middle, const Multipliers& multipliers,
-                                            const Weights& weights) const {
+  [[gnu::noinline]] void EncloseRounded(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
+                                        const Multipliers& multipliers, const Weights& weights, double upper,
+                                        BoxBound* bound) const {
     using S = Jet<Interval, N>;
     const int parameters = box.num_parameters();
-    std::vector<S> theta(N), z(layout.size);
-    std::vector<Interval> thin(N, Interval(0.0)), thin_z(layout.size), offset(N, Interval(0.0));
-    for (int j = 0; j < parameters; ++j) {
-      theta[j] = S(Interval(box.low[j], box.high[j]));
-      theta[j].slope[j] = Interval(1.0);
-      thin[j] = Interval(middle[j]);
-      offset[j] = theta[j].value - thin[j];
-    }
-    for (int i = 0; i < layout.size; ++i) {
-      thin_z[i] = Interval(multipliers.at_middle[i]);
-      z[i] = S(thin_z[i]);
-      for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
-        const Interval slope(multipliers.slopes[j][i]);
-        z[i].value += slope * offset[j];
-        z[i].slope[j] = slope;
+    bool valid = true;  // whether the multipliers of approaches and sides are not negative
+    const auto dual_in = [&](const std::vector<Interval>& range) {
+      std::vector<S> theta(N), z(layout.size);
+      for (int j = 0; j < parameters; ++j) {
+        theta[j] = S(range[j]);
+        theta[j].slope[j] = Interval(1.0);
       }
+      for (int i = 0; i < layout.size; ++i) {
+        z[i] = S(Interval(multipliers.at_middle[i]));
+        for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
+          const Interval slope(multipliers.slopes[j][i]);
+          z[i].value += slope * (range[j] - Interval(middle[j]));
+          z[i].slope[j] = slope;
+        }
+      }
+      for (const int i : layout.not_negative) valid = valid && z[i].value.lower() >= 0;
+      S dual;
+      AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &dual);
+      return dual;
+    };
+    std::vector<Interval> range(parameters);
+    for (int j = 0; j < parameters; ++j) range[j] = Interval(box.low[j], box.high[j]);
+    const S whole = dual_in(range);
+    if (!valid) return;
+    // Where the dual function is monotonic in a parameter it is least at one end.
+    S dual = whole;
+    for (bool narrowed = true; narrowed;) {
+      narrowed = false;
+      for (int j = 0; j < parameters; ++j) {
+        if (!(range[j].lower() < range[j].upper())) continue;
+        if (dual.slope[j].lower() >= 0) {
+          range[j] = Interval(box.low[j]);
+        } else if (dual.slope[j].upper() <= 0) {
+          range[j] = Interval(box.high[j]);
+        } else {
+          continue;
+        }
+        narrowed = true;
+      }
+      if (narrowed) dual = dual_in(range);
     }
-    S range;
-    AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &range);
-    Interval centered(0.0);
-    AddDualFunction<Interval>(rounded_, box, layout, thin.data(), thin_z.data(), Interval(0.0), weights, &centered);
-    BoxBound bound;
-    for (const int i : layout.not_negative) {
-      if (!(z[i].value.lower() >= 0)) centered = Interval(-std::numeric_limits<double>::infinity());
+    // The mean-value form around that centre for which its lower end is greatest (Baumann 1988).
+    std::vector<double> point(parameters);
+    for (int j = 0; j < parameters; ++j) {
+      const double low = range[j].lower(), high = range[j].upper();
+      const double down = -dual.slope[j].lower(), up = dual.slope[j].upper();
+      point[j] = low < high ? std::clamp(low + (high - low) * (down / (down + up)), low, high) : low;
     }
+    Interval changes(0.0);
+    for (int j = 0; j < parameters; ++j) {
+      const Interval centre(point[j]);
+      changes += dual.slope[j] * (range[j] - centre);
+      range[j] = centre;
+    }
+    const double lower = std::max(dual.value.lower(), (dual_in(range).value + changes).lower());
+    int split = -1;
     double largest = 0;
     for (int j = 0; j < parameters; ++j) {
-      const Interval change = range.slope[j] * offset[j];
-      centered += change;
-      const double width = change.upper() - change.lower();
-      if (width > largest && box.low[j] < box.high[j]) {
-        largest = width;
-        bound.split = j;
+      const double change = boost::numeric::norm(whole.slope[j]) * (box.high[j] - box.low[j]);
+      if (!(change >= largest) || !(box.low[j] < box.high[j])) continue;
+      largest = change;
+      split = j;
+    }
+    // No motion of a loss below `upper` is where the least slope has raised the dual function by what is missing.
+    const Interval missing = Interval(upper) - Interval(lower);
+    for (int j = 0; j < parameters && lower < upper; ++j) {
+      const Interval& slope = whole.slope[j];
+      if (slope.lower() > 0) {
+        const Interval end = Interval(box.low[j]) + missing / Interval(slope.lower());
+        bound->high[j] = std::min(bound->high[j], end.upper());
+      } else if (slope.upper() < 0) {
+        const Interval end = Interval(box.high[j]) + missing / Interval(slope.upper());
+        bound->low[j] = std::max(bound->low[j], end.lower());
       }
     }
-    bound.lower = centered.lower();
-    return bound;
+    if (lower > bound->lower || bound->split < 0) bound->split = split;
+    bound->lower = std::max(bound->lower, lower);
   }
 
   const Numbers<double> plain_;

@@ -47,7 +47,8 @@ inline constexpr int kMostParameters = 12;
 struct BoxBound {
   double lower = 0;      // rigorous: no motion in the box has a smaller loss, unless it is above the upper bound given
   double at_middle = 0;  // in floating point: the bound at the middle of the box
-  int split = -1;        // the parameter in which the box should be halved; -1 if there is none
+  std::vector<double> low, high;  // the part of the box that motions with a loss below the upper bound given may be in
+  int split = -1;                 // the parameter in which the box should be halved; -1 if there is none
 };
 
 class Relaxation {

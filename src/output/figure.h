@@ -3,12 +3,11 @@
 #pragma once
 
 #include <array>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
-
-#include "output/json.h"
 
 namespace saltus {
 
@@ -65,8 +64,6 @@ struct Outline {
 NLOHMANN_JSON_SERIALIZE_ENUM(Outline::Solid, {{Outline::Solid::kNeither, "neither"},
                                               {Outline::Solid::kInside, "inside"},
                                               {Outline::Solid::kOutside, "outside"}})
-
-void to_json(Json& json, const Outline& outline);
 
 // One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
 struct Axis {
@@ -133,6 +130,6 @@ struct Figure {
 };
 
 // Returns the figure for the viewer of pages (page/plot.js), with numbers of six significant digits.
-Json FigureToJson(const Figure& figure);
+nlohmann::ordered_json FigureToJson(const Figure& figure);
 
 }  // namespace saltus

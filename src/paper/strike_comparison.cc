@@ -8,6 +8,7 @@
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -81,14 +82,14 @@ struct Entry {
   SolverOptions options;
   double optimum = 0;
   const BoundedReference* reference = nullptr;  // null: without bounds
-  CheckedRun run = {};
+  SolvedRun run = {};
 };
 
 Entry Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,
-           const BoundedReference* reference, bool rate_per_time = false) {
+           const BoundedReference* reference) {
   Entry entry{label, scene, solver, {}, optimum, reference};
   entry.options.learning_rate = DefaultLearningRate(scene);
-  entry.options.rate_per_time = rate_per_time;
+  entry.options.rate_per_time = label == kPerTime;
   if (entry.options.rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
   // The references are optima along the impact of the guess; of one another motion is better.
   if (reference != nullptr && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
@@ -103,8 +104,7 @@ std::vector<Entry> PlanAll(const Scene& scene, const std::vector<BoundedReferenc
   for (int steps : kSteps) {
     Scene task = scene;
     task.steps = steps;
-    entries.push_back(Plan(task, "gd", kPerStep, optimum, nullptr));
-    entries.push_back(Plan(task, "gd", kPerTime, optimum, nullptr, /*rate_per_time=*/true));
+    for (const char* label : {kPerStep, kPerTime}) entries.push_back(Plan(task, "gd", label, optimum, nullptr));
     for (const char* solver : {"ceres_lm", "ceres_phases", "ceres_event", "hmp"}) {
       entries.push_back(Plan(task, solver, solver, optimum, nullptr));
     }
@@ -183,11 +183,16 @@ PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<Bounde
       const auto draw = [&](const std::string& label, const std::string& colour, Dash dash, double width) {
         const Entry* entry = Find(entries, &reference, label, kSteps[0]);
         if (entry == nullptr || entry->run.exact.events.empty()) return;  // one that does not strike is another motion
-        Series& series = panel.series.emplace_back(ForceOf(entry->run.report, entry->scene, axis));
-        series.label = label;
-        series.colour = colour;
-        series.dash = dash;
-        series.width = width;
+        const SolveReport& report = entry->run.report;
+        Series series{.label = label, .colour = colour, .dash = dash, .width = width};
+        const std::vector<double> lengths = LengthsOf({report.control, report.durations}, entry->scene);
+        double start = 0;
+        for (size_t k = 0; k < lengths.size(); ++k) {
+          series.x.push_back(start + 0.5 * lengths[k]);
+          series.y.push_back(report.control[2 * k + axis]);
+          start += lengths[k];
+        }
+        panel.series.push_back(std::move(series));
       };
       draw(kPerStep, "#999999", Dash::kSolid, 2);
       draw("ceres_lm", "#56B4E9", Dash::kSolid, 2);

@@ -1,5 +1,3 @@
-#include "solve/motion.h"
-
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -7,6 +5,7 @@
 #include <numeric>
 #include <tuple>
 
+#include "programs/scene_drawing.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
