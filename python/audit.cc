@@ -12,7 +12,7 @@
 #include "convert.h"
 #include "output/figure.h"
 #include "programs/audit.h"
-#include "programs/remarks.h"
+#include "programs/json_output.h"
 #include "saltus/control/control_rows.h"
 
 namespace saltus::python {

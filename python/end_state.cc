@@ -5,7 +5,7 @@
 #include "computation.h"
 #include "convert.h"
 #include "motion.h"
-#include "programs/remarks.h"
+#include "programs/json_output.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/simulate/events.h"
 #include "scene/scene_rules.h"

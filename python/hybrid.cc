@@ -21,11 +21,12 @@
 #include "convert.h"
 #include "feedback.h"
 #include "greatest_value.h"
+#include "hybrid/mechanical/bodies_file.h"
 #include "hybrid/recorded_functions.h"
 #include "hybrid/recorded_mechanics.h"
 #include "output/page.h"
 #include "programs/hybrid_program.h"
-#include "programs/remarks.h"
+#include "programs/json_output.h"
 #include "saltus/control/scene_problem.h"
 #include "saltus/identify/hybrid_fit.h"
 #include "saltus/optimality/hybrid_certificate.h"
@@ -245,7 +246,7 @@ py::dict SceneAsHybrid(const Scene& scene) {
 
 // Reads the problem of a file of bodies, by its text and its name in errors.
 py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
-  std::optional<BodiesTask> task;
+  std::optional<BodiesProblem> task;
   const auto error = internal::ReadYaml(text, name, [&](const YAML::Node& root) { task.emplace(ReadBodies(root)); });
   if (error) Raise(*error);
   const MechanicalLayout& layout = task->system.functions().layout();
@@ -253,7 +254,7 @@ py::dict ReadBodiesFile(const std::string& text, const std::string& name) {
   parts["system"] = task->system;
   parts["coordinates"] = layout.coordinate_names;
   parts["contacts"] = layout.contact_names;
-  parts["draw"] = py::cpp_function([draw = task->extras.draw](double t, const std::vector<double>& x) {
+  parts["draw"] = py::cpp_function([draw = ExtrasOf(task->bodies).draw](double t, const std::vector<double>& x) {
     HybridDrawing drawing;
     draw(0, t, x.data(), nullptr, &drawing);
     return py::make_tuple(drawing.lines(), drawing.circles());
@@ -842,7 +843,7 @@ void BindHybrid(py::module_* module) {
       .def("experiment", &Problem::Experiment, py::arg("guess"), py::arg("name"), py::arg("data"));
   module->def(
       "render_page",
-      [](const std::string& document) { return RenderPage(Json::parse(document)); },
+      [](const std::string& document) { return HybridPage(Json::parse(document)).Render(); },
       py::arg("document"));
   problem.def("planned", &Problem::Planned, py::arg("guess"))
       .def("track_continuously",

@@ -3,7 +3,7 @@
 
 #include "convert.h"
 #include "motion.h"
-#include "programs/remarks.h"
+#include "programs/json_output.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/simulate/events.h"
 #include "scene/units.h"

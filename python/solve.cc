@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "arrays.h"
+#include "base/interrupt.h"
 #include "base/number_text.h"
 #include "computation.h"
 #include "convert.h"
@@ -121,7 +122,10 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   }
   SolvedRun run;
   const Precision arithmetic = ReadPrecision(precision);
-  computation.Run([&] { run = SolveAndCheck(scene, solver, contact, arithmetic, options, [](const SolvedRun&) {}); });
+  computation.Run([&] {
+    const SolveRequest request{scene, contact, arithmetic};
+    run = SolvedRun{SolveAndCheck(solver, request, options, InterruptGuard::GraceIsOver, [](const CheckedRun&) {})};
+  });
   if (run.report.termination == Termination::kNotApplicable) throw py::value_error(run.report.reason);
   if (run.report.termination == Termination::kInterrupted) computation.AddWhyTimedOut(&run.report.reason);
   py::dict result = RunToPython(scene, run);

@@ -15,6 +15,12 @@ inline double Norm(const std::vector<double>& entries) {
   return std::sqrt(sum);
 }
 
+// Returns |found - exact| / |exact|. Precondition: as many entries in both.
+inline double RelativeError(std::vector<double> found, const std::vector<double>& exact) {
+  for (size_t i = 0; i < exact.size(); ++i) found[i] -= exact[i];
+  return Norm(found) / Norm(exact);
+}
+
 // Returns the largest magnitude, 0 if there are no entries.
 inline double Largest(std::span<const double> entries) {
   double largest = 0;

@@ -291,4 +291,33 @@ std::vector<double> NumbersAt(const ProtocolJson& json, const char* key, const s
   return NumbersFrom(*found, shape, "\"" + std::string(key) + "\"");
 }
 
+ProtocolJson SceneToJson(const RigidBodies2D& bodies) {
+  const RigidScene2D& rigid = bodies.scene();
+  ProtocolJson scene = {{"bodies", ProtocolJson::array()}, {"planes", ProtocolJson::array()}};
+  if (rigid.friction == 0) scene["frictionless"] = true;
+  for (std::size_t b = 0; b < rigid.bodies.size(); ++b) {
+    const RigidBody2D& body = rigid.bodies[b];
+    ProtocolJson item = {{"name", body.name}, {"position", body.position}, {"angle", body.angle}};
+    item["fixed"] = body.joint.kind == RigidJoint2D::Kind::kWeld;
+    if (body.joint.kind == RigidJoint2D::Kind::kTranslation) item["joint"] = "translation";
+    if (body.joint.kind == RigidJoint2D::Kind::kRevolute) item["joint"] = {{"revolute", body.joint.point}};
+    if (body.joint.kind == RigidJoint2D::Kind::kPrismatic) item["joint"] = {{"prismatic", body.joint.axis}};
+    item["mass"] = body.mass;
+    item["inertia"] = bodies.InertiaOf(static_cast<int>(b));
+    if (body.radius > 0) {
+      item["radius"] = body.radius;
+    } else if (body.polygon == BoxPolygon(body.polygon[2][0], body.polygon[2][1])) {
+      item["box"] = body.polygon[2];
+    } else {
+      item["polygon"] = body.polygon;
+    }
+    if (body.pushed) item["pushed"] = true;
+    scene["bodies"].push_back(std::move(item));
+  }
+  for (const RigidPlane2D& plane : rigid.planes) {
+    scene["planes"].push_back({{"point", plane.point}, {"normal", plane.normal}});
+  }
+  return scene;
+}
+
 }  // namespace saltus

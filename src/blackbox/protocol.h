@@ -14,6 +14,7 @@
 
 #include "saltus/audit/black_box.h"
 #include "saltus/audit/hybrid_audit.h"
+#include "saltus/hybrid/rigid_bodies.h"
 
 namespace saltus {
 
@@ -30,6 +31,9 @@ ProtocolJson NamesToJson(const HybridSystem& system);
 // Return the object that greets the simulator. `scene` is null if the system is not made of one.
 ProtocolJson HelloOf(const Scene& scene);
 ProtocolJson HelloOf(const HybridSystem& system, const ProtocolJson& scene);
+// Returns the scene for that greeting: what the state, the control and the parameters of a step do not say. A body that
+// moves in another way than freely has a joint, with the names and numbers of its kind.
+ProtocolJson SceneToJson(const RigidBodies2D& bodies);
 // Reads its answer. Throws ProtocolError.
 BlackBoxTraits ReadHello(const std::string& line);
 

@@ -401,6 +401,57 @@ std::string VerdictInWords(const Certificate& certificate) {
   return words[static_cast<int>(certificate.verdict)];
 }
 
+namespace {
+
+using enum Certificate::Verdict;
+
+// Says what a stationary control means: the loss does not change to first order.
+std::string MeaningOfStationary(const Certificate& certificate) {
+  if (certificate.initial) return "to first order no change of what is optimized lowers the loss";
+  const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
+  if (!certificate.curvature) {
+    return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
+  }
+  const Curvature::Kind kind = certificate.curvature->kind;
+  if (kind == Curvature::Kind::kMinimum) return "no small change of " + which + " lowers the loss";
+  if (kind == Curvature::Kind::kSaddle)
+    return "no minimum: along one change of " + which + " the loss falls, both ways";
+  return "perhaps no minimum: along one change of " + which + " the loss hardly changes";
+}
+
+}  // namespace
+
+std::optional<double> ResidualOf(const Certificate& certificate) {
+  if (certificate.verdict == kStationaryOnGrid) return certificate.gradient;
+  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return std::nullopt;
+  double residual = std::max({certificate.stationarity,
+                              certificate.costate_jump,
+                              std::abs(certificate.hamiltonian),
+                              certificate.transversality,
+                              certificate.initial.value_or(0)});
+  for (const ParameterCertificate& entry : certificate.parameters) residual = std::max(residual, entry.residual);
+  return residual;
+}
+
+std::string MeaningOf(const Certificate& certificate) {
+  if (certificate.verdict == kNotStationary) {
+    return std::string("small changes of ") + (certificate.initial ? "what is optimized" : "the control") +
+           (certificate.parameters.empty() || certificate.initial ? "" : " or the parameters") +
+           " lower the loss: " + certificate.reason;
+  }
+  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return certificate.reason;
+  if (certificate.verdict == kGlobal) {
+    return certificate.reason.empty() ? "a lower bound proves that no control on as many intervals has a lower loss"
+                                      : certificate.reason;
+  }
+  const std::string searched =
+      certificate.scope == Certificate::Scope::kBestOfSearched
+          ? "it is the best of " + std::to_string(certificate.sequences_searched) +
+                (certificate.sequences_searched == 1 ? " sequence of impacts" : " sequences of impacts")
+          : "other sequences of impacts may be better";
+  return MeaningOfStationary(certificate) + "; " + searched;
+}
+
 const char* ScopeToString(Certificate::Scope scope) {
   return scope == Certificate::Scope::kBestOfSearched ? "best_of_searched" : "local";
 }

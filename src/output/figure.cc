@@ -5,70 +5,22 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
-#include <nlohmann/json.hpp>
 #include <utility>
-
-#include "base/number_text.h"
 
 namespace saltus {
 
-using Json = nlohmann::ordered_json;
-
-namespace {
-
-Json RoundedToJson(double value) { return std::isfinite(value) ? Json(RoundedTo(6, value)) : Json(); }
-
-Json RoundedToJson(const std::vector<double>& values) {
-  Json list = Json::array();
-  for (const double value : values) list.push_back(RoundedToJson(value));
-  return list;
-}
-
-}  // namespace
-
-void to_json(Json& json, const Axis& axis) {
-  json = {{"label", axis.label}, {"log", axis.log}};
-  if (axis.min) json["min"] = *axis.min;
-  if (axis.max) json["max"] = *axis.max;
-}
-
+void to_json(Json& json, const Axis& axis) { SALTUS_ADD_MEMBERS(&json, axis, label, log, min, max); }
 void to_json(Json& json, const Series& series) {
-  json = {{"label", series.label},
-          {"x", RoundedToJson(series.x)},
-          {"y", RoundedToJson(series.y)},
-          {"colour", series.colour},
-          {"dash", series.dash},
-          {"marker", series.marker},
-          {"line", series.line},
-          {"width", series.width}};
+  SALTUS_ADD_MEMBERS(&json, series, label, x, y, colour, dash, marker, line, width);
 }
-
 void to_json(Json& json, const ReferenceLine& line) {
-  json = {{"value", RoundedToJson(line.value)},
-          {"label", line.label},
-          {"vertical", line.vertical},
-          {"colour", line.colour},
-          {"dash", line.dash}};
+  SALTUS_ADD_MEMBERS(&json, line, value, label, vertical, colour, dash);
 }
-
-void to_json(Json& json, const Circle& circle) {
-  json = {{"centre", circle.centre}, {"radius", circle.radius}, {"colour", circle.colour}, {"opacity", circle.opacity}};
-}
-
-void to_json(Json& json, const SolidHalfPlane& plane) { json = {{"point", plane.point}, {"normal", plane.normal}}; }
-
-void to_json(Json& json, const Outline& outline) { json = {{"points", outline.points}, {"solid", outline.solid}}; }
-
+void to_json(Json& json, const Circle& circle) { SALTUS_ADD_MEMBERS(&json, circle, centre, radius, colour, opacity); }
+void to_json(Json& json, const SolidHalfPlane& plane) { SALTUS_ADD_MEMBERS(&json, plane, point, normal); }
+void to_json(Json& json, const Outline& outline) { SALTUS_ADD_MEMBERS(&json, outline, name, points, solid); }
 void to_json(Json& json, const Panel& panel) {
-  json = {{"title", panel.title},
-          {"x", panel.x},
-          {"y", panel.y},
-          {"equal", panel.equal_aspect},
-          {"series", panel.series},
-          {"lines", panel.reference_lines},
-          {"circles", panel.circles},
-          {"planes", panel.half_planes},
-          {"outlines", panel.outlines}};
+  SALTUS_ADD_MEMBERS(&json, panel, title, x, y, equal_aspect, series, reference_lines, circles, half_planes, outlines);
 }
 
 Series Series::ForModel(std::string_view model, std::vector<double> x, std::vector<double> y) {
@@ -81,7 +33,12 @@ Series Series::ForModel(std::string_view model, std::vector<double> x, std::vect
           .marker = style.marker};
 }
 
-Json FigureToJson(const Figure& figure) { return {{"title", figure.title}, {"panels", figure.panels}}; }
+Json FigureToJson(const Figure& figure) {
+  Json json;
+  SALTUS_ADD_MEMBERS(&json, figure, title, panels);
+  Round(6, &json);
+  return json;
+}
 
 const std::vector<ModelStyle>& ModelStyles() {
   static const std::vector<ModelStyle> styles = {

@@ -3,11 +3,12 @@
 #pragma once
 
 #include <array>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "output/json.h"
 
 namespace saltus {
 
@@ -64,6 +65,8 @@ struct Outline {
 NLOHMANN_JSON_SERIALIZE_ENUM(Outline::Solid, {{Outline::Solid::kNeither, "neither"},
                                               {Outline::Solid::kInside, "inside"},
                                               {Outline::Solid::kOutside, "outside"}})
+
+void to_json(Json& json, const Outline& outline);
 
 // One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
 struct Axis {
@@ -130,6 +133,6 @@ struct Figure {
 };
 
 // Returns the figure for the viewer of pages (page/plot.js), with numbers of six significant digits.
-nlohmann::ordered_json FigureToJson(const Figure& figure);
+Json FigureToJson(const Figure& figure);
 
 }  // namespace saltus

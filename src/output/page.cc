@@ -5,39 +5,28 @@
 #include <array>
 #include <charconv>
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <string_view>
 
 #include "base/file.h"
 #include "base/interrupt.h"
+#include "base/number_text.h"
 
 namespace saltus {
 
 namespace {
 
-using Json = nlohmann::ordered_json;
-
 constexpr std::size_t kMostItems = 1000;  // of a list of results
 
-// Returns the document with long lists thinned: lists beyond kMostItems keep every n-th, {"every": n, "items": [...]}.
-Json Thinned(const Json& value) {
-  if (!value.is_structured()) return value;
-  if (value.is_array() && value.size() > kMostItems) {
-    const std::size_t every = (value.size() + kMostItems - 1) / kMostItems;
+// Thins long lists: those beyond kMostItems keep every n-th item, {"every": n, "items": [...]}.
+void Thin(Json* json) {
+  if (!json->is_structured()) return;
+  if (json->is_array() && json->size() > kMostItems) {
+    const std::size_t every = (json->size() + kMostItems - 1) / kMostItems;
     Json items = Json::array();
-    for (std::size_t i = 0; i < value.size(); i += every) items.push_back(Thinned(value[i]));
-    return {{"every", every}, {"items", std::move(items)}};
+    for (std::size_t i = 0; i < json->size(); i += every) items.push_back(std::move((*json)[i]));
+    *json = {{"every", every}, {"items", std::move(items)}};
   }
-  Json thinned = value.is_array() ? Json::array() : Json::object();
-  if (value.is_object()) thinned.get_ref<Json::object_t&>().reserve(value.size());
-  for (const auto& [key, item] : value.items()) {
-    if (value.is_array()) {
-      thinned.push_back(Thinned(item));
-    } else {
-      thinned.get_ref<Json::object_t&>().emplace_back(key, Thinned(item));
-    }
-  }
-  return thinned;
+  for (Json& item : *json) Thin(&item);
 }
 
 Json TableToJson(const Table& table) {
@@ -102,19 +91,22 @@ void Page::AddFigure(const Figure& figure, const std::string& caption) {
   Add("figure", {{"figure", FigureToJson(figure)}, {"caption", caption}});
 }
 
-void Page::SetResults(const Json& results) { document_["results"] = Thinned(results); }
+void Page::SetResults(Json results) {
+  Thin(&results);
+  SetWholeResults(std::move(results));
+}
 
 void Page::AddStyle(const std::string& label, const std::string& colour, Dash dash) {
   document_["styles"].push_back({{"label", label}, {"colour", colour}, {"dash", dash}});
 }
 
-std::string RenderPage(const Json& document) {
+std::string Page::Render() const {
   constexpr std::string_view kMark = "<!-- document -->";
   const std::string_view viewer = internal::Viewer();
   const std::size_t at = viewer.find(kMark);
   std::string html(viewer.substr(0, at));
   // The character < is escaped, so that nothing in the document can end its HTML element.
-  for (const char c : document.dump(-1, ' ', false, Json::error_handler_t::replace)) {
+  for (const char c : document_.dump(-1, ' ', false, Json::error_handler_t::replace)) {
     if (c == '<') {
       html += "\\u003c";
     } else {
@@ -126,140 +118,85 @@ std::string RenderPage(const Json& document) {
 
 Status Page::Write(const std::string& path) const { return WriteFile(path, Render(), InterruptGuard::Interrupted); }
 
+void Round(int significant_digits, Json* json) {
+  if (json->is_number_float()) {
+    const double value = json->get<double>();
+    *json = std::isfinite(value) ? Json(RoundedTo(significant_digits, value)) : Json();
+  }
+  if (!json->is_structured()) return;
+  for (Json& item : *json) Round(significant_digits, &item);
+}
+
 namespace {
 
 constexpr size_t kColumns = 120;
 constexpr size_t kIndent = 2;
 
-void AppendNumber(double value, int significant_digits, std::string* text) {
+std::string Scalar(const Json& value, int significant_digits) {
+  if (!value.is_number_float() || !std::isfinite(value.get<double>())) {
+    return value.dump(-1, ' ', false, Json::error_handler_t::replace);
+  }
   std::array<char, 40> buffer;
-  const auto [end, error] = std::to_chars(
-      buffer.data(), buffer.data() + buffer.size(), value, std::chars_format::general, significant_digits);
+  const auto [end, error] = std::to_chars(buffer.data(),
+                                          buffer.data() + buffer.size(),
+                                          value.get<double>(),
+                                          std::chars_format::general,
+                                          significant_digits);
   CHECK(error == std::errc());
-  const std::string_view digits(buffer.data(), end);
-  text->append(digits);
-  if (digits.find_first_of(".e") == std::string_view::npos) text->append(".0");
+  std::string text(buffer.data(), end);
+  if (text.find_first_of(".e") == std::string::npos) text += ".0";
+  return text;
 }
 
-// Writes the document. Each number is formatted once only, because documents have millions of them.
-class Writer {
- public:
-  explicit Writer(int significant_digits) : digits_(significant_digits) {}
+// Returns "key": of an item of an object; empty for an item of an array.
+std::string Label(const Json& parent, Json::const_iterator item) {
+  return parent.is_object() ? Scalar(item.key(), kDoubleDigits) + ": " : "";
+}
 
-  std::string Document(const Json& document) {
-    // The outermost object is always written over several lines.
-    if (document.is_object() || !OnOneLine(document, RoomAfter(0))) Open(document, 0);
-    return std::move(text_) + "\n";
+// Returns the value on one line; empty if it takes more than `room` columns.
+std::string OneLine(const Json& value, int significant_digits, size_t room) {
+  std::string text = value.is_object() ? "{" : value.is_array() ? "[" : Scalar(value, significant_digits);
+  for (auto item = value.begin(); value.is_structured() && item != value.end(); ++item) {
+    text += (item == value.begin() ? "" : ", ") + Label(value, item);
+    const std::string part = text.size() < room ? OneLine(*item, significant_digits, room - text.size()) : "";
+    if (part.empty()) return "";
+    text += part;
   }
+  if (value.is_structured()) text += value.is_object() ? '}' : ']';
+  return text.size() <= room ? text : "";
+}
 
- private:
-  // One column is kept for a comma.
-  static size_t RoomAfter(size_t used) { return used < kColumns ? kColumns - used - 1 : 0; }
-
-  void Scalar(const Json& value) {
-    if (value.is_number_float() && std::isfinite(value.get<double>())) {
-      AppendNumber(value.get<double>(), digits_, &text_);
+// Returns a value that does not fit on one line, of which the first line is indented by `depth` levels. Entries of an
+// array that fit on one line share lines, as words in a paragraph, if they are numbers or short arrays.
+std::string Lines(const Json& value, int significant_digits, size_t depth) {
+  if (!value.is_structured() || value.empty()) return Scalar(value, significant_digits);
+  const std::string indent((depth + 1) * kIndent, ' ');
+  std::string text(1, value.is_object() ? '{' : '[');
+  size_t column = kColumns;
+  for (auto item = value.begin(); item != value.end(); ++item) {
+    if (item != value.begin()) text += ',';
+    const std::string label = Label(value, item);
+    const size_t used = indent.size() + label.size() + 1;  // with a comma
+    const std::string line = used < kColumns ? OneLine(*item, significant_digits, kColumns - used) : "";
+    const bool fills = value.is_array() && !line.empty() && !item->is_object();
+    if (fills && column + 2 + line.size() < kColumns) {
+      text += ' ';
+      column += 2 + line.size();
     } else {
-      text_ += value.dump(-1, ' ', false, Json::error_handler_t::replace);
+      text += '\n' + indent + label;
+      column = fills ? indent.size() + line.size() : kColumns;
     }
+    text += line.empty() ? Lines(*item, significant_digits, depth + 1) : line;
   }
-
-  // Appends the value on one line if it takes at most `room` columns, and nothing otherwise.
-  bool OnOneLine(const Json& value, size_t room) {
-    const size_t begin = text_.size();
-    if (AppendUpTo(begin + room, value)) return true;
-    text_.resize(begin);
-    return false;
-  }
-
-  // Appends the value; returns false as soon as the text is longer than `limit`.
-  bool AppendUpTo(size_t limit, const Json& value) {
-    if (!value.is_structured()) {
-      Scalar(value);
-      return text_.size() <= limit;
-    }
-    text_ += value.is_object() ? '{' : '[';
-    const char* separator = "";
-    for (const auto& child : value.items()) {
-      text_ += separator;
-      if (value.is_object()) Label(child.key());
-      if (!AppendUpTo(limit, child.value())) return false;
-      separator = ", ";
-    }
-    text_ += value.is_object() ? '}' : ']';
-    return text_.size() <= limit;
-  }
-
-  void Label(const std::string& key) {
-    Scalar(key);
-    text_ += ": ";
-  }
-
-  void NewLine(size_t depth) {
-    text_ += '\n';
-    text_.append(depth * kIndent, ' ');
-  }
-
-  // Appends a value that does not fit on the line.
-  void Open(const Json& value, size_t depth) {
-    if (value.is_object() && !value.empty()) {
-      Object(value, depth);
-    } else if (value.is_array() && !value.empty()) {
-      Array(value, depth);
-    } else {
-      Scalar(value);
-    }
-  }
-
-  void Object(const Json& value, size_t depth) {
-    text_ += '{';
-    const char* separator = "";
-    for (const auto& [key, child] : value.get_ref<const Json::object_t&>()) {
-      text_ += separator;
-      const size_t line = text_.size() + 1;
-      NewLine(depth + 1);
-      Label(key);
-      if (!OnOneLine(child, RoomAfter(text_.size() - line))) Open(child, depth + 1);
-      separator = ",";
-    }
-    NewLine(depth);
-    text_ += '}';
-  }
-
-  // Entries that fit on one line share lines, as words in a paragraph, if they are numbers or short arrays.
-  void Array(const Json& value, size_t depth) {
-    const size_t indent = (depth + 1) * kIndent;
-    text_ += '[';
-    size_t column = kColumns;
-    const char* separator = "";
-    for (const Json& child : value) {
-      text_ += separator;
-      const size_t begin = text_.size();
-      text_ += ' ';
-      const bool fits = OnOneLine(child, RoomAfter(indent)), fills = fits && !child.is_object();
-      const size_t length = text_.size() - begin - 1;
-      if (fills && column + 2 + length < kColumns) {
-        column += 2 + length;
-      } else {
-        text_.replace(begin, 1, "\n" + std::string(indent, ' '));
-        if (!fits) Open(child, depth + 1);
-        column = fills ? indent + length : kColumns;
-      }
-      separator = ",";
-    }
-    NewLine(depth);
-    text_ += ']';
-  }
-
-  int digits_;
-  std::string text_;
-};
+  return text + '\n' + std::string(depth * kIndent, ' ') + (value.is_object() ? '}' : ']');
+}
 
 }  // namespace
 
 std::string DumpJson(const nlohmann::ordered_json& document, int significant_digits) {
   CHECK(1 <= significant_digits && significant_digits <= kDoubleDigits) << significant_digits;
-  return Writer(significant_digits).Document(document);
+  const std::string line = document.is_object() ? "" : OneLine(document, significant_digits, kColumns - 1);
+  return (line.empty() ? Lines(document, significant_digits, 0) : line) + "\n";
 }
 
 }  // namespace saltus

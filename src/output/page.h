@@ -4,8 +4,6 @@
 // program prints with --json, its long lists of numbers thinned; the parts state what is shown, in which order.
 #pragma once
 
-#include <nlohmann/json.hpp>
-#include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -14,6 +12,7 @@
 #include "base/status.h"
 #include "base/table.h"
 #include "output/figure.h"
+#include "output/json.h"
 
 namespace saltus {
 
@@ -23,9 +22,6 @@ struct Tile {
   std::string label;
   Tone tone = Tone::kPlain;
 };
-
-// Returns the file with any document that the viewer supports: one with parts, or that of a hybrid system's program.
-std::string RenderPage(const nlohmann::ordered_json& document);
 
 // Collects the parts in order. All text is taken literally, except that `words between backquotes` are set as code.
 class Page {
@@ -57,7 +53,7 @@ class Page {
   }
   void AddFigure(const Figure& figure, const std::string& caption);
   // Adds a replay, whose data ReplayToJson() in programs/scene_drawing.h returns.
-  void AddReplay(nlohmann::ordered_json replay, const std::string& caption) {
+  void AddReplay(Json replay, const std::string& caption) {
     Add("replay", {{"replay", std::move(replay)}, {"caption", caption}});
   }
   // Adds a figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Omitted if it has no data.
@@ -65,17 +61,24 @@ class Page {
     Add("plot", {{"plot", plot}, {"caption", caption}});
   }
 
-  void SetResults(const nlohmann::ordered_json& results);
+  // Adds the replay and the figure of a motion in the results of a hybrid system: that of the run with this number, or
+  // of the initial guess if it is null.
+  void AddMotion(Json run) { Add("motion", {{"run", std::move(run)}}); }
+
+  void SetResults(Json results);
+  // Sets the results without thinning their lists.
+  void SetWholeResults(Json results) { document_["results"] = std::move(results); }
   // Sets the style of each run of the results in plots, in their order.
   void AddStyle(const std::string& label, const std::string& colour, Dash dash);
 
-  std::string Render() const { return RenderPage(document_); }
+  // Returns the file.
+  std::string Render() const;
   Status Write(const std::string& path) const;
 
  private:
-  void Add(const char* kind, nlohmann::ordered_json part);
+  void Add(const char* kind, Json part);
 
-  nlohmann::ordered_json document_;
+  Json document_;
 };
 
 namespace internal {
@@ -96,6 +99,6 @@ inline constexpr int kFloatDigits = 9;
 // arrays of numbers filled to 120 columns. Numbers have so many significant digits, e.g. 0.10000000000000001; whole
 // ones keep a ".0", so that readers see a floating-point number. Bytes that are not UTF-8 become U+FFFD. Precondition:
 // 1 <= significant_digits <= 17.
-std::string DumpJson(const nlohmann::ordered_json& document, int significant_digits = kDoubleDigits);
+std::string DumpJson(const Json& document, int significant_digits = kDoubleDigits);
 
 }  // namespace saltus

@@ -16,14 +16,9 @@ namespace {
 constexpr double kMostOfIt = 0.95;
 constexpr double kAhead = 90;  // degrees: beyond, the step climbs the exact loss
 
-double AngleBetween(const std::vector<double>& a, const std::vector<double>& b) {
-  double dot = 0, aa = 0, bb = 0;
-  for (size_t i = 0; i < a.size(); ++i) {
-    dot += a[i] * b[i];
-    aa += a[i] * a[i];
-    bb += b[i] * b[i];
-  }
-  const double cosine = dot / std::sqrt(aa * bb);  // not a number where a gradient vanishes
+double AngleBetween(const std::vector<double>& x, const std::vector<double>& y) {
+  const Eigen::Map<const Eigen::VectorXd> a(x.data(), std::ssize(x)), b(y.data(), std::ssize(y));
+  const double cosine = a.dot(b) / (a.norm() * b.norm());  // not a number where a gradient vanishes
   return std::acos(std::clamp(cosine, -1.0, 1.0)) * 180 / std::numbers::pi;
 }
 

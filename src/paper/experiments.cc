@@ -29,8 +29,8 @@ std::string StiffnessSuffix(double stiffness) { return "1e" + std::to_string(std
 
 }  // namespace
 
-const SolvedRun* Experiment::Find(const std::string& solver) const {
-  for (const SolvedRun& run : runs) {
+const CheckedRun* Experiment::Find(const std::string& solver) const {
+  for (const CheckedRun& run : runs) {
     if (run.report.solver == solver) return &run;
   }
   return nullptr;
@@ -165,7 +165,7 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
   MakeDirectory(results);
   for (const Experiment& experiment : experiments.all()) {
     const auto published = PublishedNames().find(experiment.contact);
-    const SolvedRun* run = experiment.Find("gd");
+    const CheckedRun* run = experiment.Find("gd");
     if (published == PublishedNames().end() || experiment.precision != published->second.precision) continue;
     if (run == nullptr || run->report.losses.size() < 2) continue;
     const SolveReport& report = run->report;

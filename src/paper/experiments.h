@@ -40,9 +40,9 @@ struct Experiment {
   std::vector<std::string> solvers;
 
   ModelGradient gradient;
-  std::vector<SolvedRun> runs;  // one per solver; with iterates where velocities are optimised
+  std::vector<CheckedRun> runs;  // one per solver; with iterates where velocities are optimised
 
-  const SolvedRun* Find(const std::string& solver) const;
+  const CheckedRun* Find(const std::string& solver) const;
 };
 
 class Experiments {
@@ -174,6 +174,10 @@ std::optional<PaperFigure> LearnALaw();
 
 // The figures of the paper, from the experiments.
 
+// Returns a component of the force on the controlled disc over time, constant on each interval.
+Series ForceOf(const SolveReport& report, const Scene& scene, int axis = 0);
+// Returns the optimal horizontal force of task 3 over time, without points if it is not known.
+Series OptimalForce(const Scene& scene);
 // The trajectories of the three tasks before and after gradient descent.
 PaperFigure Trajectories(const Experiments& experiments);
 // Loss and horizontal launch velocity of task 2 during gradient descent.

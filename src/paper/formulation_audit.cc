@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 
+#include "base/number_text.h"
 #include "base/statistics.h"
 #include "base/table.h"
 #include "paper/experiments.h"
@@ -83,13 +84,6 @@ std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const
   return costs;
 }
 
-// Rounds to two significant digits, as further ones are not reproducible.
-double Rounded(double cost) {
-  if (!(cost > 0)) return cost;
-  const double digit = std::pow(10.0, std::floor(std::log10(cost)) - 1);
-  return std::round(cost / digit) * digit;
-}
-
 // The results of one task.
 struct Results {
   TitledScene task;
@@ -101,11 +95,7 @@ struct Results {
 double ErrorByInitialState(const Results& results, size_t model) {
   const ModelGradient& gradient = results.report.models[model].gradient;
   if (!gradient.ok() || !results.report.reference) return std::nan("");
-  const std::vector<double>& own = gradient.gradient.initial;
-  const std::vector<double>& exact = results.report.reference->gradient.initial;
-  std::vector<double> difference = exact;
-  for (size_t i = 0; i < exact.size(); ++i) difference[i] -= own[i];
-  return Norm(difference) / Norm(exact);
+  return RelativeError(gradient.gradient.initial, results.report.reference->gradient.initial);
 }
 
 // Returns "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
@@ -161,7 +151,7 @@ CaptionedTable TableOf(const std::vector<Results>& all, const std::vector<std::s
                   Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))});
     }
     const double cost = CostOf(all, model);
-    row.push_back(std::isnan(cost) ? Cell() : Cell(Rounded(cost)));
+    row.push_back(std::isnan(cost) ? Cell() : Cell(RoundedTo(2, cost)));
     table.AddRow(std::move(row));
   }
   std::vector<Cell> exact = {"exact", Cell()};

@@ -4,6 +4,7 @@
 #include "paper/experiments.h"
 #include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
+#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -25,7 +26,7 @@ template <typename Visit>
 void ForEachModel(const Experiments& experiments, const std::string& problem, double friction, const Visit& visit) {
   for (const ModelTraits& traits : AllContactModels()) {
     const Experiment* experiment = Shown(experiments, problem, friction, std::string(traits.name));
-    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run != nullptr && run->report.losses.size() > 1) visit(*experiment, run->report);
   }
 }
@@ -59,7 +60,7 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
   AddPaths(*first, initial, "initial", "#888888", Dash::kDashed, &panel);
   for (const std::string contact : {"direct_toi", "direct"}) {
     const Experiment* experiment = Shown(experiments, problem, 0, contact);
-    const SolvedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
+    const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run == nullptr) continue;
     AddPaths(*experiment,
              {run->report.initial_state, run->report.control, {}},
@@ -72,6 +73,27 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
 }
 
 }  // namespace
+
+Series ForceOf(const SolveReport& report, const Scene& scene, int axis) {
+  Series force;
+  double end = 0;
+  const std::vector<double> lengths = LengthsOf({report.control, report.durations}, scene);
+  for (size_t k = 0; k < lengths.size(); ++k) {
+    const double begin = end, value = report.control[2 * k + axis];
+    end += lengths[k];
+    force.x.insert(force.x.end(), {begin, end});
+    force.y.insert(force.y.end(), {value, value});
+  }
+  return force;
+}
+
+Series OptimalForce(const Scene& scene) {
+  const auto optimum = FindTwoDiscOptimum(scene, TwoDiscSequence::kImpact);
+  Series force = Series::ForModel("analytic", {}, {});
+  if (optimum) force.x = Range(1001, 1e-3 * scene.duration);
+  for (const double time : force.x) force.y.push_back(optimum->Control(time)[0]);
+  return force;
+}
 
 PaperFigure Trajectories(const Experiments& experiments) {
   Figure figure;
@@ -109,17 +131,11 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
       .title = "Learned force", .x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   ForEachModel(experiments, "two_balls", 0, [&](const Experiment& experiment, const SolveReport& report) {
     loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
-    std::vector<double> force;
-    for (size_t i = 0; i < report.control.size(); i += 2) force.push_back(report.control[i]);
-    const double interval = experiment.scene.duration / static_cast<double>(force.size());
-    control.series.push_back(Series::ForModel(experiment.contact, Range(force.size(), interval), force));
+    const Series force = ForceOf(report, experiment.scene);
+    control.series.push_back(Series::ForModel(experiment.contact, force.x, force.y));
   });
-  if (optimum) {
-    loss.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
-    std::vector<double> time = Range(1001, 1e-3), force;
-    for (double t : time) force.push_back(optimum->Control(t)[0]);
-    control.series.push_back(Series::ForModel("analytic", time, force));
-  }
+  if (optimum) loss.reference_lines.push_back({.value = optimum->loss, .label = "analytic optimum"});
+  control.series.push_back(OptimalForce(experiments.scene("two_balls")));
   Figure figure{.panels = {loss, control}};
   return {
       "Task 3: loss during gradient descent, and the force learned after 1000 updates beside the optimal control of "
@@ -157,7 +173,7 @@ PaperFigure SolverLearning(const Experiments& experiments) {
                 .y = {.label = "loss - optimum (m²)", .log = true, .min = 1e-4}};
     for (const Experiment& experiment : experiments.all()) {
       if (experiment.scene.name != "two_balls" || experiment.precision != Precision::kDouble) continue;
-      const SolvedRun* run = experiment.Find(solver);
+      const CheckedRun* run = experiment.Find(solver);
       if (run == nullptr || run->report.losses.size() < 2 || experiment.solvers.size() < 2) continue;
       std::vector<double> gap = run->report.losses;
       for (double& loss : gap) loss -= best;
@@ -191,7 +207,7 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
   for (const Experiment& experiment : experiments.all()) {
     const Scene& own = experiment.scene;
     if (own.name != problem || own.contact != scene.contact || experiment.precision != Precision::kDouble) continue;
-    const SolvedRun* run = experiment.Find("gd");
+    const CheckedRun* run = experiment.Find("gd");
     MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
     if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
     const std::string& contact = experiment.contact;

@@ -52,7 +52,7 @@ double ExactValueOf(const ModelGradient& exact, const Component& component, int 
 
 std::optional<double> LearnedValue(const Experiment& experiment, const std::string& quantity) {
   if (quantity == "initial_loss") return experiment.gradient.loss;
-  const SolvedRun* run = experiment.Find("gd");
+  const CheckedRun* run = experiment.Find("gd");
   if (run == nullptr) return std::nullopt;
   if (quantity == "loss_999" && run->report.losses.size() > 999) return run->report.losses[999];
   if (quantity == "v_x_1000") return run->report.initial_state[2];

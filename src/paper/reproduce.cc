@@ -61,11 +61,12 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
   return tiles;
 }
 
-void AddTables(const Section& section, Page* page) {
+// Adds what a section found, its tables and its figures.
+void AddSection(const std::string& heading, const std::string& introduction, const Section& section, Page* page) {
+  page->AddHeading(heading);
+  page->AddParagraph(introduction);
+  page->AddList(section.findings);
   for (const CaptionedTable& table : section.tables) page->AddTable(table.table, table.caption);
-}
-
-void AddFigures(const Section& section, Page* page) {
   for (const PaperFigure& figure : section.figures) AddFigure(figure, page);
 }
 
@@ -132,57 +133,53 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
   AddTask(experiments, "two_balls", &page);
 
   if (descents) {
-    page.AddHeading("Gradient descent with wrong gradients");
-    page.AddParagraph(
+    AddSection(
+        "Gradient descent with wrong gradients",
         "A short step against a gradient decreases the exact loss if and only if the angle between this gradient and "
         "the exact one is less than 90 degrees: a gradient that is not exact may still decrease the loss. Where the "
-        "angle is larger, the descent decreases the loss under the contact model while the exact loss may increase.");
-    page.AddList(descents->findings);
-    AddFigures(*descents, &page);
+        "angle is larger, the descent decreases the loss under the contact model while the exact loss may increase.",
+        *descents,
+        &page);
   }
 
-  page.AddHeading("Other solvers");
-  page.AddParagraph(
+  AddSection(
+      "Other solvers",
       "The same problems with other solvers. `loss under the model` is the loss that the solver minimizes; `exact "
       "loss` is that of the same solution under exact dynamics, the only one that may be compared between models, and "
       "`gap` its difference to the optimum. A better solver reaches the optimum of a wrong model sooner; it does not "
-      "correct the gradient.");
-  page.AddList(solvers->findings);
-  AddFigures(*solvers, &page);
-  AddTables(*solvers, &page);
+      "correct the gradient.",
+      *solvers,
+      &page);
   AddFigure(SolverLearning(experiments), &page);
 
-  page.AddHeading("Solvers through the impact");
-  page.AddParagraph(
+  AddSection(
+      "Solvers through the impact",
       "The same problem with solvers that shoot through the impact, and with solvers in which the impact time is a "
       "variable; then with bounds on the force. The optima with bounds follow from the minimum principle: the force "
-      "is the projection of a linear function of time onto the bounds.");
-  page.AddList(strike->findings);
-  AddTables(*strike, &page);
-  AddFigures(*strike, &page);
+      "is the projection of a linear function of time onto the bounds.",
+      *strike,
+      &page);
 
   if (formulations) {
-    page.AddHeading("All contact models");
-    page.AddParagraph(
+    AddSection(
+        "All contact models",
         "All contact models on the same scenes. A correct motion is not sufficient for a correct gradient: the "
         "verdict depends on how a model represents contact. The audit distinguishes a few classes, by the behaviour "
-        "of the first contact as steps shrink and by the linearization of its steps, not by the model's name.");
-    page.AddList(formulations->findings);
-    AddTables(*formulations, &page);
-    AddFigures(*formulations, &page);
+        "of the first contact as steps shrink and by the linearization of its steps, not by the model's name.",
+        *formulations,
+        &page);
   }
 
   if (fits) {
-    page.AddHeading("Parameter identification with wrong gradients");
-    page.AddParagraph(
+    AddSection(
+        "Parameter identification with wrong gradients",
         "Gradients are also used to identify parameters from recordings, by nonlinear least squares. In this example a "
         "ball bounces off the floor and hits a second ball, which then reaches a wall; both are observed 60 times a "
         "second with 2 mm of noise. Each model fits the restitution, a mass and the four initial vectors to two "
         "recordings: one of the exact motion, and one of the model's own motion under the true parameters. The second "
-        "tests the gradient alone. Plastic models cannot represent a bounce and are left out.");
-    page.AddList(fits->findings);
-    AddFigures(*fits, &page);
-    AddTables(*fits, &page);
+        "tests the gradient alone. Plastic models cannot represent a bounce and are left out.",
+        *fits,
+        &page);
   }
   if (law) {
     page.AddHeading("A learned law of impact");

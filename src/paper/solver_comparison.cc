@@ -9,7 +9,6 @@
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/registry.h"
-#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -28,8 +27,8 @@ const std::set<std::string>& GeneralSolvers() {
   return solvers;
 }
 
-SolvedRun Planned(const std::string& contact, const std::string& solver) {
-  SolvedRun run;
+CheckedRun Planned(const std::string& contact, const std::string& solver) {
+  CheckedRun run;
   run.report.contact = contact;
   run.report.solver = solver;
   return run;
@@ -42,7 +41,7 @@ double GradientTime(const std::string& contact, const Scene& scene) {
   return ThreadTime() - start;
 }
 
-void SolveOne(const Scene& scene, int iterations, SolvedRun* run) {
+void SolveOne(const Scene& scene, int iterations, CheckedRun* run) {
   SolverOptions options;
   options.iterations = iterations;
   options.learning_rate = DefaultLearningRate(scene);
@@ -62,11 +61,11 @@ struct Task {
   std::string name;  // of its table
   std::string title;
   Scene scene;
-  double optimum = 0;           // of the exact loss
-  std::vector<SolvedRun> runs;  // contact models outermost; planned ones have names only
+  double optimum = 0;            // of the exact loss
+  std::vector<CheckedRun> runs;  // contact models outermost; planned ones have names only
 
-  const SolvedRun* Find(const std::string& contact, const std::string& solver) const {
-    for (const SolvedRun& run : runs) {
+  const CheckedRun* Find(const std::string& contact, const std::string& solver) const {
+    for (const CheckedRun& run : runs) {
       if (run.report.contact == contact && run.report.solver == solver) return &run;
     }
     return nullptr;
@@ -75,7 +74,7 @@ struct Task {
   // Returns the gap to the optimum of the best exact loss by some solvers under a model.
   double SmallestGap(const std::string& contact, const std::set<std::string>& solvers = GeneralSolvers()) const {
     double smallest = std::numeric_limits<double>::infinity();
-    for (const SolvedRun& run : runs) {
+    for (const CheckedRun& run : runs) {
       if (!run.exact.ok || run.report.contact != contact || !solvers.contains(run.report.solver)) continue;
       smallest = std::min(smallest, run.exact.loss - optimum);
     }
@@ -126,7 +125,7 @@ Tasks PlanTasks(const Experiments& experiments, OtherSolvers others) {
             const std::string solver(entry.name);
             if (solver == "auto" || solver == "ipopt") continue;  // no rows of the tables
             if (!traits.event_driven && GeneralSolvers().count(solver) == 0) continue;
-            const SolvedRun* run = known->Find(solver);
+            const CheckedRun* run = known->Find(solver);
             task.runs.push_back(run != nullptr ? *run : Planned(contact, solver));
           }
         }
@@ -155,9 +154,9 @@ Tasks PlanTasks(const Experiments& experiments, OtherSolvers others) {
 
 bool RunAll(Tasks* tasks, int threads, ProgressMode mode) {
   Tasks& all = *tasks;
-  std::vector<std::pair<const Scene*, SolvedRun*>> jobs;
+  std::vector<std::pair<const Scene*, CheckedRun*>> jobs;
   for (Task* task : {&all.others, &all.strike_on_fine_grid, &all.strike, &all.launch, &all.launch_with_friction}) {
-    for (SolvedRun& run : task->runs) {
+    for (CheckedRun& run : task->runs) {
       if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
     }
   }
@@ -185,7 +184,7 @@ Table HeadlineOf(const Tasks& all) {
       {"ceres_phases", "phases between impacts, whose times are variables"},
       {"gd", "gradient descent, 1000 updates as in the paper"}};
   for (const auto& [solver, method] : kSolvers) {
-    const SolvedRun* run = all.strike.Find(all.exact, solver);
+    const CheckedRun* run = all.strike.Find(all.exact, solver);
     if (run == nullptr || !run->exact.ok) continue;
     const double gap = run->exact.loss - all.strike.optimum;
     table.AddRow({solver,
@@ -202,7 +201,7 @@ Table TaskTable(const Tasks& all, const Task& task) {
   Table table(
       ColumnsOf("contact; solver; loss under the model:7; exact loss:7; gap:3; iterations; gradients; milliseconds:3; "
                 "termination"));
-  for (const SolvedRun& run : task.runs) {
+  for (const CheckedRun& run : task.runs) {
     const SolveReport& report = run.report;
     if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != all.exact)) continue;
     Cell exact, gap;
@@ -227,12 +226,12 @@ Table StepShootingTable(const Tasks& all) {
   Table table(
       ColumnsOf("contact; feasible path, 480:8; termination, 480; feasible path, 1000:8; termination, 1000; "
                 "Lagrangian:8; open:2; termination"));
-  const auto exact = [](const SolvedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
-  for (const SolvedRun& coarse : all.strike.runs) {
+  const auto exact = [](const CheckedRun* run) { return run->exact.ok ? Cell(run->exact.loss) : Cell(); };
+  for (const CheckedRun& coarse : all.strike.runs) {
     if (coarse.report.solver != "ceres_shooting") continue;
-    const SolvedRun* lagrangian = all.strike.Find(coarse.report.contact, "ceres_lagrangian");
+    const CheckedRun* lagrangian = all.strike.Find(coarse.report.contact, "ceres_lagrangian");
     if (lagrangian == nullptr) continue;
-    const SolvedRun* fine = all.strike_on_fine_grid.Find(coarse.report.contact, "ceres_shooting");
+    const CheckedRun* fine = all.strike_on_fine_grid.Find(coarse.report.contact, "ceres_shooting");
     table.AddRow({coarse.report.contact,
                   exact(&coarse),
                   TerminationToString(coarse.report.termination),
@@ -271,7 +270,7 @@ std::vector<CaptionedTable> TablesOf(const Tasks& all) {
 
 std::string FindingOnOthers(const Tasks& all) {
   std::vector<std::pair<double, std::string>> gaps;
-  for (const SolvedRun& run : all.others.runs) {
+  for (const CheckedRun& run : all.others.runs) {
     const std::string& contact = run.report.contact;
     const bool known = std::ranges::any_of(gaps, [&](const auto& gap) { return gap.second == contact; });
     if (known) continue;
@@ -291,7 +290,7 @@ std::string FindingOnOthers(const Tasks& all) {
 std::vector<std::string> FindingsOf(const Tasks& all) {
   std::vector<std::string> findings;
   const auto gap = [&](const Task& task, const std::string& solver) -> std::optional<double> {
-    const SolvedRun* run = task.Find(all.exact, solver);
+    const CheckedRun* run = task.Find(all.exact, solver);
     if (run == nullptr || !run->exact.ok) return std::nullopt;
     return run->exact.loss - task.optimum;
   };
@@ -312,7 +311,7 @@ std::vector<std::string> FindingsOf(const Tasks& all) {
       " with the best of the others, `" + other +
       "`: a better solver does not repair a wrong gradient. Under some models least squares end without a "
       "collision; a loss of 2 is that without a force.");
-  const SolvedRun* launch = all.launch.Find(all.exact, "ceres_lm");
+  const CheckedRun* launch = all.launch.Find(all.exact, "ceres_lm");
   if (launch != nullptr && launch->exact.ok) {
     findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It reaches the target in " +
                        std::to_string(launch->report.iterations) + " iterations, to a loss of " +
@@ -333,7 +332,7 @@ std::vector<std::string> FindingsOf(const Tasks& all) {
                        (gap(all.strike, "hmp") ? ", `hmp` at " + say(gap(all.strike, "hmp")) : "") +
                        ". Use these where the sequence of collisions is known.");
   }
-  const SolvedRun* lagrangian = all.strike.Find(all.exact, "ceres_lagrangian");
+  const CheckedRun* lagrangian = all.strike.Find(all.exact, "ceres_lagrangian");
   if (lagrangian != nullptr && lagrangian->exact.ok) {
     findings.push_back(
         "Multiple shooting with open defects should not be trusted through a collision: the augmented Lagrangian ends "
@@ -379,7 +378,7 @@ PaperFigure LearningCurves(const Tasks& all) {
     Panel panel{.title = task->title,
                 .x = {.label = "iteration, the initial guess being the first", .log = true},
                 .y = {.label = "loss - optimum (m²)", .log = true}};
-    for (const SolvedRun& run : task->runs) {
+    for (const CheckedRun& run : task->runs) {
       if (run.report.contact != all.exact) continue;
       std::vector<double> x, y;
       for (double loss : run.report.losses) {
@@ -399,28 +398,12 @@ PaperFigure LearningCurves(const Tasks& all) {
 
 PaperFigure ControlProfiles(const Tasks& all) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
-  for (const SolvedRun& run : all.strike.runs) {
+  for (const CheckedRun& run : all.strike.runs) {
     if (run.report.contact != all.exact || run.report.losses.empty()) continue;
-    std::vector<double> x, y;
-    const std::vector<double> lengths = LengthsOf({run.report.control, run.report.durations}, all.strike.scene);
-    double start = 0;
-    for (size_t k = 0; k < lengths.size(); ++k) {
-      for (const double time : {start, start + lengths[k]}) {
-        x.push_back(time);
-        y.push_back(run.report.control[2 * k]);
-      }
-      start += lengths[k];
-    }
-    panel.series.push_back(SolverSeries(run.report.solver, x, y));
+    const Series force = ForceOf(run.report, all.strike.scene);
+    panel.series.push_back(SolverSeries(run.report.solver, force.x, force.y));
   }
-  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact)) {
-    Series analytic = Series::ForModel("analytic", {}, {});
-    for (int i = 0; i <= 1000; ++i) {
-      analytic.x.push_back(1e-3 * i * all.strike.scene.duration);
-      analytic.y.push_back(optimum->Control(analytic.x.back())[0]);
-    }
-    panel.series.push_back(analytic);
-  }
+  panel.series.push_back(OptimalForce(all.strike.scene));
   Figure figure{.panels = {panel}};
   return {
       "Task 3: the force that each solver learns under exact dynamics, beside the analytic optimum. After the "
@@ -431,7 +414,7 @@ PaperFigure ControlProfiles(const Tasks& all) {
 PaperFigure Defects(const Tasks& all) {
   Figure figure;
   for (const std::string& contact : {all.exact, std::string("compliant_warp")}) {
-    const SolvedRun* run = all.strike.Find(contact, "ceres_lagrangian");
+    const CheckedRun* run = all.strike.Find(contact, "ceres_lagrangian");
     if (run == nullptr || run->report.defects.empty()) continue;
     Panel panel{.title = contact,
                 .x = {.label = "time (s)"},

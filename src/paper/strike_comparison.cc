@@ -8,7 +8,6 @@
 #include "paper/experiments.h"
 #include "programs/parallel.h"
 #include "saltus/simulate/exact_run.h"
-#include "solve/control_guess.h"
 
 namespace saltus {
 namespace {
@@ -82,14 +81,14 @@ struct Entry {
   SolverOptions options;
   double optimum = 0;
   const BoundedReference* reference = nullptr;  // null: without bounds
-  SolvedRun run = {};
+  CheckedRun run = {};
 };
 
 Entry Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,
-           const BoundedReference* reference) {
+           const BoundedReference* reference, bool rate_per_time = false) {
   Entry entry{label, scene, solver, {}, optimum, reference};
   entry.options.learning_rate = DefaultLearningRate(scene);
-  entry.options.rate_per_time = label == kPerTime;
+  entry.options.rate_per_time = rate_per_time;
   if (entry.options.rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
   // The references are optima along the impact of the guess; of one another motion is better.
   if (reference != nullptr && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
@@ -104,7 +103,8 @@ std::vector<Entry> PlanAll(const Scene& scene, const std::vector<BoundedReferenc
   for (int steps : kSteps) {
     Scene task = scene;
     task.steps = steps;
-    for (const char* label : {kPerStep, kPerTime}) entries.push_back(Plan(task, "gd", label, optimum, nullptr));
+    entries.push_back(Plan(task, "gd", kPerStep, optimum, nullptr));
+    entries.push_back(Plan(task, "gd", kPerTime, optimum, nullptr, /*rate_per_time=*/true));
     for (const char* solver : {"ceres_lm", "ceres_phases", "ceres_event", "hmp"}) {
       entries.push_back(Plan(task, solver, solver, optimum, nullptr));
     }
@@ -183,16 +183,11 @@ PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<Bounde
       const auto draw = [&](const std::string& label, const std::string& colour, Dash dash, double width) {
         const Entry* entry = Find(entries, &reference, label, kSteps[0]);
         if (entry == nullptr || entry->run.exact.events.empty()) return;  // one that does not strike is another motion
-        const SolveReport& report = entry->run.report;
-        Series series{.label = label, .colour = colour, .dash = dash, .width = width};
-        const std::vector<double> lengths = LengthsOf({report.control, report.durations}, entry->scene);
-        double start = 0;
-        for (size_t k = 0; k < lengths.size(); ++k) {
-          series.x.push_back(start + 0.5 * lengths[k]);
-          series.y.push_back(report.control[2 * k + axis]);
-          start += lengths[k];
-        }
-        panel.series.push_back(std::move(series));
+        Series& series = panel.series.emplace_back(ForceOf(entry->run.report, entry->scene, axis));
+        series.label = label;
+        series.colour = colour;
+        series.dash = dash;
+        series.width = width;
       };
       draw(kPerStep, "#999999", Dash::kSolid, 2);
       draw("ceres_lm", "#56B4E9", Dash::kSolid, 2);

@@ -31,20 +31,6 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
 // cannot. Writes nothing without --output_dir.
 void WriteAuditFiles(const Request& request, const AuditReport& report);
 
-// A tangent of the flow over a few steps around a contact: it begins as a displacement of disc a by 1 along the
-// contact's normal, and goes on by the linearizations of the steps.
-struct PerturbedFlow {
-  std::vector<double> times;          // s, nodes of the model's steps
-  std::vector<double> first, second;  // displacements of disc a and of disc b along the normal; no second for a plane
-};
-
-struct PerturbedFlows {
-  PerturbedFlow model, exact;  // from the same state, under the same forces
-};
-
-// Perturbs the scene's initial state under its control. Both flows are empty if the rollout, or that of `event`, fails.
-PerturbedFlows PerturbAtContact(const Scene& scene, const Contact& contact, const ContactError& error);
-
 class Page;
 
 // Adds verdicts, gradients, errors against step and width, the motions under each model, and for each wrong model the

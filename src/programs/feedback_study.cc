@@ -6,8 +6,6 @@
 #include <iostream>
 
 #include "feedback/noisy_states.h"
-#include "programs/scene_drawing.h"
-#include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 
 DEFINE_bool(feedback, false,
@@ -28,126 +26,19 @@ namespace {
 
 constexpr const char* kNumberFlags[] = {
     "feedback_weights", "feedback_noise", "feedback_scale", "feedback_plant", "feedback_samples", "feedback_seed"};
-constexpr std::size_t kMostNumbers = std::size_t{1} << 26;          // of the matrices of one kind, 512 MiB
-constexpr const char* kPrefixes[] = {"", "process_", "measured_"};  // before states; none: of the initial one
-constexpr const char kAll[] = "state";                              // every component of a state
-
-// The standard deviation that is given under a name; otherwise that under the name of all, or zero.
-double DeviationOf(const FeedbackOptions& options, const std::string& name, const std::string& all = "") {
-  double of_all = 0;
-  for (const auto& [given, deviation] : options.deviations) {
-    if (given == name) return options.scale * deviation;
-    if (given == all) of_all = deviation;
-  }
-  return options.scale * of_all;
-}
-
-// A diagonal covariance; none if all are zero.
-Eigen::MatrixXd Diagonal(const std::vector<double>& deviations) {
-  const Eigen::Map<const Eigen::VectorXd> of(deviations.data(), static_cast<Eigen::Index>(deviations.size()));
-  if (of.size() == 0 || of.cwiseAbs().maxCoeff() == 0) return {};
-  return of.cwiseAbs2().asDiagonal();
-}
-
-// The data by which both kinds of problems are studied.
-struct Study {
-  const FeedbackOptions& options;
-  int threads;
-  Plan plan;
-  LinearMotion linear;
-  Noise noise = {};
-  std::vector<Eigen::MatrixXd> Q = {};  // that of each mode, or one
-  std::function<std::unique_ptr<Plant>()> make_plant = nullptr;
-  std::function<double(const ClosedLoopRun&)> loss = nullptr;  // none: there are no losses
-  // The expected loss to first order; set only if there is a loss.
-  std::function<double(const Covariance&, const Regulator*)> expected_loss = nullptr;
-};
-
-FeedbackStudy Run(const Study& of) {
-  const FeedbackOptions& options = of.options;
-  FeedbackStudy study;
-  for (const LinearInterval& interval : of.linear.intervals) study.times.push_back(interval.begin);
-  study.times.push_back(of.linear.end);
-  if (!IsFinite(of.linear)) {
-    study.reason = "the motion has no derivative";
-    return study;
-  }
-  if (study.reason = WhatIsWrongWith(of.noise, of.linear); !study.reason.empty()) return study;
-  study.planned = of.plan.states.back();
-  study.samples = options.samples;
-  if (of.loss) {
-    study.loss = of.loss({.final_state = study.planned, .control = of.plan.control});
-  }
-  const auto loop = [&](const Regulator* regulator) {
-    FeedbackStudy::Loop out{.covariance = Propagate(of.linear, of.noise, regulator)};
-    if (of.expected_loss) out.expected_loss = of.expected_loss(out.covariance, regulator);
-    if (options.samples > 0) {
-      out.runs = RunMonteCarlo(of.plan,
-                               regulator ? regulator->gains : std::vector<Eigen::MatrixXd>(),
-                               of.noise,
-                               of.make_plant,
-                               {.samples = options.samples, .seed = options.seed, .threads = of.threads},
-                               of.loss);
-    }
-    return out;
-  };
-  study.open = loop(nullptr);
-  const int m = of.plan.num_controls;
-  if (m == 0) return study;
-  TrackingCost cost{.R = options.control * Eigen::MatrixXd::Identity(m, m), .per_time = true};
-  for (const Eigen::MatrixXd& Q : of.Q) cost.Q.push_back(options.state * Q);
-  cost.QT = options.final * Eigen::MatrixXd::Identity(study.planned.size(), study.planned.size());
-  const Regulator regulator = Track(of.linear, cost);
-  if (regulator.gains.empty()) {
-    study.reason = kNoRegulator;
-    return study;
-  }
-  study.closed = loop(&regulator);
-  study.gains = regulator.gains;
-  study.cost_to_go = regulator.cost_to_go;
-  return study;
-}
-
-std::string WhyTooLarge(int intervals, int states) {
-  if (static_cast<std::size_t>(intervals) * states * states <= kMostNumbers) return "";
-  return std::to_string(intervals) + " matrices of " + std::to_string(states) + " x " + std::to_string(states) +
-         " numbers do not fit into 512 MiB";
-}
-
-Noise NoiseOf(const Scene& scene, const FeedbackOptions& options, int body_size) {
-  constexpr const char* kNames[] = {"position", "position", "velocity", "velocity", "angle", "angular_velocity"};
-  const auto of_states = [&](const std::string& prefix) {
-    std::vector<double> deviations;
-    for (const Body& body : scene.bodies) {
-      for (int i = 0; i < body_size; ++i) {
-        const bool moves = !body.fixed && (i < 4 || body.Spins());
-        deviations.push_back(moves ? DeviationOf(options, prefix + kNames[i], prefix + kAll) : 0);
-      }
-    }
-    return Diagonal(deviations);
-  };
-  // The deviations of forces, and of torques divided by radii (simulator.h).
-  std::vector<double> controls(2 * scene.control.bodies.size(), DeviationOf(options, "force"));
-  for (const int body : scene.control.turned) {
-    controls.push_back(DeviationOf(options, "torque") / scene.bodies[body].radius);
-  }
-  return {of_states(""), Diagonal(controls), of_states("process_"), of_states("measured_")};
-}
 
 }  // namespace
 
 std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>& states,
                                                  const std::vector<std::string>& controls) {
   if (!FLAGS_feedback) {
-    for (const char* flag : kNumberFlags) {
-      if (IsGiven(flag)) throw InputError("--" + std::string(flag) + " needs --feedback");
-    }
+    RefuseFlags(kNumberFlags, " needs --feedback");
     return std::nullopt;
   }
   FeedbackOptions options;
   std::vector<std::string> names;
-  for (const std::string prefix : kPrefixes) {
-    names.push_back(prefix + kAll);
+  for (const std::string prefix : kDeviationPrefixes) {
+    names.push_back(prefix + kAllStates);
     for (const std::string& state : states) names.push_back(prefix + state);
     if (prefix.empty()) names.insert(names.end(), controls.begin(), controls.end());
   }
@@ -183,113 +74,7 @@ std::optional<FeedbackOptions> SceneFeedbackFromFlags() {
   return FeedbackFromFlags({"position", "velocity", "angle", "angular_velocity"}, {"force", "torque"});
 }
 
-FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
-                            const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
-  double price_of_time = 0;
-  Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
-  if (scene.num_controlled() > 0) scene.steps = static_cast<int>(control.size() / scene.control_width());
-  FeedbackStudy none;
-  none.reason = WhyTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
-  if (!none.reason.empty()) return none;
-  // One step of the plant is one interval of the plan, whatever its model.
-  Scene plant_scene = scene;
-  plant_scene.steps *= FindContactModel(Contact(options.plant).name())->grid_steps;
-  none.reason = WhyNotApplicable(options.plant, plant_scene);
-  if (!none.reason.empty()) return none;
-  ScenePlan planned = PlanScene(scene, initial, control, durations);
-  none.reason = planned.reason;
-  if (!none.reason.empty()) return none;
-  const int body_size = static_cast<int>(InitialSize(scene)) / scene.num_bodies(), n = body_size * scene.num_bodies();
-  Study study{options, threads, std::move(planned.plan), std::move(planned.linear)};
-  study.noise = NoiseOf(scene, options, body_size);
-  study.Q = {Eigen::MatrixXd::Identity(n, n)};
-  study.make_plant = [&] { return MakePlant(options.plant, plant_scene, planned.lengths); };
-  if (scene.objective.running.empty() && scene.objective.via.empty()) {
-    const auto width = static_cast<std::size_t>(scene.control_width());
-    study.loss = [&, width, body_size, price_of_time](const ClosedLoopRun& run) {
-      const std::span<const double> x(run.final_state.data(), static_cast<std::size_t>(run.final_state.size()));
-      double loss = TerminalLoss(scene.objective, x, body_size) + price_of_time;
-      for (std::size_t k = 0; k < planned.lengths.size(); ++k) {
-        loss += EffortLoss(scene.objective, std::span(run.control).subspan(k * width, width), planned.lengths[k]);
-      }
-      return loss;
-    };
-    // Both terms are quadratic: that of the final state is the mean over points +-sqrt(r) l_j, where l_j are the
-    // columns of a square root of the covariance; that of the effort the sum over such columns.
-    study.expected_loss = [&](const Covariance& covariance, const Regulator* regulator) {
-      const Eigen::MatrixXd root = RootOfCovariance(covariance.nodes.back());
-      const auto r = static_cast<double>(root.cols());
-      ClosedLoopRun at{.final_state = study.plan.states.back(), .control = study.plan.control};
-      double sum = r == 0 ? study.loss(at) : 0;
-      for (Eigen::Index j = 0; j < root.cols(); ++j) {
-        for (const double side : {-1.0, 1.0}) {
-          at.final_state = study.plan.states.back() + side * std::sqrt(r) * root.col(j);
-          sum += study.loss(at) / (2 * r);
-        }
-      }
-      for (std::size_t k = 0; k + 1 < covariance.nodes.size() && study.plan.num_controls > 0; ++k) {
-        Eigen::MatrixXd of_control = Eigen::MatrixXd::Zero(study.plan.num_controls, study.plan.num_controls);
-        if (study.noise.control.size() > 0) of_control += study.noise.control;
-        if (regulator) {
-          const Eigen::MatrixXd& K = regulator->gains[k];
-          of_control += K * covariance.nodes[k] * K.transpose();
-          if (study.noise.measurement.size() > 0) of_control += K * study.noise.measurement * K.transpose();
-        }
-        const Eigen::MatrixXd columns = RootOfCovariance(of_control);
-        sum +=
-            EffortLoss(scene.objective, {columns.data(), static_cast<std::size_t>(columns.size())}, planned.lengths[k]);
-      }
-      return sum;
-    };
-  }
-  FeedbackStudy out = Run(study);
-  out.plant = options.plant;
-  out.remark = planned.remark;
-  return out;
-}
-
-FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& input, const FeedbackOptions& options,
-                            int threads) {
-  const HybridSystem& system = problem.system;
-  HybridSimulator motion(system, problem.integration);
-  FeedbackStudy none;
-  if (!motion.Rollout(input)) {
-    none.reason = motion.WhyFailed();
-    return none;
-  }
-  none.reason = WhyTooLarge(input.num_intervals, system.functions().most_states());
-  if (!none.reason.empty()) return none;
-  Study study{options, threads, MakePlan(motion, input), Linearize(motion, input)};
-  if (none.reason = motion.WhyNotFinite(); !none.reason.empty()) return none;
-  for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
-    study.Q.push_back(Eigen::MatrixXd::Identity(system.state_size(mode), system.state_size(mode)));
-  }
-  const auto of_states = [&](const std::string& prefix) {
-    std::vector<double> deviations;
-    for (int i = 0; i < system.state_size(input.mode); ++i) {
-      deviations.push_back(DeviationOf(options, prefix + system.StateName(input.mode, i), prefix + kAll));
-    }
-    return Diagonal(deviations);
-  };
-  std::vector<double> controls;
-  for (int i = 0; i < system.num_controls(); ++i) controls.push_back(DeviationOf(options, system.ControlName(i)));
-  study.noise = {of_states(""), Diagonal(controls), of_states("process_"), of_states("measured_")};
-  study.make_plant = [&] { return MakePlant(motion, input); };
-  FeedbackStudy out = Run(study);
-  if (out.reason.empty()) out.remark = motion.WhyNotDifferentiable();
-  return out;
-}
-
 namespace {
-
-// The root mean square of the final error, of the runs or to first order; positions in m, velocities in m/s, angles in
-// rad together.
-double FinalError(const FeedbackStudy& study, const MonteCarlo& runs) {
-  if (runs.counted < 2) return std::nan("");
-  return std::sqrt(runs.covariance.trace() + (runs.mean - study.planned).squaredNorm());
-}
-
-double FinalError(const Covariance& covariance) { return std::sqrt(covariance.nodes.back().trace()); }
 
 Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, bool states) {
   const Covariance& covariance = loop.covariance;
@@ -334,66 +119,75 @@ Json FeedbackToJson(const FeedbackStudy& study, bool states) {
   return item;
 }
 
-Table FeedbackTable(const NamedStudies& studies) {
-  Table table(ColumnsOf("run; loop; final error:4; first order:4; expected loss:8; ±:2; first order:8; other events:3; "
-                        "first order:3; remark"),
-              2);
-  for (const auto& [name, study] : studies) {
-    if (!study->reason.empty()) {
-      std::vector<Cell> row(table.columns().size());
-      row[0] = name;
-      row.back() = study->reason;
-      table.AddRow(std::move(row));
-      continue;
-    }
-    const auto add = [&](const char* what, const FeedbackStudy::Loop& loop) {
-      std::string remark = study->remark;
-      if (loop.runs && loop.runs->failed > 0) {
-        remark += (remark.empty() ? "" : "; ") + std::to_string(loop.runs->failed) + " runs have failed";
-      }
-      const bool ran = loop.runs && loop.runs->counted > 1, losses = ran && study->loss;
-      table.AddRow({name,
-                    what,
-                    ran ? Cell(FinalError(*study, *loop.runs)) : Cell(),
-                    FinalError(loop.covariance),
-                    losses ? Cell(loop.runs->loss) : Cell(),
-                    losses ? Cell(loop.runs->loss_error) : Cell(),
-                    loop.expected_loss ? Cell(*loop.expected_loss) : Cell(),
-                    loop.runs ? Cell(static_cast<double>(loop.runs->otherwise) / study->samples) : Cell(),
-                    loop.covariance.change_probability,
-                    remark});
-    };
-    add("open", study->open);
-    if (study->closed) add("closed", *study->closed);
-  }
-  return table;
-}
+namespace {
 
-std::string FeedbackCaption(const FeedbackOptions& options) {
+// Returns the caption of the table, a sentence without its full stop.
+std::string FeedbackCaption(const NamedStudies& studies) {
+  int samples = 0;
+  for (const auto& [name, study] : studies) samples = study.value("/open/runs/samples"_json_pointer, samples);
   return "errors of the final state (root mean square), expected loss with its standard error, and the share of runs "
          "whose events are not as "
          "planned, of " +
-         std::to_string(options.samples) + " noisy runs in each loop and to first order";
-}
-
-void PrintFeedback(const std::string& name, const FeedbackOptions& options, const NamedStudies& studies) {
-  PrintTableIfAny(name + FeedbackCaption(options), FeedbackTable(studies));
-  const size_t width = LayoutOfStandardOutput().width;
-  for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, width) << std::endl;
+         std::to_string(samples) + " noisy runs in each loop and to first order";
 }
 
 std::vector<std::string> FeedbackWarnings(const NamedStudies& studies) {
   std::vector<std::string> lines;
   for (const auto& [name, study] : studies) {
-    if (!study->reason.empty()) continue;
-    const auto warn = [&, of = name](const char* loop, const Covariance& covariance) {
-      const std::string warning = covariance.Warning();
-      if (!warning.empty()) lines.push_back(of + loop + warning);
-    };
-    warn(", open loop: ", study->open.covariance);
-    if (study->closed) warn(", closed loop: ", study->closed->covariance);
+    for (const std::string loop : {"open", "closed"}) {
+      const std::string warning = study.value(Json::json_pointer("/" + loop + "/warning"), "");
+      if (!warning.empty()) lines.push_back(name + ", " + loop + " loop: " + warning);
+    }
   }
   return lines;
+}
+
+}  // namespace
+
+Table FeedbackTable(const NamedStudies& studies) {
+  Json rows = Json::array();
+  for (const auto& [name, study] : studies) {
+    if (study.contains("failed")) rows.push_back({{"run", name}, {"remark", study["failed"]}});
+    for (const std::string loop : {"open", "closed"}) {
+      if (!study.contains(loop)) continue;
+      Json& row = rows.emplace_back(study[loop]);
+      std::string remark = study.value("remark", "");
+      if (row.contains("runs")) {
+        const Json& runs = row["runs"];
+        const int failed = runs["failed"];
+        if (failed > 0) remark += (remark.empty() ? "" : "; ") + std::to_string(failed) + " runs have failed";
+        row["share_otherwise"] = runs["otherwise"].get<double>() / runs["samples"].get<double>();
+      }
+      row.update({{"run", name}, {"loop", loop}, {"remark", remark}});
+    }
+  }
+  return TableOf(rows,
+                 "",
+                 "run; loop; final error=runs/final_error:4; first order=final_error:4; expected loss=runs/loss:8; "
+                 "±=runs/loss_error:2; first order=expected_loss:8; other events=share_otherwise:3; "
+                 "first order=change_probability:3; remark",
+                 2);
+}
+
+void PrintFeedback(const std::string& name, const NamedStudies& studies) {
+  PrintTableIfAny(name + FeedbackCaption(studies), FeedbackTable(studies));
+  const size_t width = LayoutOfStandardOutput().width;
+  for (const std::string& line : FeedbackWarnings(studies)) std::cout << Paragraph(line, width) << std::endl;
+}
+
+void AddFeedbackSection(const NamedStudies& studies, Page* page) {
+  page->AddHeading("Feedback");
+  page->AddTable(FeedbackTable(studies), "The " + FeedbackCaption(studies) + ".");
+  if (const std::vector<std::string> warnings = FeedbackWarnings(studies); !warnings.empty()) page->AddList(warnings);
+}
+
+int FeedbackExitCode(const NamedStudies& studies) {
+  for (const auto& [name, study] : studies) {
+    if (study.value("failed", "") != kNoRegulator) continue;
+    std::cerr << "error: --feedback_weights: " << name << ": " << kNoRegulator << std::endl;
+    return kWrongInput;
+  }
+  return kDone;
 }
 
 }  // namespace saltus

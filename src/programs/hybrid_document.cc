@@ -1,10 +1,8 @@
 #include <algorithm>
 
 #include "blackbox/protocol.h"
-#include "blackbox/session.h"
 #include "control/hybrid_shooting.h"
 #include "programs/hybrid_program.h"
-#include "programs/remarks.h"
 
 namespace saltus {
 namespace {
@@ -199,7 +197,7 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   item["remarks"] = RemarksToJson(remarks);
   if (!report.certificate) return item;
   const Certificate& found = *report.certificate;
-  Json certificate = {{"verdict", VerdictToString(found.verdict)}};
+  Json certificate = {{"verdict", VerdictToString(found.verdict)}, {"in_words", VerdictInWords(found)}};
   if (!found.reason.empty()) certificate["reason"] = found.reason;
   SALTUS_ADD_MEMBERS(&certificate, found, stationarity, costate_jump, hamiltonian, transversality, final_time);
   AddCurvature(found, &certificate);
@@ -220,7 +218,9 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   if (const std::string why = audit.Why(); !why.empty()) item["reason"] = why;
   if (audit.interrupted) item["interrupted"] = true;
   if (audit.exact.initial.empty()) return item;
-  SALTUS_ADD_MEMBERS(&item, audit, steps, loss, exact_loss);
+  SALTUS_ADD_MEMBERS(&item, audit, steps);
+  if (audit.ok()) SALTUS_ADD_MEMBERS(&item, audit, loss);
+  SALTUS_ADD_MEMBERS(&item, audit, exact_loss);
   HybridInput audited = problem.guess;
   if (const int width = problem.system.num_controls(); width > 0) {
     audited.num_intervals = static_cast<int>(audit.exact.control.size()) / width;

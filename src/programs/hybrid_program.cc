@@ -3,7 +3,6 @@
 #include <gflags/gflags.h>
 
 #include <algorithm>
-#include <cmath>
 #include <iostream>
 
 #include "base/interrupt.h"
@@ -116,14 +115,19 @@ struct HybridResults {
   Json document;
   std::vector<SolveReport> reports;
   std::vector<HybridAudit> audits;
-  std::vector<std::pair<std::string, FeedbackStudy>> studies;  // of each solution; of the guess without solvers
-
-  NamedStudies Studies() const {
-    NamedStudies named;
-    for (const auto& [label, study] : studies) named.emplace_back(label, &study);
-    return named;
-  }
 };
+
+// Returns the names of the variables that solvers change: of states at the start and of parameters, "duration", and
+// "control".
+Json FreeToJson(const HybridProblem& problem) {
+  const HybridFree& free = problem.free;
+  Json names = Json::array();
+  for (const int i : free.initial) names.push_back(problem.system.StateName(problem.guess.mode, i));
+  for (const int i : free.parameters) names.push_back(problem.system.ParameterName(i));
+  if (free.duration) names.push_back("duration");
+  if (free.control) names.push_back("control");
+  return names;
+}
 
 HybridResults Compute(const HybridRequest& request) {
   const HybridProblem& problem = request.problem;
@@ -134,6 +138,7 @@ HybridResults Compute(const HybridRequest& request) {
   document = {{"program", request.name},
               {"system", HybridSystemToJson(problem.system)},
               {"guess", HybridInputToJson(problem.system, problem.guess)},
+              {"free", FreeToJson(problem)},
               {"motion", std::move(motion)}};
   if (const HybridFree& free = problem.free; !free.control_min.empty() || !free.control_max.empty()) {
     document["control_bounds"] = {{"min", free.control_min}, {"max", free.control_max}};
@@ -143,12 +148,12 @@ HybridResults Compute(const HybridRequest& request) {
   const std::size_t tasks = request.solvers.size() + request.schemes.size();
   Progress progress(request.progress, stderr, request.name, static_cast<std::int64_t>(tasks));
   progress.UnitsDiffer();
-  const auto study = [&](const std::string& label, const HybridInput& input, Json* item) {
+  const auto study = [&](const HybridInput& input, Json* item) {
     if (!request.feedback) return;
-    results.studies.emplace_back(label, StudyFeedback(problem, input, *request.feedback, request.threads));
-    (*item)["feedback"] = FeedbackToJson(results.studies.back().second, request.states);
+    (*item)["feedback"] =
+        FeedbackToJson(StudyFeedback(problem, input, *request.feedback, request.threads), request.states);
   };
-  if (request.solvers.empty()) study("initial guess", problem.guess, &document);
+  if (request.solvers.empty()) study(problem.guess, &document);
   for (const std::string& solver : request.solvers) {
     progress.Advance(0, solver);
     results.reports.push_back(Solve(solver, problem, request.options));
@@ -156,7 +161,7 @@ HybridResults Compute(const HybridRequest& request) {
     results.reports.back().contact = request.name;
     document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), request.states));
     if (results.reports.back().losses.empty()) continue;
-    study(solver, SolutionOf(problem, results.reports.back()), &document["runs"].back());
+    study(SolutionOf(problem, results.reports.back()), &document["runs"].back());
   }
   HybridAuditOptions options{.width_sweep = FLAGS_width_sweep, .stop = InterruptGuard::Interrupted};
   if (FLAGS_steps > 0) options.steps = FLAGS_steps;
@@ -175,117 +180,28 @@ HybridResults Compute(const HybridRequest& request) {
   return results;
 }
 
-// The derivatives of the loss by all but the control, whose norm stands for it.
-Table GradientTable(const HybridProblem& problem, const Json& gradient) {
-  Table table(ColumnsOf("variable; value:10; derivative of the loss:10"));
-  const HybridInput& guess = problem.guess;
-  for (int i = 0; i < static_cast<int>(guess.initial.size()); ++i) {
-    const std::string name = problem.system.StateName(guess.mode, i) + " at the start";
-    table.AddRow({name, guess.initial[i], CellOf(gradient["initial"][i])});
-  }
-  for (int i = 0; i < static_cast<int>(guess.parameters.size()); ++i) {
-    table.AddRow({problem.system.ParameterName(i), guess.parameters[i], CellOf(gradient["parameters"][i])});
-  }
-  table.AddRow({"duration", guess.duration, CellOf(gradient["duration"])});
-  double sum = 0;
-  for (const Json& row : gradient["control"]) {
-    for (const Json& entry : row) sum += std::pow(entry.get<double>(), 2);
-  }
-  if (!gradient["control"].empty()) table.AddRow({"control (norm)", Cell(), std::sqrt(sum)});
-  return table;
-}
-
-Table RunsTable(const std::vector<SolveReport>& reports) {
-  Table table(ColumnsOf(
-      "solver; initial loss:10; final loss:10; iterations; gradients; seconds:3; termination; certificate; remark"));
-  for (const SolveReport& report : reports) {
-    const bool ran = !report.losses.empty();
-    const auto of = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
-    table.AddRow({report.solver,
-                  of(report.initial_loss),
-                  of(report.final_loss),
-                  of(report.iterations),
-                  of(report.evaluations),
-                  of(report.seconds),
-                  TerminationToString(report.termination),
-                  report.certificate ? VerdictInWords(*report.certificate) : "",
-                  report.reason});
-  }
-  return table;
-}
-
-// Returns the optimised variables of each solver, without the control.
-Table SolutionTable(const HybridProblem& problem, const std::vector<SolveReport>& reports) {
-  std::vector<Column> columns = ColumnsOf("variable; guess:10");
-  std::vector<HybridInput> solutions;
-  for (const SolveReport& report : reports) {
-    if (report.losses.empty()) continue;
-    columns.push_back({report.solver, 16});
-    solutions.push_back(SolutionOf(problem, report));
-  }
-  Table table(columns);
-  if (solutions.empty()) return table;
-  const auto add = [&](const std::string& name, const auto& value_of) {
-    std::vector<Cell> row = {name, value_of(problem.guess)};
-    for (const HybridInput& solution : solutions) row.push_back(value_of(solution));
-    table.AddRow(std::move(row));
-  };
-  for (const int i : problem.free.initial) {
-    add(problem.system.StateName(problem.guess.mode, i), [i](const HybridInput& input) { return input.initial[i]; });
-  }
-  for (const int i : problem.free.parameters) {
-    add(problem.system.ParameterName(i), [i](const HybridInput& input) { return input.parameters[i]; });
-  }
-  if (problem.free.duration) add("duration", [](const HybridInput& input) { return input.duration; });
-  return table;
-}
-
-Table AuditsTable(const std::vector<HybridAudit>& audits) {
-  Table table(ColumnsOf("scheme; verdict; steps; loss:8; exact loss:8; order:3; finest error:3; reason"));
-  for (const HybridAudit& audit : audits) {
-    double error = 0;
-    const bool studied = audit.refinement && audit.refinement->ok();
-    for (const QuantityStudy& quantity : studied ? audit.refinement->quantities : std::vector<QuantityStudy>()) {
-      error = std::max(error, quantity.levels.back().error);
-    }
-    table.AddRow({audit.scheme,
-                  Cell(VerdictToString(audit.verdict)).With(IsWrong(audit.verdict) ? Tone::kBad : Tone::kPlain),
-                  audit.steps,
-                  audit.ok() ? Cell(audit.loss) : Cell(),
-                  audit.ok() ? Cell(audit.exact_loss) : Cell(),
-                  studied ? Cell(audit.order) : Cell(),
-                  studied ? Cell(error) : Cell(),
-                  audit.Why()});
-  }
-  return table;
-}
-
 void PrintTables(const HybridRequest& request, const HybridResults& results) {
-  const TextLayout layout = LayoutOfStandardOutput();
   const Json& document = results.document;
+  const auto print = [](const std::string& text) {
+    std::cout << Paragraph(text, LayoutOfStandardOutput().width) << "\n";
+  };
   const Json& motion = document["motion"];
   if (motion.contains("failed")) {
-    std::cout << Paragraph(request.name + ": no motion: " + motion["failed"].get<std::string>(), layout.width) << "\n";
+    print(request.name + ": no motion: " + motion["failed"].get<std::string>());
   } else {
-    PrintTableIfAny(request.name + ": events of the motion from the guess",
-                    TableOf(Json::array({motion}), "/events", "event=#; time:12; mode; guard; next mode"));
-    if (motion.contains("remark")) std::cout << Paragraph(motion["remark"].get<std::string>(), layout.width) << "\n";
+    PrintTableIfAny(request.name + ": events of the motion from the guess", EventsTable(motion));
+    if (motion.contains("remark")) print(motion["remark"]);
   }
   if (document.contains("gradient")) {
     PrintTableIfAny(request.name + ": loss " + CellOf(document["loss"]).Display(12) + ", and its gradient",
-                    GradientTable(request.problem, document["gradient"]));
+                    GradientTable(document));
   } else {
-    const std::string what = document.contains("loss")
-                                 ? "Loss " + CellOf(document["loss"]).Display(12) + ", without a gradient: "
-                                 : "No loss: ";
-    std::cout << Paragraph(what + document["failed"].get<std::string>(), layout.width) << "\n";
+    print(DescribeLoss(document));
   }
-  PrintTableIfAny(request.name + ": solvers", RunsTable(results.reports));
-  PrintTableIfAny(request.name + ": solutions", SolutionTable(request.problem, results.reports));
-  if (!results.studies.empty()) {
-    PrintFeedback(request.name + ": ", *request.feedback, results.Studies());
-  }
-  PrintTableIfAny(request.name + ": audit of time-stepping schemes", AuditsTable(results.audits));
+  PrintTableIfAny(request.name + ": solvers", RunsTable(document));
+  PrintTableIfAny(request.name + ": solutions", SolutionTable(document));
+  if (const NamedStudies studies = StudiesIn(document); !studies.empty()) PrintFeedback(request.name + ": ", studies);
+  PrintTableIfAny(request.name + ": audit of time-stepping schemes", AuditsTable(document));
 }
 
 // One file: the page with the document in it.
@@ -301,7 +217,7 @@ void WritePage(const HybridRequest& request, const HybridResults& results) {
     if (results.reports[i].losses.empty()) continue;
     document["runs"][i]["motion"] = draw(SolutionOf(request.problem, results.reports[i]));
   }
-  WriteTextFile(directory + "/report.html", RenderPage(document));
+  WriteTextFile(directory + "/report.html", HybridPage(std::move(document)).Render());
   WriteTextFile(directory + "/result.json", results.document.dump(1) + "\n");
 }
 
@@ -311,7 +227,7 @@ int ExitCode(const HybridResults& results) {
     SolvedRun& run = solved.runs.emplace_back();
     run.report = report;
   }
-  int code = std::max(SolveExitCode(solved), FeedbackExitCode(results.Studies()));
+  int code = std::max(SolveExitCode(solved), FeedbackExitCode(StudiesIn(results.document)));
   for (const HybridAudit& audit : results.audits) {
     const bool none = !audit.ok() && audit.verdict == Verdict::kUnknown;
     if (none) std::cerr << "audit of " << audit.scheme << ": " << audit.reason << std::endl;

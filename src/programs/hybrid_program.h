@@ -12,8 +12,6 @@
 // time-stepping scheme for --audit.
 #pragma once
 
-#include <yaml-cpp/yaml.h>
-
 #include <array>
 #include <functional>
 #include <memory>
@@ -21,11 +19,11 @@
 #include <string>
 #include <vector>
 
+#include "programs/feedback_study.h"
 #include "programs/json_output.h"
 #include "programs/program.h"
 #include "saltus/audit/hybrid_audit.h"
 #include "saltus/hybrid/hybrid_problem.h"
-#include "saltus/hybrid/mechanical_system.h"
 #include "saltus/solve/hybrid_solver.h"
 
 namespace saltus {
@@ -120,12 +118,20 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
 // "segments", "first_wrong", "width_sweep"}, as in hybrid_audit.h.
 Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit);
 
-// Files of planar bodies as problems of mechanical systems. docs/reference/box-files.md lists the keys.
-struct BodiesTask : HybridTask {
-  MechanicalSystem system;
-};
+// The tables of a document, for the terminal and for the page.
+Table EventsTable(const Json& motion);
+Table GradientTable(const Json& document);
+Table RunsTable(const Json& document);
+// Returns the variables beside the control that some solver has changed: their values in the guess and in each
+// solution.
+Table SolutionTable(const Json& document);
+Table AuditsTable(const Json& document);
+// Returns the loss of the initial guess, or why there is none or no gradient.
+std::string DescribeLoss(const Json& document);
+// Returns the feedback studies of each solution, or of the guess if there are no solvers.
+NamedStudies StudiesIn(const Json& document);
 
-// Throws the error of a place in the file, which internal::ReadYaml catches.
-BodiesTask ReadBodies(const YAML::Node& root);
+// Returns the page of a document, whose motions have their states and, to be played, their frames.
+Page HybridPage(Json document);
 
 }  // namespace saltus

@@ -8,7 +8,6 @@
 #include "base/csv.h"
 #include "base/number_text.h"
 #include "programs/scene_drawing.h"
-#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
 namespace saltus {
@@ -22,6 +21,9 @@ bool IsOfScene(const Json& document) { return document["fits"].empty() || docume
 bool HasMinimum(const IdentifyReport& report) { return !report.residuals.empty(); }
 
 bool IsDetermined(const Estimate& estimate) { return estimate.determination == Determination::kDetermined; }
+bool IsDetermined(const Json& parameter) {
+  return parameter["determination"] == DeterminationToString(Determination::kDetermined);
+}
 
 // One at its bound has a value, but no standard error.
 bool HasValue(const Estimate& estimate) {
@@ -91,7 +93,7 @@ void AddWork(const IdentifyReport& report, Json* item) {
   SALTUS_ADD_MEMBERS(item, report, starts, sequences, iterations, evaluations, seconds);
 }
 
-Json LawToJson(const LearnedLaw& learned) {
+Json LawToJson(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
   Json item = {{"name", learned.law.name}, {"parameters", learned.law.parameters}, {"impacts", learned.impacts}};
   item["curve"] = Json::array();
   for (const LawPoint& at : learned.curve) {
@@ -102,6 +104,7 @@ Json LawToJson(const LearnedLaw& learned) {
       point["friction"] = at.friction;
       point["friction_standard_error"] = at.friction_error;
     }
+    if (const auto restitution = known ? known->At(at.speed) : std::nullopt) point["known_restitution"] = *restitution;
     item["curve"].push_back(std::move(point));
   }
   return item;
@@ -156,26 +159,14 @@ const LearnedLaw* LawOf(const Identified& identified) {
   return nullptr;
 }
 
-Table LawTable(const Identified& identified) {
-  const std::optional<KnownLaw>& known = identified.known_law;
-  std::vector<Column> columns =
-      ColumnsOf("speed:4; sliding:4; restitution:5; standard error:2; friction:5; standard error of friction:2");
-  if (known) columns.push_back({"known restitution", 5});
-  Table table(columns);
-  const LearnedLaw* learned = LawOf(identified);
-  if (learned == nullptr) return table;
-  const bool friction = learned->law.HasFriction();
-  for (const LawPoint& at : learned->curve) {
-    std::vector<Cell> row = {at.speed,
-                             at.sliding,
-                             at.restitution,
-                             at.restitution_error,
-                             friction ? Cell(at.friction) : Cell(),
-                             friction ? Cell(at.friction_error) : Cell()};
-    if (known) row.emplace_back(known->At(at.speed));
-    table.AddRow(std::move(row));
-  }
-  return table;
+Table LawTable(const Identified& identified, const Json& document) {
+  const auto has_law = [](const Json& fit) { return fit.contains("law") && !fit["law"]["curve"].empty(); };
+  const auto fit = std::ranges::find_if(document["fits"], has_law);
+  return TableOf(fit == document["fits"].end() ? Json::array() : Json::array({*fit}),
+                 "/law/curve",
+                 "speed:4; sliding:4; restitution:5; standard error:2; friction:5; "
+                 "standard error of friction=friction_standard_error:2" +
+                     std::string(identified.known_law ? "; known restitution:5" : ""));
 }
 
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
@@ -211,28 +202,24 @@ Table EventTable(const Scene& scene, const Identified& identified) {
   return table;
 }
 
-Table EstimateTable(const Identified& identified) {
-  Table table(ColumnsOf(identified.by + "; parameter; start:5; value:7; standard error:3; from:6; to:6; remark"), 2);
-  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-    for (const Estimate& estimate : identified.reports[i].estimates) {
-      std::string remark;
-      if (estimate.determination != Determination::kDetermined) {
-        remark = DeterminationToString(estimate.determination);
-        for (const std::string& other : estimate.with)
-          remark += (&other == &estimate.with[0] ? " with " : ", ") + other;
-      }
-      const auto known = [&](double value) { return IsDetermined(estimate) ? Cell(value) : Cell(); };
-      table.AddRow({identified.contacts[i],
-                    estimate.name,
-                    estimate.start,
-                    HasValue(estimate) ? Cell(estimate.value) : Cell(),
-                    known(estimate.standard_error),
-                    known(estimate.low),
-                    known(estimate.high),
-                    remark});
+Table EstimateTable(const Json& document) {
+  Json fits = document["fits"];
+  for (Json& fit : fits) {
+    if (!fit.contains("parameters")) continue;
+    for (Json& parameter : fit["parameters"]) {
+      if (IsDetermined(parameter)) continue;
+      std::string remark = parameter["determination"];
+      const auto with = parameter.value("with", std::vector<std::string>());
+      if (!with.empty()) remark += " with " + Joined(with);
+      parameter["remark"] = remark;
     }
   }
-  return table;
+  const std::string by = IsOfScene(document) ? "contact" : "system";
+  return TableOf(fits,
+                 "/parameters",
+                 by + "=^" + by +
+                     "; parameter=name; start:5; value:7; standard error:3; from=interval/0:6; to=interval/1:6; remark",
+                 2);
 }
 
 Table FitTable(const Json& document) {
@@ -254,35 +241,27 @@ std::vector<std::string> FitRemarks(const Identified& identified) {
   return remarks;
 }
 
-// Every parameter under every contact model, beside what the exact fit has; empty without that, or others.
-Table ComparisonTable(const Identified& identified) {
-  Table table(ColumnsOf("parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event:3; "
-                        "iterations; seconds:3; verdict; remark"),
-              2);
-  const IdentifyReport* exact = ExactFit(identified);
-  if (exact == nullptr || identified.reports.size() < 2) return table;
-  for (std::size_t p = 0; p < exact->estimates.size(); ++p) {
-    const Estimate& reference = exact->estimates[p];
-    for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-      const IdentifyReport& report = identified.reports[i];
-      const Estimate* estimate = p < report.estimates.size() ? &report.estimates[p] : nullptr;
-      const bool known = estimate != nullptr && IsDetermined(*estimate);
-      const std::optional<double> bias = Bias(exact, report, p);
-      std::string remark = report.reason;
-      if (estimate != nullptr && !known) remark = DeterminationToString(estimate->determination);
-      table.AddRow({reference.name,
-                    identified.contacts[i],
-                    estimate != nullptr && HasValue(*estimate) ? Cell(estimate->value) : Cell(),
-                    known ? Cell(estimate->standard_error) : Cell(),
-                    bias,
-                    bias ? Cell(*bias / reference.standard_error) : Cell(),
-                    report.iterations,
-                    report.seconds,
-                    FitVerdictToString(report.verdict),
-                    remark});
+Table ComparisonTable(const Json& document) {
+  const Json& fits = document["fits"];
+  const auto exact = std::ranges::find_if(
+      fits, [](const Json& fit) { return fit.value("contact", "") == kExact && fit.contains("parameters"); });
+  Json rows = Json::array();
+  for (std::size_t p = 0; exact != fits.end() && fits.size() > 1 && p < (*exact)["parameters"].size(); ++p) {
+    const Json& reference = (*exact)["parameters"][p];
+    for (const Json& fit : fits) {
+      Json& row = rows.emplace_back(fit.value(Json::json_pointer("/parameters") / p, Json::object()));
+      const bool known = row.empty() || IsDetermined(row);
+      row["remark"] = known ? Json(fit.value("reason", "")) : Json(row["determination"]);
+      if (row.contains("bias")) row["biases"] = row["bias"].get<double>() / reference["standard_error"].get<double>();
+      row["parameter"] = reference["name"];
+      for (const char* key : {"contact", "iterations", "seconds", "verdict"}) row[key] = fit[key];
     }
   }
-  return table;
+  return TableOf(rows,
+                 "",
+                 "parameter; contact; value:7; standard error:3; bias:4; bias, standard errors of event=biases:3; "
+                 "iterations; seconds:3; verdict; remark",
+                 2);
 }
 
 Table OutlierTable(const Json& document) {
@@ -323,7 +302,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
     Json item = {{"contact", identified.contacts[i]}};
     AddFit(report, exact, /*of_scene=*/true, &item);
     if (HasMinimum(report)) {
-      if (report.law) item["law"] = LawToJson(*report.law);
+      if (report.law) item["law"] = LawToJson(*report.law, identified.known_law);
       if (report.events) item["events"] = EventsToJson(scene, *report.events);
       item["segments"] = Json::array();
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
@@ -361,9 +340,9 @@ void AddFits(const Identified& identified, const Json& document, Page* page) {
   page->AddHeading("Fits");
   page->AddTableIfAny(FitTable(document), "The fit of each " + identified.by + ".");
   if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
-  page->AddTableIfAny(EstimateTable(identified), "Parameters; `from` and `to` bound the 95 % confidence interval.");
+  page->AddTableIfAny(EstimateTable(document), "Parameters; `from` and `to` bound the 95 % confidence interval.");
   page->AddTableIfAny(
-      ComparisonTable(identified),
+      ComparisonTable(document),
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
 }
 
@@ -427,7 +406,7 @@ void AddResidualsAndOutliers(const Identified& identified, const Json& document,
 
 void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
   AddFits(identified, document, page);
-  const Table law = LawTable(identified);
+  const Table law = LawTable(identified, document);
   if (!law.rows().empty()) {
     page->AddHeading("Law of impact");
     const Figure figure = LawFigure(*LawOf(identified), identified.known_law);

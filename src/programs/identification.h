@@ -60,18 +60,18 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified);
 
 inline constexpr std::size_t kMostOutliersNamed = 20;
 
-// Returns the parameters by contact model, and the result of each fit.
-Table EstimateTable(const Identified& identified);
+// Returns the parameters of each fit, and its result.
+Table EstimateTable(const Json& document);
 Table FitTable(const Json& document);
 // Returns the remarks on fits, each behind its contact model.
 std::vector<std::string> FitRemarks(const Identified& identified);
 // Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
 // by `event`, or without others.
-Table ComparisonTable(const Identified& identified);
+Table ComparisonTable(const Json& document);
 // The law of impact that was learned; null if none was.
 const LearnedLaw* LawOf(const Identified& identified);
 // With standard errors, beside the law that is known; empty if none was learned.
-Table LawTable(const Identified& identified);
+Table LawTable(const Identified& identified, const Json& document);
 // With a band of 95 % confidence. Precondition: the law has a curve.
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known);
 // Every impact with a plane by event functions that were learned; empty if none were.

@@ -93,10 +93,10 @@ void PrintTables(const Scene& scene, const Identified& identified, const Json& d
   PrintTable(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
   const std::size_t width = LayoutOfStandardOutput().width;
   for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, width) << std::endl;
-  PrintTableIfAny("95 % confidence is from ... to", EstimateTable(identified));
+  PrintTableIfAny("95 % confidence is from ... to", EstimateTable(document));
   PrintTableIfAny("Beside event, whose motion and derivatives are exact: bias is what a value is more",
-                  ComparisonTable(identified));
-  PrintTableIfAny("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified));
+                  ComparisonTable(document));
+  PrintTableIfAny("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified, document));
   PrintTableIfAny(
       "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by how "
       "much its normal is",
@@ -105,17 +105,17 @@ void PrintTables(const Scene& scene, const Identified& identified, const Json& d
                   OutlierTable(document));
 }
 
-void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified) {
+void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified, const Json& document) {
   if (directory.empty()) return;
   const std::string path = directory + "/" + scene.name;
-  WriteTextFile(path + "_parameters.csv", EstimateTable(identified).ToCsv());
+  WriteTextFile(path + "_parameters.csv", EstimateTable(document).ToCsv());
   WriteTextFile(path + "_residuals.csv", ResidualTable(identified).ToCsv());
   const auto write_if_any = [&](const std::string& suffix, const Table& table) {
     if (!table.rows().empty()) WriteTextFile(path + suffix, table.ToCsv());
   };
   write_if_any("_events.csv", EventTable(scene, identified));
-  write_if_any("_beside_event.csv", ComparisonTable(identified));
-  write_if_any("_law.csv", LawTable(identified));
+  write_if_any("_beside_event.csv", ComparisonTable(document));
+  write_if_any("_law.csv", LawTable(identified, document));
 }
 
 int ExitCodeOf(const Identified& identified) {
@@ -179,7 +179,7 @@ int IdentifyMain(int argc, char** argv) {
       if (request.json) return PrintJson(document, Precision::kDouble);
       PrintTables(request.scene, identified, document);
     };
-    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified); },
+    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified, document); },
            [&] { WriteIdentifyReport(request, identified, document); },
            print});
     PrintReportPath(request);

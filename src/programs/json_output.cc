@@ -241,6 +241,16 @@ Json OneSidedToJson(const Scene& scene, const std::vector<OneSided>& entries) {
   return list;
 }
 
+std::vector<double> NumbersIn(const Json& json) {
+  std::vector<double> numbers;
+  if (json.is_number()) return {json.get<double>()};
+  for (const Json& item : json) {
+    const std::vector<double> more = NumbersIn(item);
+    numbers.insert(numbers.end(), more.begin(), more.end());
+  }
+  return numbers;
+}
+
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys, size_t most_rows) {
   std::vector<Column> heads = ColumnsOf(columns);
   std::vector<std::string> paths;
@@ -284,6 +294,12 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
     for (const Json& item : items) add(item, parent);
   }
   return table;
+}
+
+Json RemarksToJson(const Remarks& remarks) {
+  Json list = Json::array();
+  for (const Remark& remark : remarks) list.push_back({{"kind", remark.kind}, {"text", remark.text}});
+  return list;
 }
 
 void PrintJson(const Json& document, Precision precision) {

@@ -1,53 +1,19 @@
 // Results as JSON, under the keys that the reference documents. No flags.
 #pragma once
 
-#include <Eigen/Core>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <vector>
 
+#include "audit/remarks.h"
 #include "base/table.h"
+#include "output/json.h"
 #include "saltus/audit/refinement.h"
 #include "saltus/audit/width_sweep.h"
 #include "saltus/control/surrogate.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 
-// A vector as the list of its numbers, any other matrix as the list of its rows.
-template <int R, int C, int Options, int MostR, int MostC>
-struct nlohmann::adl_serializer<Eigen::Matrix<double, R, C, Options, MostR, MostC>> {
-  static void to_json(ordered_json& json, const Eigen::Matrix<double, R, C, Options, MostR, MostC>& matrix) {
-    json = ordered_json::array();
-    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
-      if constexpr (C == 1) {
-        json.push_back(matrix[i]);
-      } else {
-        json.push_back(Eigen::VectorXd(matrix.row(i)));
-      }
-    }
-  }
-};
-
 namespace saltus {
-
-// A document may have numbers that are not finite; printing it, or passing it to Python, makes null of them.
-using Json = nlohmann::ordered_json;
-
-// Adds members of a struct under their own names: SALTUS_ADD_MEMBERS(&item, report, iterations, seconds). A
-// std::optional without a value is left out.
-template <typename T>
-void AddMember(const char* name, const T& value, Json* to) {
-  (*to)[name] = value;
-}
-template <typename T>
-void AddMember(const char* name, const std::optional<T>& value, Json* to) {
-  if (value) (*to)[name] = *value;
-}
-#define SALTUS_ADD_MEMBER(name) saltus::AddMember(#name, members_of.name, members_to);
-#define SALTUS_ADD_MEMBERS(to, of, ...)                                       \
-  [](saltus::Json* members_to, const auto& members_of) {                      \
-    NLOHMANN_JSON_EXPAND(NLOHMANN_JSON_PASTE(SALTUS_ADD_MEMBER, __VA_ARGS__)) \
-  }(to, of)
 
 // [x, y] of each disc, from B x 4 numbers; offset 0 for positions, 2 for velocities.
 Json VectorsToJson(const Scene& scene, const std::vector<double>& initial, int offset);
@@ -97,6 +63,9 @@ void AddBias(const std::string& contact, const std::optional<Surrogate>& surroga
 // A boolean as "yes" or "no", finite numbers and text as they are, of a list or an object its size; else empty.
 Cell CellOf(const Json& value);
 
+// The numbers of nested lists and objects, in their order.
+std::vector<double> NumbersIn(const Json& json);
+
 // A table of JSON objects: of all those in `list` (a JSON pointer, "" for itself) of each of `parents`. The columns are
 // those of ColumnsOf(), each header with a path behind it, after "=", from the object, or with ^ from the parent
 // (default: the header, its spaces as underscores). A path that ends in [] makes a row of each element, and # stands
@@ -104,6 +73,9 @@ Cell CellOf(const Json& value);
 // x=position/0:5".
 Table TableOf(const Json& parents, const std::string& list, const std::string& columns, size_t keys = 1,
               size_t most_rows = static_cast<size_t>(-1));
+
+// [{"kind", "text"}, ...]
+Json RemarksToJson(const Remarks& remarks);
 
 // Prints the document to stdout with 17 significant digits (9 in single precision).
 void PrintJson(const Json& document, Precision precision);

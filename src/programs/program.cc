@@ -299,21 +299,14 @@ SurrogateKind KindFromFlag() {
   throw InputError("--surrogate=" + FLAGS_surrogate + " is unknown; expected one of " + Names(AllSurrogates()));
 }
 
-void RefuseSmoothingFlags() {
-  for (const char* flag : kSmoothingFlags) {
-    if (IsGiven(flag))
-      throw InputError("--" + std::string(flag) + " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
-  }
-}
-
 std::optional<Surrogate> SurrogateFromFlags() {
   if (FLAGS_surrogate.empty()) {
-    RefuseSmoothingFlags();
+    RefuseFlags(kSmoothingFlags, " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
     return std::nullopt;
   }
   Surrogate surrogate{.kind = KindFromFlag()};
   if (!surrogate.smooths()) {
-    RefuseSmoothingFlags();
+    RefuseFlags(kSmoothingFlags, " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
     return surrogate;
   }
   surrogate.sigma = FLAGS_surrogate_sigma;
@@ -322,12 +315,6 @@ std::optional<Surrogate> SurrogateFromFlags() {
   surrogate.segments = FLAGS_surrogate_segments;
   if (const std::string why = WhyNotValid(surrogate); !why.empty()) throw InputError("--surrogate_" + why);
   return surrogate;
-}
-
-void RefuseFlagsOfOneScene() {
-  for (const char* flag : {"scene", "control", "warm_start"}) {
-    if (IsGiven(flag)) throw InputError("--" + std::string(flag) + ": scenes are made from seeds");
-  }
 }
 
 // --control and --warm_start.
@@ -457,6 +444,12 @@ void DoAll(const std::vector<std::function<void()>>& parts) {
 
 bool IsGiven(const char* flag) { return !gflags::GetCommandLineFlagInfoOrDie(flag).is_default; }
 
+void RefuseFlags(std::span<const char* const> flags, const std::string& why) {
+  for (const char* flag : flags) {
+    if (IsGiven(flag)) throw InputError("--" + std::string(flag) + why);
+  }
+}
+
 std::string ShippedFile(const std::string& path) {
   std::error_code error;
   const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
@@ -555,7 +548,8 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
     return false;
   }
   const std::string path = FLAGS_scene.empty() ? defaults.scene : FLAGS_scene;
-  if (defaults.generated) RefuseFlagsOfOneScene();
+  constexpr const char* kOfOneScene[] = {"scene", "control", "warm_start"};
+  if (defaults.generated) RefuseFlags(kOfOneScene, ": scenes are made from seeds");
   if (!defaults.generated && path.empty()) throw InputError("--scene=FILE is needed; -h lists all flags");
   request->contacts = ReadContacts(FLAGS_contact);
   const bool descends = IsGiven("learning_rate") || FLAGS_rate_per_time || IsGiven("surrogate");

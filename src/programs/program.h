@@ -1,16 +1,17 @@
 // The common parts of all programs: flags, the scene they describe, exit codes, memory, pages.
 #pragma once
 
-#include <cstdint>
 #include <cstdio>
 #include <functional>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
+#include "feedback/feedback_study.h"
 #include "output/page.h"
 #include "output/progress.h"
 #include "programs/json_output.h"
@@ -18,6 +19,7 @@
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/simulator.h"
 #include "saltus/solve/solver.h"
+#include "solve/checked_run.h"
 
 namespace saltus {
 
@@ -106,21 +108,6 @@ struct InputError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// The name of no solver, --solver=none.
-inline constexpr char kNoSolver[] = "none";
-
-// The options of --feedback.
-struct FeedbackOptions {
-  // The regulator minimizes the integral of state |dx|^2 + control |du|^2, plus final |dx|^2 at the end, in SI units.
-  double state = 10, control = 1e-3, final = 10;
-  // The standard deviations of independent normal errors, by name; not yet multiplied by `scale`.
-  std::vector<std::pair<std::string, double>> deviations;
-  double scale = 1;
-  std::string plant = "event";  // the contact model of the simulated runs of a scene
-  int samples = 1000;           // 0: no runs
-  std::uint64_t seed = 1;
-};
-
 // The options of the flags that programs of scenes and of hybrid systems share.
 struct SolveFlags {
   std::vector<std::string> solvers;
@@ -191,6 +178,9 @@ Scene LoadScene(const std::string& path);
 // Whether a flag was given on the command line, in a flag file or in the environment. Precondition: there is such a
 // flag.
 bool IsGiven(const char* flag);
+
+// Throws InputError that begins with the flag, if one of these is given.
+void RefuseFlags(std::span<const char* const> flags, const std::string& why);
 
 // The learning rate of the published experiments for this kind of problem, per N for controls.
 inline double DefaultLearningRate(const Scene& scene) { return scene.optimize == Optimize::kControl ? 10 : 0.01; }

@@ -256,12 +256,9 @@ Json ReplayToJson(const Replay& replay) {
   CHECK(!scene.bodies.empty() && !replay.motions.empty());
   Json data = {{"discs", DiscsToJson(scene)},
                {"walls", WallsToJson(scene)},
-               {"outlines", Json::array()},
+               {"outlines", OutlinesOf(scene)},
                {"targets", Json::array()},
                {"motions", Json::array()}};
-  for (const Outline& outline : OutlinesOf(scene)) {
-    data["outlines"].push_back({{"name", outline.name}, {"solid", outline.solid}, {"points", outline.points}});
-  }
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;
     data["targets"].push_back(term.target);

@@ -75,10 +75,9 @@ struct GivenAudit {
 Json GivenToJson(const GivenAudit& audit) {
   Json entries = Json::array();
   for (const GivenEntry& entry : audit.entries) {
-    entries.push_back({{"entry", entry.entry},
-                       {"given", entry.given},
-                       {"exact", entry.exact},
-                       {"verdict", VerdictToString(entry.verdict)}});
+    Json& item = entries.emplace_back();
+    SALTUS_ADD_MEMBERS(&item, entry, entry, given, exact);
+    item["verdict"] = VerdictToString(entry.verdict);
   }
   return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
 }

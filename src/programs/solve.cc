@@ -6,9 +6,7 @@
 
 #include "base/interrupt.h"
 #include "control/surrogate_names.h"
-#include "feedback/noisy_states.h"
 #include "programs/parallel.h"
-#include "programs/remarks.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -106,9 +104,12 @@ SolvedRuns SolveAll(const Request& request) {
         options.stop = AskedToStop;
         options.status = say;
         try {
-          SolvedRun run = solver == kNoSolver
-                              ? SimulateOnly(request, contact)
-                              : SolveAndCheck(request.scene, solver, contact, request.precision, options, keep);
+          const SolveRequest task{request.scene, contact, request.precision};
+          const auto stop = InterruptGuard::GraceIsOver;
+          SolvedRun run{solver == kNoSolver ? SimulateAndCheck(task, request.start, stop)
+                                            : SolveAndCheck(solver, task, options, stop, [&](CheckedRun at) {
+                                                keep({std::move(at)});
+                                              })};
           if (request.feedback) keep(run);
           AddFeedback(request, options.threads, &run);
           return run;
@@ -179,20 +180,11 @@ void PrintSolveTable(const Request& request, const SolvedRuns& solved) {
           (HasCurvatures(solved) ? ", a minimum with positive curvature (1 is that of the effort alone)" : ""),
       CertificateTable(solved));
   const NamedStudies studies = StudiesOf(solved);
-  if (!studies.empty()) PrintFeedback(name, *request.feedback, studies);
+  if (!studies.empty()) PrintFeedback(name, studies);
 }
 
 std::string RemarkOn(const SolvedRun& run) {
   return ReasonAndRemarks(run, run.HasSolution() ? RemarksOn(run.exact) : Remarks());
-}
-
-int FeedbackExitCode(const NamedStudies& studies) {
-  for (const auto& [name, study] : studies) {
-    if (study->reason != kNoRegulator) continue;
-    std::cerr << "error: --feedback_weights: " << name << ": " << study->reason << std::endl;
-    return kWrongInput;
-  }
-  return kDone;
 }
 
 int SolveExitCode(const SolvedRuns& solved) {

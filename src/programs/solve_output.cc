@@ -1,89 +1,29 @@
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <functional>
 #include <iostream>
 #include <new>
-#include <numeric>
 #include <utility>
 
 #include "base/interrupt.h"
 #include "control/surrogate_names.h"
 #include "output/npz.h"
 #include "programs/program.h"
-#include "programs/remarks.h"
 #include "programs/scene_drawing.h"
 #include "programs/solve.h"
 #include "saltus/control/control_rows.h"
-#include "saltus/control/objective.h"
-#include "saltus/control/single_shooting.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
-#include "solve/control_guess.h"
 
 namespace saltus {
 
 namespace {
 
-MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
-
 bool IsExact(const Contact& contact) { return FindContactModel(contact)->event_driven; }
 
-// ---- Certificates in words
-
-using enum Certificate::Verdict;
-
-// Says what a stationary control means: the loss does not change to first order.
-std::string MeaningOfStationary(const Certificate& certificate) {
-  if (certificate.initial) return "to first order no change of what is optimized lowers the loss";
-  const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
-  if (!certificate.curvature) {
-    return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
-  }
-  const Curvature::Kind kind = certificate.curvature->kind;
-  if (kind == Curvature::Kind::kMinimum) return "no small change of " + which + " lowers the loss";
-  if (kind == Curvature::Kind::kSaddle)
-    return "no minimum: along one change of " + which + " the loss falls, both ways";
-  return "perhaps no minimum: along one change of " + which + " the loss hardly changes";
-}
-
-// Returns the relative residual of the certificate: the worst one under its verdict, std::nullopt if there is nothing
-// to certify.
-std::optional<double> ResidualOf(const Certificate& certificate) {
-  if (certificate.verdict == kStationaryOnGrid) return certificate.gradient;
-  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return std::nullopt;
-  double residual = std::max({certificate.stationarity,
-                              certificate.costate_jump,
-                              std::abs(certificate.hamiltonian),
-                              certificate.transversality,
-                              certificate.initial.value_or(0)});
-  for (const ParameterCertificate& entry : certificate.parameters) residual = std::max(residual, entry.residual);
-  return residual;
-}
-
 bool HasCurvature(const Certificate& certificate) { return certificate.IsStationary() && certificate.curvature; }
-
-// Explains the verdict about the control, in a sentence or two.
-std::string MeaningOf(const Certificate& certificate) {
-  if (certificate.verdict == kNotStationary) {
-    return std::string("small changes of ") + (certificate.initial ? "what is optimized" : "the control") +
-           (certificate.parameters.empty() || certificate.initial ? "" : " or the parameters") +
-           " lower the loss: " + certificate.reason;
-  }
-  if (certificate.verdict == kAmbiguous || certificate.verdict == kNotApplicable) return certificate.reason;
-  if (certificate.verdict == kGlobal) {
-    return certificate.reason.empty() ? "a lower bound proves that no control on as many intervals has a lower loss"
-                                      : certificate.reason;
-  }
-  const std::string searched =
-      certificate.scope == Certificate::Scope::kBestOfSearched
-          ? "it is the best of " + std::to_string(certificate.sequences_searched) +
-                (certificate.sequences_searched == 1 ? " sequence of impacts" : " sequences of impacts")
-          : "other sequences of impacts may be better";
-  return MeaningOfStationary(certificate) + "; " + searched;
-}
 
 }  // namespace
 
@@ -350,7 +290,7 @@ std::string LabelOfRun(const SolveReport& report) {
 NamedStudies StudiesOf(const SolvedRuns& solved) {
   NamedStudies studies;
   for (const SolvedRun& run : solved.runs) {
-    if (run.feedback) studies.emplace_back(LabelOfRun(run.report), &*run.feedback);
+    if (run.feedback) studies.emplace_back(LabelOfRun(run.report), FeedbackToJson(*run.feedback, /*states=*/false));
   }
   return studies;
 }
@@ -504,13 +444,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                           (HasCurvatures(solved) ? "; a curvature of 1 is that of the effort alone." : "."));
   AddImpacts(request.scene, runs, page);
   const NamedStudies studies = StudiesOf(solved);
-  if (!studies.empty()) {
-    page->AddHeading("Feedback");
-    page->AddTable(FeedbackTable(studies), "The " + FeedbackCaption(*request.feedback) + ".");
-    if (const std::vector<std::string> warnings = FeedbackWarnings(studies); !warnings.empty()) {
-      page->AddList(warnings);
-    }
-  }
+  if (!studies.empty()) AddFeedbackSection(studies, page);
   AddRunReplay(request, runs, page);
   if (!studies.empty()) {
     page->AddPlot(
@@ -622,121 +556,6 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
   return document;
 }
 
-namespace {
-
-// A rollout under a contact model.
-struct RolloutOutcome {
-  std::optional<double> loss;  // nothing if it is not finite
-  std::string reason;          // then
-  std::vector<double> end;     // final state, in the shape of an initial state; empty if it has to be found otherwise
-};
-
-// Rolls out under a contact model by equal steps that last as long as the control.
-RolloutOutcome RollOutUnderModel(const Scene& given, const Contact& contact, Precision precision,
-                                 const SolveReport& report) {
-  double price_of_time = 0;
-  const Scene scene = WithFixedTime(given, InputOf(report), &price_of_time);
-  RolloutOutcome outcome;
-  outcome.reason = WhyNotApplicable(contact, scene);
-  if (!outcome.reason.empty()) return outcome;
-  SingleShooting shooting(MakeSimulator(contact, scene, precision));
-  shooting.set_stop(InterruptGuard::GraceIsOver);
-  const Simulator& simulator = shooting.simulator();
-  std::vector<double> z;
-  if (scene.num_controlled() > 0) {
-    z = MeanOverSteps({report.control, report.durations}, scene.control_width(), simulator.num_steps());
-  }
-  double loss = 0;
-  if (!shooting.Evaluate(z, &loss, nullptr)) {
-    outcome.reason = shooting.stopped() ? kStopped : shooting.WhyFailed();
-    return outcome;
-  }
-  outcome.loss = loss + price_of_time;
-  if (!report.durations.empty()) return outcome;
-  std::vector<double> end(simulator.state_size());
-  simulator.GetState(simulator.num_steps(), end);
-  outcome.end = ToInitial(end, scene.num_bodies());
-  return outcome;
-}
-
-// Returns the rollout of the exact model, from its motion with time-stepping fallbacks. Returns std::nullopt if the
-// loss is not a function of the final state and of a control with equal steps.
-std::optional<RolloutOutcome> OutcomeOf(const ExactRun& exact, const Scene& scene, const SolveReport& report) {
-  const Objective& objective = scene.objective;
-  const std::size_t numbers = InitialControl(scene, scene.steps).size();
-  if (exact.end.empty() || !report.durations.empty() || report.control.size() != numbers) return std::nullopt;
-  if (!objective.running.empty() || !objective.via.empty() || objective.duration) return std::nullopt;
-  const double loss =
-      TerminalLoss(objective, ToState(exact.end, scene.num_bodies()), InitialSize(scene) / scene.num_bodies()) +
-      EffortLoss(objective, report.control, scene.dt());
-  if (!std::isfinite(loss)) return std::nullopt;
-  return RolloutOutcome{loss, "", exact.end};
-}
-
-// In the shape of an initial state.
-std::vector<double> LastState(const Motion& motion) {
-  if (!motion.failure.empty() || motion.times.empty()) return {};
-  std::vector<double> last;
-  for (const std::vector<double>* all : {&motion.states, &motion.rotations}) {
-    const auto row = static_cast<std::ptrdiff_t>(all->size() / motion.times.size());
-    last.insert(last.end(), all->end() - row, all->end());
-  }
-  return last;
-}
-
-void CheckExactly(const Scene& scene, SolvedRun* run) {
-  const SolveReport& report = run->report;
-  run->exact =
-      SimulateExactly(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
-  run->certificate = report.certificate;
-  const bool control = scene.optimize == Optimize::kControl && scene.objective.effort > 0;
-  const bool design = !report.parameters.empty();
-  if (!run->certificate && (control || design)) {
-    run->certificate =
-        Certify(scene, report.initial_state, report.control, report.durations, InterruptGuard::GraceIsOver);
-  }
-}
-
-void FindFinalState(const Scene& scene, const Contact& contact, Precision precision, SolvedRun* run) {
-  const SolveReport& report = run->report;
-  MotionOptions ends;
-  ends.precision = precision;
-  ends.most_nodes = 2;
-  ends.stop = InterruptGuard::GraceIsOver;
-  run->final_state = LastState(SimulateMotion(scene, contact, InputOf(report), ends));
-}
-
-}  // namespace
-
-SolvedRun SolveAndCheck(const Scene& given, const std::string& solver, const Contact& contact, Precision precision,
-                        const SolverOptions& options, const std::function<void(SolvedRun)>& keep) {
-  SolvedRun run;
-  run.report = Solve(solver, {given, contact, precision}, options);
-  if (run.report.losses.empty()) return run;
-  if (given.objective.duration) {
-    run.duration = std::accumulate(run.report.durations.begin(), run.report.durations.end(), 0.0);
-  }
-  keep(run);
-  const Scene scene = WithDesign(given, run.report.parameters);
-  CheckExactly(scene, &run);
-  if (IsExact(contact) && run.exact.ok) {
-    run.final_state = run.exact.end;
-  } else {
-    FindFinalState(scene, contact, precision, &run);
-  }
-  return run;
-}
-
-SolvedRun SolveAndSimulate(const std::string& solver, const SolveRequest& request, const SolverOptions& options) {
-  SolvedRun run;
-  run.report = Solve(solver, request, options);
-  const SolveReport& report = run.report;
-  if (report.losses.empty()) return run;
-  const Scene scene = WithDesign(request.scene, report.parameters);
-  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
-  return run;
-}
-
 void AddFeedback(const Request& request, int threads, SolvedRun* run) {
   if (!request.feedback || !run->HasSolution()) return;
   const SolveReport& report = run->report;
@@ -746,41 +565,6 @@ void AddFeedback(const Request& request, int threads, SolvedRun* run) {
                                 report.durations,
                                 *request.feedback,
                                 threads);
-}
-
-SolvedRun SimulateOnly(const Request& request, const std::string& contact) {
-  const Scene& scene = request.scene;
-  SolvedRun run;
-  SolveReport& report = run.report;
-  report.solver = kNoSolver;
-  report.contact = contact;
-  report.reason = WhyNotApplicable(contact, scene);
-  report.termination = report.reason.empty() ? Termination::kFailed : Termination::kNotApplicable;
-  if (!report.reason.empty()) return run;
-  const auto start = std::chrono::steady_clock::now();
-  report.initial_state = InitialState(scene);
-  report.control = InitialControl(scene, scene.steps);
-  if (request.start) {
-    report.control = request.start->control;
-    report.durations = request.start->durations;
-  }
-  CheckExactly(scene, &run);
-  std::optional<RolloutOutcome> outcome;
-  if (IsExact(contact) && run.exact.ok) outcome = {run.exact.loss, "", run.exact.end};
-  if (IsExact(contact) && !outcome && request.precision == Precision::kDouble) {
-    outcome = OutcomeOf(run.exact, scene, report);
-  }
-  if (!outcome) outcome = RollOutUnderModel(scene, contact, request.precision, report);
-  run.final_state = outcome->end;
-  if (run.final_state.empty()) FindFinalState(scene, contact, request.precision, &run);
-  report.reason = IsExact(contact) ? run.exact.reason : outcome->reason;
-  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  run.simulated = outcome->loss && std::isfinite(*outcome->loss);
-  if (report.reason == kStopped) report.termination = Termination::kInterrupted;
-  if (!run.simulated) return run;
-  report.initial_loss = report.final_loss = *outcome->loss;
-  report.termination = Termination::kConverged;
-  return run;
 }
 
 void WriteSolveReport(const Request& request, const SolvedRuns& solved) {

@@ -7,7 +7,6 @@
 #include <variant>
 
 #include "saltus/scene/scene_parameter.h"
-#include "saltus/simulate/registry.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "scene/control_problems.h"
 #include "sweep/study.h"

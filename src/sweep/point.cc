@@ -138,9 +138,9 @@ Found SolvePoint(const Request& request, double seconds, const StopRequest& stop
   SolverOptions options = request.options;
   options.stop = stop;
   if (alone) ForgetPeakMemory();
-  SolvedRun run = SolveAndSimulate(request.solvers[0],
-                                   {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
-                                   options);
+  SolvedRun run{SolveAndSimulate(request.solvers[0],
+                                 {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
+                                 options)};
   AddFeedback(request, /*threads=*/1, &run);  // points are computed in several threads
   const SolveReport& report = run.report;
   Found found{StatusOf(report.termination), SolveToJson(request, {{run}})["runs"][0]};
@@ -152,17 +152,6 @@ Found SolvePoint(const Request& request, double seconds, const StopRequest& stop
   if (stopped) found.document["termination"] = TerminationToString(Termination::kFailed);
   found.document["reason"] = remark;
   return found;
-}
-
-// The numbers of nested lists.
-std::vector<double> NumbersIn(const Json& json) {
-  std::vector<double> numbers;
-  if (json.is_number()) return {json.get<double>()};
-  for (const Json& item : json) {
-    const std::vector<double> more = NumbersIn(item);
-    numbers.insert(numbers.end(), more.begin(), more.end());
-  }
-  return numbers;
 }
 
 Found GradientPoint(const Request& request, double seconds, const StopRequest& stop) {
@@ -204,15 +193,6 @@ Found GradientPoint(const Request& request, double seconds, const StopRequest& s
   return found;
 }
 
-// |gradient - exact| / |exact| of an audit, over all that it has.
-Json ErrorOfAudit(const Json& audit) {
-  if (!audit.contains("gradient")) return nullptr;
-  const std::vector<double> found = NumbersIn(audit.at("gradient")), exact = NumbersIn(audit.at("exact_gradient"));
-  std::vector<double> difference = found;
-  for (size_t i = 0; i < std::min(found.size(), exact.size()); ++i) difference[i] -= exact[i];
-  return Norm(difference) / Norm(exact);
-}
-
 Found ProgramPoint(const SweepStudy& study, int64_t point, double seconds) {
   const SweepRow values = study.Values(point);
   std::string arguments, set;
@@ -238,7 +218,10 @@ Found ProgramPoint(const SweepStudy& study, int64_t point, double seconds) {
       if (gradient.contains(part)) document["norm_d" + part] = Norm(NumbersIn(gradient.at(part)));
     }
     if (!document.contains("loss")) found.status = PointStatus::kFailed;
-    if (document.contains("audits")) document["relative_error"] = ErrorOfAudit(document.at("audits").at(0));
+    if (const Json audit = document.value("/audits/0"_json_pointer, Json()); audit.contains("gradient")) {
+      document["relative_error"] =
+          RelativeError(NumbersIn(audit.at("gradient")), NumbersIn(audit.at("exact_gradient")));
+    }
     document["events"] = document.at("motion").at("events").size();
     document["reason"] = document.value("failed", document.at("motion").value("remark", std::string()));
     return found;

@@ -55,9 +55,9 @@ TEST(FigureTest, JsonHasWhatAPanelHolds) {
   EXPECT_EQ(first["series"][0]["x"][1], 0.123457);
   EXPECT_TRUE(first["series"][0]["y"][1].is_null());
   EXPECT_EQ(first["circles"][0]["radius"], 0.125);
-  EXPECT_EQ(first["planes"][0]["normal"][1], 1);
+  EXPECT_EQ(first["half_planes"][0]["normal"][1], 1);
   EXPECT_EQ(first["outlines"][0]["solid"], "outside");
-  EXPECT_EQ(first["lines"][0]["vertical"], true);
+  EXPECT_EQ(first["reference_lines"][0]["vertical"], true);
 }
 
 }  // namespace

@@ -25,8 +25,8 @@ def series(label, y, **more):
 
 
 def panel(curves, **more):
-    return {"title": "", "x": {"label": "time (s)"}, "y": {"label": "loss"}, "equal": False, "series": curves, "lines": [],
-            "circles": [], "planes": [], "outlines": [], **more}
+    return {"title": "", "x": {"label": "time (s)"}, "y": {"label": "loss"}, "equal_aspect": False, "series": curves, "reference_lines": [],
+            "circles": [], "half_planes": [], "outlines": [], **more}
 
 
 class Viewer(Pages):
@@ -76,7 +76,7 @@ class Viewer(Pages):
         curve = series("lcp", [1, 100, None, 0.01, -1, 10])
         self.show({"kind": "figure", "caption": "c", "figure": {"title": "", "panels": [
             panel([curve, series("marks", [3], marker="circle", line=False)], y={"label": "loss", "log": True},
-                  lines=[{"value": 2, "label": "impact", "vertical": True, "colour": "#999999", "dash": "dotted"}]),
+                  reference_lines=[{"value": 2, "label": "impact", "vertical": True, "colour": "#999999", "dash": "dotted"}]),
             panel([series("constant", [5, 5])])]}})
         path = self.js("return document.querySelector('.plot g path').getAttribute('d')")
         pieces = [[tuple(map(float, point.split(","))) for point in piece.split("L")] for piece in path.split("M")[1:]]

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -12,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "base/number_text.h"
 #include "problems/hybrid_systems.h"
 #include "programs/run_program.h"
 #include "saltus/hybrid/hybrid_simulator.h"
@@ -150,11 +152,28 @@ TEST(HybridProgram, WritesAPageWithTheDocument) {
   ASSERT_NE(at, std::string::npos);
   const std::string text = page.substr(at + begin.size(), page.find("</script>", at) - at - begin.size());
   const json document = json::parse(text);
-  const json& motion = document["motion"];
+  EXPECT_EQ(document["title"], "slip_hopper");
+  const json& motion = document["results"]["motion"];
   EXPECT_GT(motion["times"].size(), 400u);
   EXPECT_EQ(motion["frames"].size(), motion["times"].size());
   EXPECT_EQ(motion["frames"][0]["circles"].size(), 1u);
-  EXPECT_EQ(json::parse(ContentsOf(folder + "/result.json"))["program"], "slip_hopper");
+  // The numbers of pictures have seven digits, the others all that they have.
+  const json result = json::parse(ContentsOf(folder + "/result.json"));
+  EXPECT_EQ(document["results"]["loss"], result["loss"]);
+  for (const json& row : motion["states"]) {
+    for (const double number : row) EXPECT_EQ(RoundedTo(7, number), number);
+  }
+  // A motion is a part of the page; terminal and page have the same tables.
+  const auto tables = [&](const std::string& header) {
+    return std::ranges::count_if(document["parts"], [&](const json& part) {
+      return part.contains("table") && part["table"]["columns"][0]["header"] == header;
+    });
+  };
+  EXPECT_EQ(tables("event"), 1);
+  EXPECT_EQ(tables("variable"), 1);
+  const auto is_motion = [](const json& part) { return part["kind"] == "motion"; };
+  EXPECT_EQ(std::ranges::count_if(document["parts"], is_motion), 1);
+  EXPECT_EQ(result["program"], "slip_hopper");
   std::filesystem::remove_all(folder);
 }
 

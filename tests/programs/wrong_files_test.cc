@@ -116,18 +116,6 @@ TEST_F(WrongFiles, ATouchEndsAfterItBegins) {
               HasSubstr("touches[0].end: expected a time from its begin on, 0.5, found 0.25"));
 }
 
-// Angular velocities are variables of solvers, of which there are none here.
-TEST(SimulateOnly, TakesScenesWhoseSpinIsFree) {
-  Request request;
-  request.scene = ProblemScene("ground_wall_spin");
-  ASSERT_FALSE(request.scene.free_spin.empty());
-  for (const char* contact : {"direct", "event", "compliant_warp"}) {
-    if (!WhyNotApplicable(contact, request.scene).empty()) continue;
-    const SolvedRun run = SimulateOnly(request, contact);
-    EXPECT_TRUE(run.simulated) << contact << ": " << run.report.reason;
-  }
-}
-
 // A duration that was found stands in the table; without one there is no column.
 TEST(RunTable, ShowsDurationsThatWereFree) {
   SolvedRuns solved;

@@ -154,6 +154,11 @@ const char* CurvatureToString(Curvature::Kind kind);
 
 // Returns verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
 std::string VerdictInWords(const Certificate& certificate);
+// Explains the verdict on the control, in a sentence or two.
+std::string MeaningOf(const Certificate& certificate);
+// Returns the relative residual of the certificate: the worst one under its verdict, std::nullopt if there is nothing
+// to certify.
+std::optional<double> ResidualOf(const Certificate& certificate);
 
 // Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`, or on equal intervals
 // if there are none. If the arguments or the scene are wrong, `stop` returned true, or memory ran out, the certificate

@@ -1,17 +1,4 @@
-// The document of a hybrid system's program (programs/hybrid_program.h) as parts of a page.
-const shown = (value, digits = 10) => (
-  typeof value === 'number' ? String(Number(value.toPrecision(digits))) : value === null || value === undefined ? '' : String(value));
-
-// A number of noisy runs or to first order, with the digits of the programs' tables.
-const statistic = (value) => (typeof value === 'number' ? Number(value.toPrecision(4)) : value);
-
-// Without columns that are empty.
-function hybridTable(heads, rows) {
-  const kept = heads.map((_, j) => j).filter((j) => j === 0 || rows.some((row) => shown(row[j]) !== ''));
-  const columns = kept.map((j) => ({header: heads[j], number: rows.every((row) => typeof row[j] === 'number')}));
-  return {keys: 1, columns, rows: rows.map((row) => kept.map((j) => shown(row[j])))};
-}
-
+// Motions of hybrid systems, in the documents of their programs (programs/hybrid_program.h).
 // One number of the samples in a motion over time, by its name; interrupted at events and where its mode has no such number.
 function hybridCurves(motion, key, namesOf) {
   const curves = new Map();
@@ -88,52 +75,4 @@ class HybridReplay extends Player {
     this.slider.value = this.time;
     this.clock.value = `${this.time.toFixed(3)}, mode ${modes[k]}`;
   }
-}
-
-function hybridParts(data) {
-  const {system, runs, motion, guess, gradient, audits} = data, parts = [];
-  const heading = (text) => parts.push({kind: 'heading', text});
-  const table = (caption, heads, rows) => parts.push({kind: 'table', caption, table: hybridTable(heads, rows)});
-  parts.push({kind: 'text', text: `${system.modes.length} mode${system.modes.length === 1 ? "" : "s"}; loss of the initial guess: ${shown(data.loss) || data.failed}`});
-  if (runs.length > 0) {
-    heading('Solvers');
-    table('The runs of the solvers.', ['solver', 'initial loss', 'final loss', 'duration', 'iterations', 'termination', 'certificate', 'remark'],
-      runs.map((run) => [run.solver, run.initial_loss, run.final_loss, run.solution?.duration, run.iterations, run.termination,
-        run.certificate?.verdict, run.reason]));
-  }
-  const studies = [...runs.map((run) => [run.solver, run.feedback]), ['initial guess', data.feedback]].filter(([, study]) => study);
-  if (studies.length > 0) {
-    heading('Feedback');
-    table('Root mean square of the final error, and runs with other events than planned: of noisy runs, and to first order.',
-      ['run', 'loop', 'final error', 'first order', 'noisy runs', 'other events', 'probability to first order', 'failed', 'remark'],
-      studies.flatMap(([name, study]) => (study.failed ? [[name, '', null, null, null, null, null, null, study.failed]]
-        : ['open', 'closed'].filter((loop) => study[loop]).map((loop) => {
-          const {final_error, change_probability, warning, runs: noisy = {}} = study[loop];
-          return [name, loop, statistic(noisy.final_error), statistic(final_error), noisy.samples, noisy.otherwise,
-            statistic(change_probability), noisy.failed, warning];
-        }))));
-  }
-  const motions = runs.filter((run) => run.motion).map((run) => [run.solver, run.motion, run.solution, run.durations]);
-  for (const [name, one, input, durations] of [...motions, ['initial guess', motion, guess]]) {
-    heading(`Motion: ${name}`);
-    if (one.failed) parts.push({kind: 'text', text: `The motion ends early: ${one.failed}`});
-    if (one.remark) parts.push({kind: 'text', text: one.remark});
-    if (one.frames) parts.push({kind: 'element', element: new HybridReplay(one).element, caption: 'The motion over time.'});
-    if (one.times.length > 0) parts.push({kind: 'figure', figure: hybridFigure(data, one, input, durations), caption: 'States, controls and guards over time. Dotted: events; dashed: bounds.'});
-    table('Events.', ['event', 'time', 'mode', 'guard', 'next mode'], one.events.map((event, i) => [i + 1, event.time, event.mode, event.guard, event.next_mode]));
-  }
-  if (gradient) {
-    heading('Gradient of the loss at the initial guess');
-    const states = system.modes.find((mode) => mode.name === guess.mode).states;
-    table('Derivatives of the loss.', ['variable', 'value', 'derivative'], [
-      ...states.map((name, i) => [`${name} at the start`, guess.initial[i], gradient.initial[i]]),
-      ...system.parameters.map((name, i) => [name, guess.parameters[i], gradient.parameters[i]]),
-      ['duration', guess.duration, gradient.duration]]);
-  }
-  if (audits?.length) {
-    heading('Audit of time-stepping schemes');
-    table('Verdicts on the gradients of the schemes.', ['scheme', 'verdict', 'steps', 'loss', 'exact loss', 'order', 'reason'],
-      audits.map((audit) => [audit.scheme, audit.verdict, audit.steps, audit.loss, audit.exact_loss, audit.order, audit.reason]));
-  }
-  return parts;
 }

@@ -101,7 +101,13 @@ class Page {
 
   figure({figure, caption}) { this.numbered('Figure', caption, false, drawFigure(figure)); }
 
-  element(part) { this.numbered('Figure', part.caption, false, part.element); }
+  // The motion of a run of a hybrid system or, without a run, of its initial guess.
+  motion({run}) {
+    const {results} = this.data, {motion, solution, durations} = run === null ? {motion: results.motion, solution: results.guess} : results.runs[run];
+    if (motion.frames) this.numbered('Figure', 'The motion over time.', false, new HybridReplay(motion).element);
+    if (motion.times.length === 0) return;
+    this.figure({figure: hybridFigure(results, motion, solution, durations), caption: 'States, controls and guards over time. Dotted: events; dashed: bounds.'});
+  }
 
   // A figure of the results, if there is anything to draw.
   plot({plot, caption}) {
@@ -129,6 +135,4 @@ class Page {
   }
 }
 
-const held = JSON.parse(document.getElementById('document').textContent);
-const shownDocument = held.parts ? held : {title: held.program, subtitle: '', parts: hybridParts(held), results: held};
-window.saltusReplays = new Page(shownDocument).replays;
+window.saltusReplays = new Page(JSON.parse(document.getElementById('document').textContent)).replays;

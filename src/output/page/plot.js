@@ -90,7 +90,7 @@ function extentOf(panel) {
     x.forEach((value, i) => add(value, y[i]));
     if (band) y.forEach((value) => ys.push(-value));
   }
-  for (const {value, vertical} of panel.lines) (vertical ? xs : ys).push(value);
+  for (const {value, vertical} of panel.reference_lines) (vertical ? xs : ys).push(value);
   for (const {centre: [x, y], radius} of panel.circles) [-radius, radius].forEach((side) => add(x + side, y + side));
   for (const {points} of panel.outlines) points.forEach(([x, y]) => add(x, y));
   return [xs, ys];
@@ -115,7 +115,7 @@ class PanelView {
     const [xs, ys] = extentOf(panel);
     this.x = new Scale(panel.x, xs, 0.02);
     this.y = new Scale(panel.y, ys, 0.05);
-    if (panel.equal) {
+    if (panel.equal_aspect) {
       const across = this.box.right - this.box.left, up = this.box.bottom - this.box.top;
       const unit = Math.max((this.x.high - this.x.low) / across, (this.y.high - this.y.low) / up);
       this.x.widen(unit * across);
@@ -128,13 +128,13 @@ class PanelView {
     this.inside = svg('g', {'clip-path': `url(#${clip})`});
     this.svg.append(this.inside);
     this.drawShapes();
-    for (const line of panel.lines) this.drawLine(line);
+    for (const line of panel.reference_lines) this.drawLine(line);
     panel.series.forEach((series, i) => this.drawSeries(series, i));
   }
 
   // In words, for those who do not see it: what the panel shows, and from where to where its lines go.
   describe() {
-    const {title, x, y, series, lines} = this.panel, named = new Map();
+    const {title, x, y, series, reference_lines: lines} = this.panel, named = new Map();
     const point = ({x: xs, y: ys}, i) => `(${xs[i].toPrecision(3)}, ${ys[i].toPrecision(3)})`;
     for (const one of series) {
       const finite = one.x.map((_, i) => i).filter((i) => Number.isFinite(one.x[i] ?? NaN) && Number.isFinite(one.y[i] ?? NaN));
@@ -175,7 +175,7 @@ class PanelView {
   }
 
   drawShapes() {
-    const {outlines, planes, circles} = this.panel;
+    const {outlines, half_planes: planes, circles} = this.panel;
     const corners = [[this.x.low, this.y.low], [this.x.high, this.y.low], [this.x.high, this.y.high], [this.x.low, this.y.high]];
     for (const {points, solid} of outlines) {  // what is solid outside of a line would cover all else
       if (solid !== 'outside') continue;
@@ -223,7 +223,7 @@ class PanelView {
 // Every label once, with its style.
 function keyOf(panels) {
   const entries = new Map();
-  for (const {series, lines} of panels) {
+  for (const {series, reference_lines: lines} of panels) {
     for (const one of series) if (one.label && !entries.has(one.label)) entries.set(one.label, one);
     for (const one of lines) if (one.label && !entries.has(one.label)) entries.set(one.label, {...one, line: true, marker: 'none', width: 1.5});
   }
@@ -273,7 +273,7 @@ function drawFigure({title, panels}) {
 // ---- Figures that are drawn from the results
 
 const seriesOf = (label, {colour, dash}, x, y) => ({label, x, y, colour, dash, marker: 'none', line: true, width: 2});
-const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, lines, circles: [], outlines: [], planes: []});
+const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, reference_lines: lines, circles: [], outlines: [], half_planes: []});
 
 const timeLines = (times) => times.map((value) => ({value, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
 const impactLines = ({touches}) => timeLines(touches.slice(0, 8).map(({begin}) => begin));

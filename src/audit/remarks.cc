@@ -1,9 +1,10 @@
-#include "programs/remarks.h"
+#include "audit/remarks.h"
 
 #include <algorithm>
 #include <cmath>
 
 #include "base/number_text.h"
+#include "base/table.h"
 #include "saltus/simulate/events.h"
 
 namespace saltus {
@@ -40,12 +41,6 @@ void AddLostDigits(const Scene& scene, const ModelGradient& gradient, Remarks* r
 bool IsLess(double less, double than) { return than - less > kWorse * std::max(std::abs(less), std::abs(than)); }
 
 }  // namespace
-
-Json RemarksToJson(const Remarks& remarks) {
-  Json list = Json::array();
-  for (const Remark& remark : remarks) list.push_back({{"kind", remark.kind}, {"text", remark.text}});
-  return list;
-}
 
 Remarks RemarksOn(const ExactRun& exact) {
   Remarks remarks;
@@ -88,7 +83,7 @@ Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient) {
   return remarks;
 }
 
-Remarks RemarksOn(const SolvedRun& run) {
+Remarks RemarksOn(const CheckedRun& run) {
   const SolveReport& report = run.report;
   Remarks remarks;
   if (run.HasSolution()) remarks = RemarksOn(run.exact);

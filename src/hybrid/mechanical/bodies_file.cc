@@ -1,19 +1,12 @@
-#include <gflags/gflags.h>
+#include "hybrid/mechanical/bodies_file.h"
 
 #include <algorithm>
 #include <array>
 #include <initializer_list>
+#include <limits>
 #include <numeric>
-#include <optional>
 
-#include "programs/hybrid_program.h"
-#include "programs/json_output.h"
-#include "programs/program.h"
-#include "saltus/hybrid/rigid_bodies.h"
 #include "scene/scene_reader.h"
-#include "scene/yaml_value.h"
-
-DECLARE_string(scene);
 
 namespace saltus {
 namespace {
@@ -36,7 +29,7 @@ double ReadPositive(const Value& value, const char* expected) { return ReadAtLea
 // Reads a file of bodies: its own keys, and parts that scene files have too.
 class BodiesReader final : internal::SceneReader {
  public:
-  BodiesTask Read(const YAML::Node& root);
+  BodiesProblem Read(const YAML::Node& root);
 
  private:
   // Reads a direction and returns it with length 1.
@@ -264,41 +257,11 @@ class BodiesReader final : internal::SceneReader {
       Fail(*names, "expected no such key: no position or velocity is free");
   }
 
-  // For simulators: what the state, the control and the parameters of a step do not say. A body that moves in another
-  // way than freely has a joint, with the names and numbers of its kind.
-  Json SceneForSimulators(const RigidBodies2D& bodies) const {
-    Json scene = {{"bodies", Json::array()}, {"planes", Json::array()}};
-    if (rigid_.friction == 0) scene["frictionless"] = true;
-    for (std::size_t b = 0; b < rigid_.bodies.size(); ++b) {
-      const RigidBody2D& body = rigid_.bodies[b];
-      Json item = {{"name", body.name}, {"position", body.position}, {"angle", body.angle}};
-      item["fixed"] = body.joint.kind == JointKind::kWeld;
-      if (body.joint.kind == JointKind::kTranslation) item["joint"] = "translation";
-      if (body.joint.kind == JointKind::kRevolute) item["joint"] = {{"revolute", body.joint.point}};
-      if (body.joint.kind == JointKind::kPrismatic) item["joint"] = {{"prismatic", body.joint.axis}};
-      item["mass"] = body.mass;
-      item["inertia"] = bodies.InertiaOf(static_cast<int>(b));
-      if (body.radius > 0) {
-        item["radius"] = body.radius;
-      } else if (body.polygon == BoxPolygon(body.polygon[2][0], body.polygon[2][1])) {
-        item["box"] = body.polygon[2];
-      } else {
-        item["polygon"] = body.polygon;
-      }
-      if (body.pushed) item["pushed"] = true;
-      scene["bodies"].push_back(std::move(item));
-    }
-    for (const RigidPlane2D& plane : rigid_.planes) {
-      scene["planes"].push_back({{"point", plane.point}, {"normal", plane.normal}});
-    }
-    return scene;
-  }
-
   RigidScene2D rigid_;
   std::vector<std::string> names_;  // of coordinates
 };
 
-BodiesTask BodiesReader::Read(const YAML::Node& root) {
+BodiesProblem BodiesReader::Read(const YAML::Node& root) {
   const Fields fields = ReadFields({root, "", 1},
                                    {"name",
                                     "duration",
@@ -341,11 +304,8 @@ BodiesTask BodiesReader::Read(const YAML::Node& root) {
   const MechanicalSystem::Start start = system.FindMode(guess.initial, first, guess.parameters);
   if (start.mode < 0) Fail(*fields.Find("bodies"), start.why);
   guess.mode = start.mode;
-  BodiesTask task{{.problem = {.system = system.hybrid(), .guess = std::move(guess), .free = std::move(free)},
-                   .extras = ExtrasOf(bodies),
-                   .name = name},
-                  system};
-  task.extras.scene = SceneForSimulators(bodies);
+  BodiesProblem task{
+      name, {.system = system.hybrid(), .guess = std::move(guess), .free = std::move(free)}, system, bodies};
   ReadObjective(fields.Require("objective", "a map with the key terminal"), &task.problem);
   ReadOptimize(fields, &task.problem.free);
   return task;
@@ -353,17 +313,6 @@ BodiesTask BodiesReader::Read(const YAML::Node& root) {
 
 }  // namespace
 
-BodiesTask ReadBodies(const YAML::Node& root) { return BodiesReader().Read(root); }
-
-int BodiesMain(int argc, char** argv) {
-  return RunHybridProgram(argc, argv, FindProgram("saltus_bodies"), [] {
-    if (FLAGS_scene.empty()) throw InputError("--scene=FILE is needed");
-    std::optional<BodiesTask> task;
-    const auto error =
-        internal::ReadYamlFile(FLAGS_scene, [&](const YAML::Node& root) { task.emplace(ReadBodies(root)); });
-    if (error) throw InputError(error->ToString());
-    return HybridTask(*std::move(task));
-  });
-}
+BodiesProblem ReadBodies(const YAML::Node& root) { return BodiesReader().Read(root); }
 
 }  // namespace saltus

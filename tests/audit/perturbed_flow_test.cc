@@ -1,7 +1,8 @@
 // The effect of a displacement before a contact, beside that of the exact impact: two equal discs exchange it.
+#include "audit/attribution/perturbed_flow.h"
+
 #include <gtest/gtest.h>
 
-#include "programs/audit.h"
 #include "test_scenes.h"
 
 namespace saltus {

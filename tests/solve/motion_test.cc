@@ -4,10 +4,11 @@
 #include <algorithm>
 #include <cmath>
 
-#include "programs/scene_drawing.h"
 #include "saltus/simulate/registry.h"
 #include "scene/scene_generators.h"
+#include "solve/checked_run.h"
 #include "solve/control_guess.h"
+#include "test_scenes.h"
 
 namespace saltus {
 namespace {
@@ -135,6 +136,17 @@ TEST(Motion, MeansOverStepsKeepImpulses) {
   EXPECT_THAT(MeanOverSteps(thirds, 2, 6), testing::ElementsAre(1, 0, 1, 0, 4, 0, 4, 0, -2, 0, -2, 0));
   const ControlGuess uneven{{1, 0, 4, 0, 7, 7}, {0.25, 0.75, 0}};
   EXPECT_THAT(MeanOverSteps(uneven, 2, 4), testing::ElementsAre(1, 0, 4, 0, 4, 0, 4, 0));
+}
+
+// Angular velocities are variables of solvers, of which there are none here.
+TEST(SimulateAndCheck, TakesScenesWhoseSpinIsFree) {
+  const Scene scene = ProblemScene("ground_wall_spin");
+  ASSERT_FALSE(scene.free_spin.empty());
+  for (const char* contact : {"direct", "event", "compliant_warp"}) {
+    if (!WhyNotApplicable(contact, scene).empty()) continue;
+    const CheckedRun run = SimulateAndCheck({scene, contact}, std::nullopt, nullptr);
+    EXPECT_TRUE(run.simulated) << contact << ": " << run.report.reason;
+  }
 }
 
 }  // namespace

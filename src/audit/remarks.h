@@ -2,14 +2,14 @@
 // JSON and Python show the same ones.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "programs/json_output.h"
-#include "programs/solve.h"
 #include "saltus/audit/gradients.h"
 #include "saltus/hybrid/hybrid_simulator.h"
 #include "saltus/simulate/exact_run.h"
+#include "solve/checked_run.h"
 
 namespace saltus {
 
@@ -21,9 +21,6 @@ struct Remark {
   std::string text;  // with the place and the cause
 };
 using Remarks = std::vector<Remark>;
-
-// [{"kind", "text"}, ...]
-Json RemarksToJson(const Remarks& remarks);
 
 // Remarks on a motion that was simulated exactly, or could not be.
 Remarks RemarksOn(const ExactRun& exact);
@@ -37,7 +34,7 @@ Remarks RemarksOn(const Simulator& simulator, const std::vector<double>& initial
 // Remarks on a loss and its gradient. Precondition: gradient.ok().
 Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient);
 // Remarks on a run of a solver, or on a simulation.
-Remarks RemarksOn(const SolvedRun& run);
+Remarks RemarksOn(const CheckedRun& run);
 // Remarks on the last motion of a hybrid system, which succeeded, and on its integration error, if that is known: it
 // should be at most `tolerance`, up to rounding.
 Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error = std::nullopt,

@@ -1,3 +1,5 @@
+#include "solve/motion.h"
+
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -5,7 +7,6 @@
 #include <numeric>
 #include <tuple>
 
-#include "programs/scene_drawing.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
