@@ -174,7 +174,7 @@ std::optional<PaperFigure> LearnALaw();
 
 // The figures of the paper, from the experiments.
 
-// Returns a component of the force on the controlled disc over time, constant on each interval.
+// Returns a component of the force on the controlled disc at the middle of each interval.
 Series ForceOf(const SolveReport& report, const Scene& scene, int axis = 0);
 // Returns the optimal horizontal force of task 3 over time, without points if it is not known.
 Series OptimalForce(const Scene& scene);

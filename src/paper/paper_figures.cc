@@ -79,10 +79,9 @@ Series ForceOf(const SolveReport& report, const Scene& scene, int axis) {
   double end = 0;
   const std::vector<double> lengths = LengthsOf({report.control, report.durations}, scene);
   for (size_t k = 0; k < lengths.size(); ++k) {
-    const double begin = end, value = report.control[2 * k + axis];
+    force.x.push_back(end + 0.5 * lengths[k]);
+    force.y.push_back(report.control[2 * k + axis]);
     end += lengths[k];
-    force.x.insert(force.x.end(), {begin, end});
-    force.y.insert(force.y.end(), {value, value});
   }
   return force;
 }
