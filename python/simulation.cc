@@ -230,6 +230,9 @@ py::dict Simulation::Rollout(const py::object& z, const py::object& out) {
 }
 
 Array Simulation::NearState(const py::object& state) const {
+  if (scene_.HasPaths()) {
+    throw py::value_error("the scene has prescribed motions, and a step by itself has no time: use rollout");
+  }
   const Array read = ReadArray(state, "state", {scene_.num_bodies(), body_size()});
   Array near = ToArray(View(read), {read.size()});
   ConvertPositions(MutableView(near), body_size(), scene_.units, near_.units);

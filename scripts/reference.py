@@ -83,6 +83,10 @@ POLYGON = ("polygons", [{"name": "box", "points": [[2, -1], [3, -1], [3, 1]], "s
 ARC = ("arcs", [{"name": "bend", "center": [2, 0], "radius": 1, "from": -0.5, "to": 0.5}])
 POCKET = ("pockets", [{"name": "hole", "position": [3, 0], "radius": 0.05}])
 TABLE = ("table", {"friction": 0.1, "gravity": 9.81})
+DRAG = ("forces", [{"drag": {"body": "b", "linear": 0.1}}])
+SPRING = ("forces", [{"spring": {"body": "b", "to": [0, 1], "stiffness": 0.5, "length": 0.8, "damping": 0.1}}])
+PADDLE = ("bodies.2", {"name": "paddle", "radius": 0.1, "path": {"times": [0, 1], "positions": [[3, 3], [3, 2]]}})
+MOVING = ("planes", [{"name": "wall", "normal": [-1, 0], "motion": {"times": [0, 1], "positions": [[3, 0], [3.1, 0]]}}])
 ALLOYS = ("materials", {"NAME": {"restitution": 1}, "steel": {}})
 MATERIALS = (ALLOYS, ("bodies.0.material", "NAME"))
 PAIRS = (*MATERIALS, ("pairs", [{"between": ["NAME", "default"], "restitution": 0.6, "friction": 0}]))
@@ -95,6 +99,10 @@ MODEL_FEATURES = {
     "segments, polygons, arcs": scene(SEGMENT, POLYGON, ARC),
     "table": scene(*LAUNCH, TABLE),
     "pockets": scene(*LAUNCH, POCKET),
+    "drag": scene(DRAG),
+    "springs": scene(SPRING),
+    "prescribed motion of discs": scene(PADDLE),
+    "prescribed motion of planes": scene(MOVING),
 }
 SOLVER_FEATURES = {
     "control": scene(),
@@ -105,6 +113,8 @@ SOLVER_FEATURES = {
     "segments": scene(SEGMENT),
     "table": MODEL_FEATURES["table"],
     "pockets": MODEL_FEATURES["pockets"],
+    "drag and springs": scene(("forces", DRAG[1] + SPRING[1])),
+    "prescribed motion": scene(PADDLE, MOVING),
     "linear term": scene((f"{TERM}.target", None), (f"{TERM}.component", "x")),
     "bounds": scene(("control.max", 5)),
     "terminal equality constraint": scene((f"{TERM}.hard", True)),
@@ -131,6 +141,11 @@ KEYS = [
     ("bodies[].mass", NUMBER, "kg", REQUIRED, "mass, > 0; a fixed disc has none", scene()),
     ("bodies[].fixed", "true or false", "", False, "whether the disc never moves",
      scene(POST)),
+    ("bodies[].path", "map", "", None,
+     "[prescribed motion](../how-to/forces.md#a-paddle-and-a-moving-wall) of the disc, in place of `mass`, `position` and "
+     "`velocity`: the cubic spline through `positions`", scene(PADDLE)),
+    ("bodies[].path.times", "list of numbers", "s", REQUIRED, "times that rise, from 0 or before to the end or after", scene(PADDLE)),
+    ("bodies[].path.positions", "list of [x, y]", "m", REQUIRED, "position of the centre at each of `times`", scene(PADDLE)),
     ("bodies[].position", VECTOR, "m", REQUIRED, "position of the centre at the start", scene()),
     ("bodies[].velocity", VECTOR, "m/s", [0, 0], "velocity at the start", scene()),
     ("bodies[].inertia", "`none`, `solid` or number", "kg m^2", "none",
@@ -144,6 +159,8 @@ KEYS = [
     ("planes[].name", NAME, "", REQUIRED, "unique name", scene(PLANE)),
     ("planes[].point", VECTOR, "m", REQUIRED, "a point of the boundary", scene(PLANE)),
     ("planes[].normal", VECTOR, "", REQUIRED, "normal of any length", scene(PLANE)),
+    ("planes[].motion", "map", "", None, "prescribed motion of the plane, in place of `point`: `times` and `positions` as of "
+     "`bodies[].path`, of a point of the boundary", scene(MOVING)),
     ("planes[].material", NAME, "", "default", MATERIAL, scene(PLANE, *MATERIALS)),
     ("segments", "list", "", None, "walls of finite length; both sides and the ends are solid", scene(SEGMENT)),
     ("segments[].name", NAME, "", REQUIRED, "unique name; `NAME.a` and `NAME.b` are its ends", scene(SEGMENT)),
@@ -170,6 +187,18 @@ KEYS = [
      scene(*LAUNCH, TABLE)),
     ("table.friction", NUMBER, "", REQUIRED, "coefficient of friction between discs and table, >= 0", scene(*LAUNCH, TABLE)),
     ("table.gravity", NUMBER, "m/s^2", 9.81, "gravity, normal to the table, >= 0", scene(*LAUNCH, TABLE)),
+    ("forces", "list", "", None, "[drag and springs](../how-to/forces.md); each entry has one key, `drag` or `spring`",
+     scene(DRAG)),
+    ("forces[].drag", "map", "", None, "the force -linear * v on a disc; one for each disc", scene(DRAG)),
+    ("forces[].drag.body", NAME, "", REQUIRED, "the disc", scene(DRAG)),
+    ("forces[].drag.linear", NUMBER, "N s/m", REQUIRED, "the coefficient, >= 0", scene(DRAG)),
+    ("forces[].spring", "map", "", None, "a spring with a damper", scene(SPRING)),
+    ("forces[].spring.body", NAME, "", REQUIRED, "the disc at one end", scene(SPRING)),
+    ("forces[].spring.to", "[x, y] or name", "m", REQUIRED, "the other end: a point, or another disc", scene(SPRING)),
+    ("forces[].spring.stiffness", NUMBER, "N/m", REQUIRED, ">= 0", scene(SPRING)),
+    ("forces[].spring.length", NUMBER, "m", 0, "length without a force, >= 0", scene(SPRING)),
+    ("forces[].spring.damping", NUMBER, "N s/m", 0, "of the velocity along the spring, >= 0; with the length 0 of every "
+     "velocity", scene(SPRING)),
     ("contact", "map", "", None, "parameters of all contacts; restitution and friction: of those of what has no material",
      scene(("contact", {"friction": 0}))),
     ("contact.restitution", NUMBER, "", 1.0, "separation speed over approach speed along the normal, in [0, 1]",

@@ -345,6 +345,20 @@ def test_bounces_accumulate_and_what_slides_stops():
     assert abs(stop[0] - (ends + (v - lost) / (mu * g))) < 1e-5
 
 
+def test_a_contact_ends_where_what_it_is_on_ends():
+    """A mass slides over the edge of a table, from which its distance is that from a point then."""
+    table = saltus.Contact(
+        gap=lambda q: saltus.where(q[0] < 1, q[1], np.sqrt((q[0] - 1) ** 2 + q[1] ** 2)),
+        distance=lambda q: q[1], reach=lambda q: 1 - q[0], restitution=0)
+    system = saltus.MechanicalSystem(
+        coordinates=["x", "y"], parameters=["m", "g"], mass=lambda p: np.diag([p[0], p[0]]),
+        force=lambda p: [0, -p[0] * p[1]], contacts={"table": table})
+    motion = saltus.rollout(saltus.HybridProblem(system, initial=[0, 0, 0.5, 0], parameters=[2.0, 9.81], duration=3.0))
+    assert [event[2] for event in motion.events] == ["table end"]
+    assert motion.events[0][0] == pytest.approx(2.0, abs=1e-12)
+    assert np.allclose(motion.final, [1.5, -9.81 / 2, 0.5, -9.81], rtol=0, atol=1e-11)
+
+
 @pytest.mark.parametrize("changes, kind, message", [
     ({"mass": lambda p: [p[0], p[0]]}, ValueError, r"mass: found values of shape \(2,\), expected \(2, 2\)"),
     ({"mass": lambda q, p: [[p[0], q[0]], [0, p[0]]]}, ValueError, "mass: .*of x and y, expected a symmetric matrix"),

@@ -79,8 +79,14 @@ std::string BeyondPlanes(const Scene& scene) {
   return "";
 }
 
+std::string BeyondBallistic(const Scene& scene) {
+  if (!scene.forces.empty()) return "drag or springs";
+  return scene.HasPaths() ? "prescribed motions" : "";
+}
+
 std::string BeyondPlainDiscs(const Scene& scene) {
-  const std::string beyond = BeyondPlanes(scene);
+  std::string beyond = BeyondPlanes(scene);
+  if (beyond.empty()) beyond = BeyondBallistic(scene);
   return beyond.empty() && scene.Spins() ? "discs that spin" : beyond;
 }
 

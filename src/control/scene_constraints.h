@@ -1,9 +1,11 @@
 // Which constraints of a scene the rows of its hybrid problem are (saltus/control/scene_problem.h).
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "saltus/control/scene_problem.h"
+#include "saltus/scene/materials.h"
 
 namespace saltus {
 
@@ -20,5 +22,37 @@ struct SceneConstraint {
 // Makes the problem, and tells which of its terms are hard terms, goal regions and limits of the speed. The pointers
 // are into `scene`, which must outlive them.
 HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints);
+
+// Whether the system of a scene has parameters, by which its motion has derivatives.
+enum class SceneParameters { kNone, kAll };
+
+// Where the parameters are: restitution and friction of each pair of materials by MaterialPairIndex(), gravity, and of
+// each disc its mass, its moment of inertia and the coefficient of a linear drag. They are constants: the functions of
+// the system have the values that the scene gives, whatever the values of its parameters.
+struct ParameterPlaces {
+  ParameterPlaces(const Scene& scene, SceneParameters parameters)
+      : num_pairs(std::max(1, static_cast<int>(PairContactsOf(scene).size()))),
+        num_bodies(scene.num_bodies()),
+        exist(parameters == SceneParameters::kAll) {}
+
+  int Restitution(int pair) const { return 2 * pair; }
+  int Friction(int pair) const { return 2 * pair + 1; }
+  int Gravity() const { return 2 * num_pairs; }
+  int Mass(int body) const { return Gravity() + 2 + body; }
+  int Inertia(int body) const { return Mass(num_bodies) + body; }
+  int Drag(int body) const { return Inertia(num_bodies) + body; }
+  int size() const { return exist ? Drag(num_bodies) : 0; }
+
+  int num_pairs, num_bodies;
+  bool exist;
+};
+
+// Makes the system alone.
+HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters);
+
+// Returns the guess of the problem of a scene with another initial state (of the scene), control and lengths of its
+// intervals, s.
+HybridInput InputOf(const HybridProblem& problem, const std::vector<double>& initial,
+                    const std::vector<double>& control, const std::vector<double>& lengths);
 
 }  // namespace saltus

@@ -5,6 +5,10 @@
 // where f is the force at the rim that a torque is stored as. A running term adds weight int |q(s) - r(t + s)|^2 ds,
 // whose integrand is a polynomial of degree four between the times at which targets turn: three nodes of the quadrature
 // of Gauss and Legendre give the integral exactly.
+//
+// Drag and springs without a length make the flow linear in the state (saltus/internal/linear_flow.h), and a prescribed
+// motion is a cubic between its times. With springs that have a length, with forces and prescribed motions, and with
+// running terms beside either, steps are those of the integration.
 #include "saltus/control/scene_problem.h"
 
 #include <ceres/dynamic_autodiff_cost_function.h>
@@ -14,6 +18,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <numeric>
 #include <set>
 #include <utility>
 #include <vector>
@@ -21,9 +26,12 @@
 #include "control/control_bounds.h"
 #include "control/scene_constraints.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/internal/linear_flow.h"
 #include "saltus/simulate/simulator.h"
+#include "scene/path_motion.h"
 #include "simulate/flight.h"
 #include "simulate/impact.h"
+#include "simulate/state_forces.h"
 
 namespace saltus {
 namespace {
@@ -31,7 +39,7 @@ namespace {
 using Quantity = TerminalTerm::Quantity;
 
 constexpr int kOfPair = 10;  // positions, velocities and angular velocities of two bodies
-using PairJet = ceres::Jet<double, kOfPair>;
+constexpr int kOfLaw = 6;    // restitution, friction, and the inverse masses and moments of inertia of two bodies
 
 // Where the numbers of a scene's bodies are in the state and in the control.
 class SceneLayout {
@@ -72,10 +80,27 @@ class SceneLayout {
   std::vector<int> pushed_, turned_;
 };
 
-// Returns the times of waypoints, rising, each once.
-std::vector<double> WaypointTimes(const Scene& scene) {
+// Whether flights of a scene have no closed form, with derivatives by these parameters.
+bool Integrates(const Scene& scene, SceneParameters parameters) {
+  if (parameters == SceneParameters::kAll) return true;
+  const bool running = !scene.objective.running.empty(), moves = scene.HasPaths();
+  if (scene.forces.empty()) return running && moves;
+  return running || moves || !AreLinear(scene.forces) || SceneLayout(scene).size() > LinearFlow::kMostStates;
+}
+
+// Returns the times of waypoints, rising, each once. Steps that are integrated end where targets and paths turn, too.
+std::vector<double> WaypointTimes(const Scene& scene, bool integrates) {
   std::set<double> times;
   for (const ViaTerm& term : scene.objective.via) times.insert(term.time);
+  const auto add = [&](const std::vector<double>& turns) {
+    for (const double turn : turns) {
+      if (turn > 0) times.insert(turn);
+    }
+  };
+  if (!integrates) return {times.begin(), times.end()};
+  for (const RunningTerm& term : scene.objective.running) add(term.times);
+  for (const Body& body : scene.bodies) add(body.path ? body.path->times : std::vector<double>());
+  for (const Plane& plane : scene.planes) add(plane.motion ? plane.motion->times : std::vector<double>());
   return {times.begin(), times.end()};
 }
 
@@ -84,22 +109,41 @@ std::string WaypointName(std::size_t index) { return "waypoint " + std::to_strin
 // Mode k has passed k waypoints. The guards of a mode are those of the pairs, then that of the next waypoint.
 class SceneSystem final : public HybridFunctions {
  public:
-  explicit SceneSystem(const Scene& scene)
-      : HybridFunctions(LayoutOf(scene)), scene_(scene), at_(scene_), waypoints_(WaypointTimes(scene)) {
+  SceneSystem(const Scene& scene, SceneParameters parameters)
+      : HybridFunctions(LayoutOf(scene, parameters)),
+        scene_(scene),
+        at_(scene_),
+        parameters_(scene, parameters),
+        integrates_(Integrates(scene, parameters)),
+        waypoints_(WaypointTimes(scene, integrates_)) {
     for (const Candidate& contact : AllPairs(scene_)) {
       const bool must_not_touch = std::ranges::any_of(scene_.no_contact, [&](const NoContact& apart) {
         const bool same = apart.a == contact.a && apart.b == contact.b;
         const bool turned = !contact.plane && apart.a == contact.b && apart.b == contact.a;
         return apart.plane == contact.plane && (same || turned);
       });
-      pairs_.push_back({contact, MakeImpactConstants(scene_, contact), must_not_touch});
+      const int a = scene_.bodies[contact.a].material + 1;
+      const int b = (contact.plane ? scene_.planes[contact.b].material : scene_.bodies[contact.b].material) + 1;
+      pairs_.push_back({contact, MakeImpactConstants(scene_, contact), MaterialPairIndex(a, b), must_not_touch});
     }
-    if (scene_.objective.running.empty() && scene_.num_bodies() > 1) AddParts();
+    const auto motion_of = [](const std::optional<PrescribedMotion>& path) {
+      return path ? std::optional(PathMotion(*path)) : std::nullopt;
+    };
+    for (const Body& body : scene_.bodies) paths_.push_back(motion_of(body.path));
+    for (const Plane& plane : scene_.planes) motions_.push_back(motion_of(plane.motion));
+    if (!scene_.forces.empty() && !integrates_) linear_.emplace(MakeLinear());
+    const bool flies = BeyondBallistic(scene_).empty() && !parameters_.exist;
+    if (flies && scene_.objective.running.empty() && scene_.num_bodies() > 1) AddParts();
   }
 
   void Flow(const ModePoint& from, double* xdot) const override {
     std::fill_n(xdot, at_.size(), 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
+      if (paths_[i]) {
+        const PathMotion::Point point = paths_[i]->At(from.t);
+        std::copy_n(point.velocity.data(), 2, xdot + at_.PositionOf(i));
+        std::copy_n(point.acceleration.data(), 2, xdot + at_.VelocityOf(i));
+      }
       if (scene_.bodies[i].fixed) continue;
       const Vec2d a = AccelerationOf(i, from.u);
       for (int j = 0; j < 2; ++j) {
@@ -110,6 +154,9 @@ class SceneSystem final : public HybridFunctions {
       xdot[at_.AngleOf(i)] = from.x[at_.AngleOf(i) + 1];
       xdot[at_.AngleOf(i) + 1] = TurningOf(i, from.u);
     }
+    ForEachForce(from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
+      for (int j = 0; j < 2; ++j) xdot[row + j] += inverse_mass * force.value[j];
+    });
     for (const RunningTerm& term : scene_.objective.running) {
       xdot[at_.running()] += term.weight * MissOf(term, from.x, from.t).squaredNorm();
     }
@@ -120,15 +167,47 @@ class SceneSystem final : public HybridFunctions {
     const int n = at_.size(), columns = Columns();
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
+      if (paths_[i]) {
+        const PathMotion::Point point = paths_[i]->At(from.t);
+        for (int j = 0; j < 2; ++j) {
+          jacobian[(at_.PositionOf(i) + j) * columns + n] = point.acceleration[j];
+          jacobian[(at_.VelocityOf(i) + j) * columns + n] = point.jerk[j];
+        }
+      }
       if (scene_.bodies[i].fixed) continue;
       for (int j = 0; j < 2; ++j) {
         jacobian[(at_.PositionOf(i) + j) * columns + at_.VelocityOf(i) + j] = 1;
         if (at_.ForceOn(i) < 0) continue;
-        jacobian[(at_.VelocityOf(i) + j) * columns + n + 1 + at_.ForceOn(i) + j] = InverseMass(scene_.bodies[i]);
+        jacobian[(at_.VelocityOf(i) + j) * columns + FirstControl() + at_.ForceOn(i) + j] =
+            InverseMass(scene_.bodies[i]);
       }
       if (!scene_.Spins()) continue;
       jacobian[at_.AngleOf(i) * columns + at_.AngleOf(i) + 1] = 1;
-      if (at_.TorqueOn(i) >= 0) jacobian[(at_.AngleOf(i) + 1) * columns + n + 1 + at_.TorqueOn(i)] = RateOfTurn(i);
+      if (at_.TorqueOn(i) >= 0)
+        jacobian[(at_.AngleOf(i) + 1) * columns + FirstControl() + at_.TorqueOn(i)] = RateOfTurn(i);
+    }
+    ForEachForce(from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
+      for (int j = 0; j < 2; ++j) {
+        for (int i = 0; i < 4; ++i) {
+          const double by = inverse_mass * force.by(j, i);
+          jacobian[(row + j) * columns + at_.PositionOf(force.body) + i] += by;
+          if (force.other >= 0) jacobian[(row + j) * columns + at_.PositionOf(force.other) + i] -= by;
+        }
+      }
+    });
+    for (int i = 0; i < at_.num_bodies() && parameters_.exist; ++i) {
+      const double inverse_mass = InverseMass(scene_.bodies[i]);
+      if (inverse_mass == 0) continue;
+      for (int j = 0; j < 2; ++j) {
+        const int v = at_.VelocityOf(i) + j;
+        double* row = jacobian + v * columns + n + 1;
+        row[parameters_.Gravity() + j] = 1;
+        row[parameters_.Mass(i)] = -inverse_mass * (xdot[v] - scene_.gravity[j]);
+        row[parameters_.Drag(i)] = -inverse_mass * from.x[v];
+      }
+      if (!scene_.bodies[i].Spins()) continue;
+      const int spin = at_.AngleOf(i) + 1;
+      jacobian[spin * columns + n + 1 + parameters_.Inertia(i)] = -xdot[spin] / scene_.bodies[i].MomentOfInertia();
     }
     for (const RunningTerm& term : scene_.objective.running) {
       double* row = jacobian + at_.running() * columns;
@@ -138,17 +217,27 @@ class SceneSystem final : public HybridFunctions {
     }
   }
 
-  bool IsLinear(int /*mode*/) const override { return scene_.objective.running.empty(); }
+  bool IsLinear(int /*mode*/) const override {
+    return scene_.objective.running.empty() && AreLinear(scene_.forces) && !scene_.HasPaths();
+  }
 
-  void Step(const FlowStep& step, const double* /*slope*/, double* /*scratch*/, double* after,
+  void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
             double* slope_after) const override {
-    Fly(step, after, nullptr);
+    if (!Fly(step, after, nullptr)) return HybridFunctions::Step(step, slope, scratch, after, slope_after);
     Flow({step.mode, step.t + step.h, after, step.u, step.p}, slope_after);
   }
 
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override {
     const int n = at_.size(), columns = Columns();
     const double h = step.h;
+    if (integrates_) return false;
+    if (linear_) {
+      std::array<double, LinearFlow::kMostStates> slope;
+      Flow(step, slope.data());
+      linear_->Step(h, step.x, slope.data(), after);
+      if (jacobian != nullptr) linear_->Jacobian(h, jacobian);
+      return true;
+    }
     std::copy_n(step.x, n, after);
     if (jacobian != nullptr) {
       std::fill_n(jacobian, n * columns, 0.0);
@@ -161,10 +250,21 @@ class SceneSystem final : public HybridFunctions {
       if (jacobian == nullptr) return;
       jacobian[q * columns + v] = h;
       if (control < 0) return;
-      jacobian[q * columns + n + 1 + control] = 0.5 * h * h * by;
-      jacobian[v * columns + n + 1 + control] = h * by;
+      jacobian[q * columns + FirstControl() + control] = 0.5 * h * h * by;
+      jacobian[v * columns + FirstControl() + control] = h * by;
     };
     for (int i = 0; i < at_.num_bodies(); ++i) {
+      if (paths_[i]) {
+        const PathMotion::Point begin = paths_[i]->At(step.t), end = paths_[i]->At(step.t + h);
+        for (int j = 0; j < 2; ++j) {
+          const int q = at_.PositionOf(i) + j, v = at_.VelocityOf(i) + j;
+          after[q] += end.position[j] - begin.position[j];
+          after[v] += end.velocity[j] - begin.velocity[j];
+          if (jacobian == nullptr) continue;
+          jacobian[q * columns + n] = end.velocity[j] - begin.velocity[j];
+          jacobian[v * columns + n] = end.acceleration[j] - begin.acceleration[j];
+        }
+      }
       if (scene_.bodies[i].fixed) continue;
       const Vec2d a = AccelerationOf(i, step.u);
       const int force = at_.ForceOn(i);
@@ -223,7 +323,7 @@ class SceneSystem final : public HybridFunctions {
 
   double Guard(const ModePoint& from, int guard) const override {
     if (IsWaypoint(guard)) return waypoints_[from.mode] - from.t;
-    return SeparationAt(guard, from.x).distance - pairs_[guard].law.contact_distance;
+    return SeparationAt(guard, from).distance - pairs_[guard].law.contact_distance;
   }
   double GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const override {
     if (IsWaypoint(guard)) {
@@ -231,9 +331,9 @@ class SceneSystem final : public HybridFunctions {
       return Guard(from, guard);
     }
     const Candidate& c = pairs_[guard].contact;
-    const Separation<double> apart = SeparationAt(guard, from.x);
-    *rate = Dot(apart.normal,
-                Vec2d(TwoAt(xdot, at_.PositionOf(c.a)) - (c.plane ? Vec2d::Zero() : TwoAt(xdot, at_.PositionOf(c.b)))));
+    const Separation<double> apart = SeparationAt(guard, from);
+    const Vec2d of_b = c.plane ? WallAt(c, from.t).velocity : TwoAt(xdot, at_.PositionOf(c.b));
+    *rate = Dot(apart.normal, Vec2d(TwoAt(xdot, at_.PositionOf(c.a)) - of_b));
     return apart.distance - pairs_[guard].law.contact_distance;
   }
   double GuardGradient(const ModePoint& from, int guard, double* gradient) const override {
@@ -243,7 +343,8 @@ class SceneSystem final : public HybridFunctions {
       return Guard(from, guard);
     }
     const Candidate& c = pairs_[guard].contact;
-    const Separation<double> apart = SeparationAt(guard, from.x);
+    const Separation<double> apart = SeparationAt(guard, from);
+    if (c.plane) gradient[at_.size()] = -Dot(apart.normal, WallAt(c, from.t).velocity);
     for (int j = 0; j < 2; ++j) {
       gradient[at_.PositionOf(c.a) + j] = apart.normal[j];
       if (!c.plane) gradient[at_.PositionOf(c.b) + j] = -apart.normal[j];
@@ -259,25 +360,21 @@ class SceneSystem final : public HybridFunctions {
     const std::array<int, kOfPair> places = PlacesOf(pair.contact);
     std::array<double, kOfPair> x{};
     for (int i = 0; i < kOfPair; ++i) x[i] = places[i] < 0 ? 0.0 : from.x[places[i]];
-    const std::array<double, kOfPair> after = Strike(pair, x);
+    const std::array<double, kOfPair> after = Strike(pair, x, LawOf(pair), WallAt(pair.contact, from.t).velocity);
     for (int i = 0; i < kOfPair; ++i) {
       if (places[i] >= 0) x_plus[places[i]] = after[i];
     }
     return from.mode;
   }
   int ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const override {
-    const int n = at_.size(), columns = n + 1, next = Reset(from, guard, x_plus);
+    const int n = at_.size(), columns = FirstControl(), next = Reset(from, guard, x_plus);
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < n; ++i) jacobian[i * columns + i] = 1;
     if (IsWaypoint(guard) || next < 0) return next;
-    const std::array<int, kOfPair> places = PlacesOf(pairs_[guard].contact);
-    std::array<PairJet, kOfPair> x;
-    for (int i = 0; i < kOfPair; ++i) x[i] = PairJet(places[i] < 0 ? 0.0 : from.x[places[i]], i);
-    const std::array<PairJet, kOfPair> after = Strike(pairs_[guard], x);
-    for (int i = 0; i < kOfPair; ++i) {
-      for (int j = 0; j < kOfPair && places[i] >= 0; ++j) {
-        if (places[j] >= 0) jacobian[places[i] * columns + places[j]] = after[i].v[j];
-      }
+    if (parameters_.exist) {
+      SetByPair<kOfPair + kOfLaw>(from, pairs_[guard], jacobian);
+    } else {
+      SetByPair<kOfPair>(from, pairs_[guard], jacobian);
     }
     return next;
   }
@@ -291,13 +388,15 @@ class SceneSystem final : public HybridFunctions {
   struct Pair {
     Candidate contact;
     ImpactConstants law;
+    int material;  // MaterialPairIndex()
     bool must_not_touch;
   };
 
-  static HybridLayout LayoutOf(const Scene& scene) {
+  static HybridLayout LayoutOf(const Scene& scene, SceneParameters parameters) {
     const SceneLayout at(scene);
-    const std::vector<double> waypoints = WaypointTimes(scene);
-    HybridLayout layout{.num_controls = scene.control_width()};
+    const std::vector<double> waypoints = WaypointTimes(scene, Integrates(scene, parameters));
+    HybridLayout layout{.num_controls = scene.control_width(),
+                        .num_parameters = ParameterPlaces(scene, parameters).size()};
     std::vector<std::string> states;
     for (const Body& body : scene.bodies) {
       for (const char* of : {".x", ".y", ".vx", ".vy"}) states.push_back(body.name + of);
@@ -340,7 +439,8 @@ class SceneSystem final : public HybridFunctions {
     }
   }
 
-  int Columns() const { return at_.size() + 1 + scene_.control_width(); }
+  int FirstControl() const { return at_.size() + 1 + layout().num_parameters; }
+  int Columns() const { return FirstControl() + scene_.control_width(); }
   bool IsWaypoint(int guard) const { return guard == static_cast<int>(pairs_.size()); }
   static Vec2d TwoAt(const double* x, int place) { return {x[place], x[place + 1]}; }
   Vec2d AccelerationOf(int body, const double* u) const {
@@ -351,11 +451,39 @@ class SceneSystem final : public HybridFunctions {
   double TurningOf(int body, const double* u) const {
     return at_.TorqueOn(body) < 0 ? 0.0 : RateOfTurn(body) * u[at_.TorqueOn(body)];
   }
-  Separation<double> SeparationAt(int guard, const double* x) const {
+  // Calls add(row, inverse mass, force) for each disc that a force accelerates, with the row of its velocity; the
+  // forces and derivatives of the other disc have the opposite inverse mass.
+  template <typename Add>
+  void ForEachForce(const double* x, const Add& add) const {
+    for (const StateForce& one : scene_.forces) {
+      const ForceAtState force = ForceAt(one, {x, static_cast<std::size_t>(4 * at_.num_bodies())}, 4);
+      add(at_.VelocityOf(force.body), InverseMass(scene_.bodies[force.body]), force);
+      if (force.other >= 0) add(at_.VelocityOf(force.other), -InverseMass(scene_.bodies[force.other]), force);
+    }
+  }
+  LinearFlow MakeLinear() const {
+    const std::vector<double> zeros(Columns());
+    std::vector<double> slope(at_.size()), jacobian(at_.size() * Columns());
+    FlowJacobian({0, 0, zeros.data(), zeros.data(), nullptr}, slope.data(), jacobian.data());
+    std::vector<LinearFlow::Entry> entries;
+    for (int i = 0; i < std::ssize(jacobian); ++i) {
+      if (jacobian[i] != 0) entries.push_back({i / Columns(), i % Columns(), jacobian[i]});
+    }
+    return {at_.size(), Columns(), entries};
+  }
+  // Returns the motion of a pair's plane at a time; for two discs, and for a plane that rests, velocities are zero.
+  PathMotion::Point WallAt(const Candidate& c, double t) const {
+    if (c.plane && motions_[c.b]) return motions_[c.b]->At(t);
+    const Vec2d none = Vec2d::Zero();
+    return {c.plane ? scene_.planes[c.b].point : none, none, none, none};
+  }
+  Separation<double> SeparationAt(int guard, const ModePoint& from) const {
     const Candidate& c = pairs_[guard].contact;
-    const Vec2d a = TwoAt(x, at_.PositionOf(c.a));
-    if (c.plane) return Separate<double>(a, MakeHalfPlane(scene_.planes[c.b]));
-    return Separate<double>(a, TwoAt(x, at_.PositionOf(c.b)));
+    const Vec2d a = TwoAt(from.x, at_.PositionOf(c.a));
+    if (!c.plane) return Separate<double>(a, TwoAt(from.x, at_.PositionOf(c.b)));
+    HalfPlane<double> wall = MakeHalfPlane(scene_.planes[c.b]);
+    if (motions_[c.b]) wall.offset = Dot(wall.normal, WallAt(c, from.t).position);
+    return Separate<double>(a, wall);
   }
   Vec2d MissOf(const RunningTerm& term, const double* x, double t) const {
     return TwoAt(x, at_.IndexOf(term.body, term.quantity)) - TargetAt(term, t);
@@ -393,8 +521,46 @@ class SceneSystem final : public HybridFunctions {
         for (int j = 0; j < 2; ++j) {
           if (of_position) row[q + j] += by[j];
           row[v + j] += (of_position ? s : 1.0) * by[j];
-          if (force >= 0) row[n + 1 + force + j] += by_force * by[j];
+          if (force >= 0) row[FirstControl() + force + j] += by_force * by[j];
         }
+      }
+    }
+  }
+
+  // Sets the rows of the Jacobian of a reset that an impact changes; with kVariables == kOfPair, by the state and time
+  // alone.
+  template <int kVariables>
+  void SetByPair(const ModePoint& from, const Pair& pair, double* jacobian) const {
+    using Jet = ceres::Jet<double, kVariables>;
+    const int n = at_.size(), columns = FirstControl();
+    const std::array<int, kOfPair> places = PlacesOf(pair.contact);
+    std::array<Jet, kOfPair> x;
+    for (int i = 0; i < kOfPair; ++i) x[i] = Jet(places[i] < 0 ? 0.0 : from.x[places[i]], i);
+    const std::array<double, kOfLaw> values = LawOf(pair);
+    std::array<Jet, kOfLaw> law;
+    for (int i = 0; i < kOfLaw; ++i) {
+      law[i] = Jet(values[i]);
+      if constexpr (kVariables > kOfPair) law[i].v[kOfPair + i] = 1;
+    }
+    const PathMotion::Point wall = WallAt(pair.contact, from.t);
+    const std::array<Jet, kOfPair> after = Strike(pair, x, law, wall.velocity);
+    for (int i = 0; i < kOfPair; ++i) {
+      if (places[i] < 0) continue;
+      double* row = jacobian + places[i] * columns;
+      for (int j = 0; j < kOfPair; ++j) {
+        if (places[j] >= 0) row[places[j]] = after[i].v[j];
+      }
+      // A wall acts by the difference of its velocity from that of disc a, whose own part does not count.
+      const Vec2d by_velocity(after[i].v[4] - (i == 4), after[i].v[5] - (i == 5));
+      row[n] = -Dot(by_velocity, wall.acceleration);
+      if constexpr (kVariables == kOfPair) continue;
+      double* by = row + n + 1;
+      by[parameters_.Restitution(pair.material)] += after[i].v[kOfPair];
+      by[parameters_.Friction(pair.material)] += after[i].v[kOfPair + 1];
+      for (int side = 0; side < (pair.contact.plane ? 1 : 2); ++side) {
+        const int body = side == 0 ? pair.contact.a : pair.contact.b;
+        by[parameters_.Mass(body)] -= after[i].v[kOfPair + 2 + side] * values[2 + side] * values[2 + side];
+        by[parameters_.Inertia(body)] -= after[i].v[kOfPair + 4 + side] * values[4 + side] * values[4 + side];
       }
     }
   }
@@ -413,27 +579,47 @@ class SceneSystem final : public HybridFunctions {
     }
     return places;
   }
+  static std::array<double, kOfLaw> LawOf(const Pair& pair) {
+    const ImpactConstants& law = pair.law;
+    return {law.restitution,
+            law.friction,
+            law.inverse_mass_a,
+            law.inverse_mass_b,
+            law.inverse_inertia[0],
+            law.inverse_inertia[1]};
+  }
+  // Returns what an impact makes of the numbers of its pair. `law` has the numbers of LawOf().
   template <typename T>
-  std::array<T, kOfPair> Strike(const Pair& pair, std::array<T, kOfPair> x) const {
+  std::array<T, kOfPair> Strike(const Pair& pair, std::array<T, kOfPair> x, const std::array<T, kOfLaw>& law,
+                                const Vec2d& of_wall) const {
     const auto two = [&](int i) { return Vec2<T>(x[i], x[i + 1]); };
     const Candidate& c = pair.contact;
     const Separation<T> apart =
         c.plane ? Separate<T>(two(0), MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(two(0), two(2));
-    const Impact<T> impact =
-        MakeImpact<T>(pair.law, apart.normal, Vec2<T>(two(4) - two(6)), std::array<T, 2>{x[8], x[9]});
+    const std::array<double, 2>& radius = pair.law.radius;
+    const Vec2<T> w = two(4) - two(6) - of_wall.cast<T>();
+    const T mobility = law[2] + law[3], speed = Dot(apart.normal, w);
+    const T turning = radius[0] * radius[0] * law[4] + radius[1] * radius[1] * law[5];
+    const T sliding = Dot(Perpendicular(apart.normal), w) - AtRims(pair.law, std::array<T, 2>{x[8], x[9]});
+    const Impact<T> impact = MakeImpact<T>(
+        apart.normal, speed, sliding, T(1.0 / mobility), T(1.0 / (mobility + turning)), T(1.0 + law[0]), law[1]);
     for (int side = 0; side < 2; ++side) {
-      const double gain = side == 0 ? pair.law.inverse_mass_a : -pair.law.inverse_mass_b;
+      const T gain = side == 0 ? law[2] : T(-law[3]);
       for (int j = 0; j < 2; ++j) x[4 + 2 * side + j] += gain * impact.impulse[j];
-      x[8 + side] += SpinGain(pair.law, side, impact);
+      x[8 + side] -= radius[side] * law[4 + side] * impact.tangential;
     }
     return x;
   }
 
   const Scene scene_;
   const SceneLayout at_;
+  const ParameterPlaces parameters_;
+  const bool integrates_;
   const std::vector<double> waypoints_;
   std::vector<Pair> pairs_;
-  std::vector<StatePart> parts_;  // none: the state is one
+  std::vector<StatePart> parts_;                            // none: the state is one
+  std::vector<std::optional<PathMotion>> paths_, motions_;  // of each body, and of each plane
+  std::optional<LinearFlow> linear_;                        // of scenes with forces, if their flow is linear
 };
 
 // The residuals factor (x_i - target_i) of successive components of a state.
@@ -498,15 +684,37 @@ std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, const std::v
 
 std::string WhyNoHybridProblem(const Scene& scene) {
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) return beyond;
+  const bool limited = std::ranges::any_of(scene.objective.limits,
+                                           [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; });
+  if (limited && !scene.forces.empty()) {
+    return "limits of the speed that hold always beside drag or springs, which may be exceeded within an interval "
+           "(give "
+           "at: end)";
+  }
   return scene.design.empty() ? "" : "design parameters";
 }
 
 HybridProblem HybridProblemOf(const Scene& scene) { return HybridProblemOf(scene, nullptr); }
 
+HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters) {
+  return HybridSystem(std::make_shared<SceneSystem>(scene, parameters));
+}
+
+HybridInput InputOf(const HybridProblem& problem, const std::vector<double>& initial,
+                    const std::vector<double>& control, const std::vector<double>& lengths) {
+  HybridInput input = problem.guess;
+  std::ranges::copy(initial, input.initial.begin());
+  input.control = control;
+  input.lengths = lengths;
+  input.num_intervals = static_cast<int>(lengths.size());
+  input.duration = std::accumulate(lengths.begin(), lengths.end(), 0.0);
+  return input;
+}
+
 HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints) {
   const SceneLayout at(scene);
   const Objective& objective = scene.objective;
-  HybridProblem problem{.system = HybridSystem(std::make_shared<SceneSystem>(scene)),
+  HybridProblem problem{.system = SceneSystemOf(scene, SceneParameters::kNone),
                         .guess = {.initial = InitialState(scene),
                                   .duration = scene.duration,
                                   .num_intervals = scene.steps,
@@ -592,7 +800,7 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
       add({.name = "terminal term"}, term);
     }
   }
-  const std::vector<double> waypoints = WaypointTimes(scene);
+  const std::vector<double> waypoints = WaypointTimes(scene, Integrates(scene, SceneParameters::kNone));
   for (const ViaTerm& term : objective.via) {
     const auto index = static_cast<std::size_t>(std::ranges::find(waypoints, term.time) - waypoints.begin());
     if (term.hard) tell({.via = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});

@@ -6,6 +6,7 @@
 
 #include "base/number_text.h"
 #include "feedback/scene_intervals.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/feedback/closed_loop.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/event_sides.h"
@@ -127,6 +128,11 @@ ScenePlan PlanScene(Scene scene, const std::vector<double>& initial, const std::
   ScenePlan planned;
   const Contact event(ExactModel()->name);
   planned.reason = WhyNotApplicable(event, scene);
+  if (const std::string beyond = BeyondBallistic(scene); planned.reason.empty() && !beyond.empty()) {
+    planned.reason = "the scene has " + beyond +
+                     "; feedback is planned along flights of constant acceleration: use the scene as a hybrid system "
+                     "(saltus.hybrid_problem), whose regulators take it";
+  }
   if (planned.reason.empty() && width > 0) planned.reason = WhatIsWrongWith(ControlGuess{control, durations}, scene);
   if (!planned.reason.empty()) return planned;
   planned.lengths = durations;

@@ -215,6 +215,12 @@ FitUnknown UnknownOf(const Unknown& unknown, const Scene& scene) {
       fit.first = 0.02;
       fit.last = 0.52;
       break;
+    case Kind::kDrag:
+      fit.low = 0;
+      fit.scale = scene.bodies[unknown.body].mass / units.time;
+      fit.first = 0.1 * fit.scale;
+      fit.last = 2 * fit.scale;
+      break;
     case Kind::kGravity:
     case Kind::kForce:
       fit.scale = units.acceleration() * (unknown.kind == Kind::kForce ? scene.bodies[unknown.body].mass : 1);
@@ -332,6 +338,10 @@ class SceneModel final : public FitModel {
     if (std::string why = WhyNotApplicable(contact_, scene_); !why.empty()) return why;
     if (std::string wrong = WhatIsWrongWithTheLaw(); !wrong.empty()) return wrong;
     if (scene_.Spins()) return "the scene has discs that spin, and recordings have no angles";
+    if (scene_.HasPaths()) {
+      return "the scene has prescribed motions, which begin at time 0: fit the scene as a hybrid system "
+             "(saltus.hybrid_problem)";
+    }
     FindFreeBodies();
     const bool any = !unknowns_.empty() || options_.law || options_.events || !free_bodies_.empty();
     return any ? "" : "found nothing that is unknown";
@@ -512,10 +522,10 @@ std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view n
   for (const std::string& name : Split(names, ',')) {
     const std::vector<Unknown> found = ParametersNamed(name, scene);
     // Recordings cannot determine the others, which are of the scene's geometry.
-    if (found.empty() || found.front().kind > Kind::kForce) {
+    if (found.empty() || (found.front().kind > Kind::kForce && found.front().kind != Kind::kDrag)) {
       return "found '" + name + "', expected some of " + ContactParametersOf(scene) +
              ", gravity, gravity.x, gravity.y, mass.BODY, force.BODY, force.BODY.x, force.BODY.y, with a BODY that "
-             "moves";
+             "moves, and drag.BODY of one with drag";
     }
     all.insert(all.end(), found.begin(), found.end());
   }

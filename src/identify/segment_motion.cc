@@ -130,12 +130,13 @@ class Sweep {
   double Last() const { return (*request_.samples)[segment_.last - 1].time; }
   int size() const { return simulator_->body_size(); }
 
-  // Discs that spin are moved on step by step, as their rotation has no Jacobian of its own.
+  // Discs that spin are moved on step by step, as their rotation has no Jacobian of its own, and so are those that drag
+  // or springs act on.
   void FindTouchedSteps() {
     for (const StepTouch& touch : simulator_->touches()) {
       if (touched_.empty() || touched_.back() != touch.step) touched_.push_back(touch.step);
     }
-    if (size() == 4) return;
+    if (size() == 4 && scene_.forces.empty()) return;
     touched_.resize(simulator_->num_steps());
     for (int k = 0; k < simulator_->num_steps(); ++k) touched_[k] = k;
   }
@@ -256,9 +257,12 @@ class Sweep {
         return 2;
       case Kind::kDamping:
         return 3;
-      case Kind::kMass: {
+      case Kind::kMass:
+      case Kind::kDrag: {
         const auto found = std::find(island.bodies.begin(), island.bodies.end(), unknown.body);
-        return found == island.bodies.end() ? -1 : 4 + static_cast<int>(found - island.bodies.begin());
+        if (found == island.bodies.end()) return -1;
+        const auto of_drags = static_cast<int>(island.P.cols()) - static_cast<int>(island.bodies.size());
+        return (unknown.kind == Kind::kMass ? 4 : of_drags) + static_cast<int>(found - island.bodies.begin());
       }
       case Kind::kLaw: {
         constexpr int kPlaces[kLawParametersAtOnce] = {0, 2, 3};

@@ -159,29 +159,34 @@ std::optional<Motion> MotionOf(const Scene& scene, const std::vector<double>& in
   return motion;
 }
 
-// Certifies a motion by the conditions of the problem that the scene is as a hybrid system.
-Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, const std::vector<double>& control,
-                            ConditionsOptions options) {
-  Scene& scene = motion.scene;
-  const Flight flight(scene, initial, control, motion.lengths, motion.exact);
-  Certificate certificate;
-  if (certificate.reason = WhyTooNear(scene, flight); !certificate.reason.empty()) return certificate;
-  // Limits that hold always end intervals at events, which those that are not active need not do.
-  std::erase_if(scene.objective.limits, [&](const SpeedLimit& limit) {
+// Drops limits that always hold and are not active. They end intervals at events, which these need not do.
+void DropSlackLimits(const Flight& flight, std::vector<SpeedLimit>* limits) {
+  std::erase_if(*limits, [&](const SpeedLimit& limit) {
     const auto is_slow = [&](const Flight::Piece& piece) {
       const auto speed = [&](double t) { return piece.After(limit.body, t).v.norm(); };
       return std::max(speed(0), speed(piece.duration)) < (1 - kAtLimit) * limit.max;
     };
     return limit.at == SpeedLimit::At::kAlways && std::ranges::all_of(flight.pieces(), is_slow);
   });
+}
+
+// Certifies a motion by the conditions of the problem that the scene is as a hybrid system.
+Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, const std::vector<double>& control,
+                            ConditionsOptions options) {
+  Scene& scene = motion.scene;
+  Certificate certificate;
+  if (const std::string beyond = BeyondBallistic(scene); beyond.empty()) {
+    const Flight flight(scene, initial, control, motion.lengths, motion.exact);
+    if (certificate.reason = WhyTooNear(scene, flight); !certificate.reason.empty()) return certificate;
+    DropSlackLimits(flight, &scene.objective.limits);
+  } else if (!scene.no_contact.empty()) {
+    certificate.reason =
+        "the scene has " + beyond + " and pairs that must not touch, whose distances are not known then";
+    return certificate;
+  }
   std::vector<SceneConstraint> constraints;
   const HybridProblem problem = HybridProblemOf(scene, &constraints);
-  HybridInput input = problem.guess;
-  std::ranges::copy(initial, input.initial.begin());
-  input.control = control;
-  input.lengths = motion.lengths;
-  input.num_intervals = static_cast<int>(motion.lengths.size());
-  input.duration = std::accumulate(motion.lengths.begin(), motion.lengths.end(), 0.0);
+  const HybridInput input = InputOf(problem, initial, control, motion.lengths);
   const ContactSequence pairs = AllPairs(scene);
   std::vector<TermMultiplier> multipliers;
   options.multipliers = &multipliers;

@@ -381,6 +381,7 @@ Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control,
   input.num_intervals = static_cast<int>(control.size()) / scene.control_width();
   Certificate certificate = CertifyKinks(problem, input);
   if (std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode)) return {};
+  std::erase_if(certificate.impacts, [](const ImpactCertificate& one) { return one.b.starts_with("waypoint "); });
   const ContactSequence pairs = AllPairs(scene);
   for (ImpactCertificate& impact : certificate.impacts) {
     NamePair(scene,

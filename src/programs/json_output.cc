@@ -28,6 +28,7 @@ Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
   Json item;
   SALTUS_ADD_MEMBERS(&item, p, restitution, friction, stiffness, damping, gravity, mass, force);
   if (!p.inertia.empty()) item["inertia"] = p.inertia;
+  if (!p.drag.empty()) item["drag"] = p.drag;
   if (!p.pairs.empty()) {
     Json& pairs = item["pairs"] = Json::object();
     for (const int pair : PairsInUse(scene)) {

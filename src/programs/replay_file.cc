@@ -88,6 +88,16 @@ class ReplayReader : InputReader {
     if (value == "outside") *solid = EdgePolygon::Solid::kOutside;
   }
 
+  void Read(const Json& value, const std::string& key, std::optional<PrescribedMotion>* motion) {
+    if (!value.is_object() || !value.contains("times") || !value.contains("positions")) {
+      Fail(key, "{ \"times\", \"positions\" }");
+    }
+    PrescribedMotion& path = motion->emplace();
+    for (const Json& time : value["times"]) path.times.push_back(NumberIn(time, key));
+    Read(value["positions"], key, &path.positions);
+    if (!path.times.empty()) replay_.scene.duration = std::min(replay_.scene.duration, path.times.back());
+  }
+
   void CheckRadius(const Body& disc, const std::string& key) const {
     if (!(disc.radius > 0) || !std::isfinite(disc.radius)) Fail(key, "a radius that is positive");
   }
@@ -109,7 +119,7 @@ class ReplayReader : InputReader {
         std::string expected;
         bool whole = item.is_object();
         VisitDrawnFields(thing, [&](const std::string& key, const auto&) {
-          if (key == "fixed" || key == "solid") return;
+          if (key == "fixed" || key == "solid" || key == "motion") return;
           expected += (expected.empty() ? "{ \"" : ", \"") + key + "\"";
           whole = whole && (key == "name" || item.contains(key));
         });

@@ -11,6 +11,7 @@
 #include "base/number_text.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/walls.h"
+#include "scene/path_motion.h"
 #include "solve/control_guess.h"
 
 namespace saltus {
@@ -209,6 +210,22 @@ Json DiscsToJson(const Scene& scene) {
   return discs;
 }
 
+// Returns points of a prescribed motion with their times, so many for each of its cubics that lines between them show
+// it.
+Json PathToJson(const PrescribedMotion& motion) {
+  constexpr int kParts = 32;
+  const PathMotion path(motion);
+  Json json = {{"times", Json::array()}, {"points", Json::array()}};
+  for (size_t i = 0; i + 1 < motion.times.size(); ++i) {
+    for (int part = 0; part < kParts + (i + 2 == motion.times.size()); ++part) {
+      const double time = motion.times[i] + (motion.times[i + 1] - motion.times[i]) * part / kParts;
+      json["times"].push_back(time);
+      json["points"].push_back(path.At(time).position);
+    }
+  }
+  return json;
+}
+
 // Returns the parts of WallPartsOf(). Half-planes are drawn; outlines show the others.
 Json WallsToJson(const Scene& scene) {
   Json walls = Json::array();
@@ -228,6 +245,10 @@ Json WallsToJson(const Scene& scene) {
                      {"point", point},
                      {"normal", line ? Vec2d(wall.normal) : Vec2d(0, 1)},
                      {"radius", circle ? wall.radius : 0.0}});
+    const size_t index = walls.size() - 1;
+    if (index < scene.planes.size() && scene.planes[index].motion) {
+      walls.back()["motion"] = PathToJson(*scene.planes[index].motion);
+    }
   }
   return walls;
 }

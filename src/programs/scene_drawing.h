@@ -29,6 +29,7 @@ void VisitDrawnFields(Thing& thing, const Visit& visit) {
   } else if constexpr (std::is_same_v<T, Plane>) {
     visit("point", thing.point);
     visit("normal", thing.normal);
+    visit("motion", thing.motion);
   } else if constexpr (std::is_same_v<T, Pocket>) {
     visit("position", thing.position);
     visit("radius", thing.radius);

@@ -272,6 +272,8 @@ void AddDrawn(const Scene& scene, Json* document) {
       VisitDrawnFields(thing, [&](const char* field, const auto& value) {
         if constexpr (requires { value == EdgePolygon::Solid::kInside; }) {
           item[field] = value == EdgePolygon::Solid::kInside ? "inside" : "outside";
+        } else if constexpr (requires { value->positions; }) {
+          if (value) item[field] = {{"times", value->times}, {"positions", value->positions}};
         } else {
           item[field] = value;
         }

@@ -94,6 +94,7 @@ class Rules {
     CheckArcs();
     CheckPockets();
     CheckTable();
+    CheckForces();
     CheckContact();
     CheckMaterials();
     CheckControl();
@@ -190,6 +191,10 @@ class Rules {
       if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, in_.positive);
       Vector(At("bodies", i, "position"), body.position);
       Vector(At("bodies", i, "velocity"), body.velocity);
+      if (body.path) {
+        Expect(body.fixed, At("bodies", i, "path"), "found a path of a body that moves freely, expected a fixed body");
+        CheckPath("bodies", i, "path", *body.path);
+      }
       if (body.fixed)
         Expect(body.velocity.isZero(0), At("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
       CheckSpin(i);
@@ -210,11 +215,35 @@ class Rules {
     Expect(body.angular_velocity == 0, At("bodies", i, "angular_velocity"), kNoInertia);
   }
 
+  void CheckPath(const char* list, std::size_t i, const char* field, const PrescribedMotion& path) {
+    const Key key = At(list, i, field);
+    Expect(path.times.size() >= 2 && path.times.size() == path.positions.size(), key, [&] {
+      return "found " + std::to_string(path.times.size()) + " times and " + std::to_string(path.positions.size()) +
+             " positions, expected at least two, and a position for each time";
+    });
+    for (std::size_t k = 0; k < path.times.size() && !error_; ++k) {
+      const Key row{list, i, field, static_cast<int>(k)};
+      Number(row, path.times[k], in_.any);
+      for (int j = 0; j < 2; ++j) Number(row, path.positions[k][j], in_.any);
+      Expect(k == 0 || path.times[k] > path.times[k - 1], row, "expected times that rise");
+    }
+    if (error_) return;
+    const std::optional<FreeDuration>& free = scene_.objective.duration;
+    const double end = free ? std::max(free->max, scene_.duration) : scene_.duration;
+    constexpr double kRounding = 1e-12;  // of the duration, which may be a sum of intervals
+    const bool covers = path.times.front() <= kRounding * end && path.times.back() >= (1 - kRounding) * end;
+    Expect(covers, key, [&] {
+      return "found times from " + ToText(path.times.front()) + " to " + ToText(path.times.back()) +
+             ", expected them to cover the motion, from 0 to " + ToText(end);
+    });
+  }
+
   void CheckPlanes() {
     for (std::size_t i = 0; i < scene_.planes.size() && !error_; ++i) {
       const Plane& plane = scene_.planes[i];
       UniqueName(At("planes", i, "name"), plane.name);
       Vector(At("planes", i, "point"), plane.point);
+      if (plane.motion) CheckPath("planes", i, "motion", *plane.motion);
       Vector(At("planes", i, "normal"), plane.normal);
       const double length = std::hypot(plane.normal[0], plane.normal[1]);
       Expect(length >= kSmallestPositive, At("planes", i, "normal"), [&] {
@@ -277,6 +306,37 @@ class Rules {
     if (!scene_.table) return;
     Number({"table.friction"}, scene_.table->friction, in_.not_negative);
     Number({"table.gravity"}, scene_.table->gravity, in_.not_negative);
+  }
+
+  void CheckForces() {
+    const auto movable = [&](const Key& key, int body) {
+      if (!BodyIndex(key, body)) return;
+      Expect(!scene_.bodies[body].fixed, key, [&] {
+        return "found " + scene_.bodies[body].name + ", which is fixed; expected a body that moves";
+      });
+    };
+    std::set<int> dragged;
+    for (std::size_t i = 0; i < scene_.forces.size() && !error_; ++i) {
+      if (const auto* drag = std::get_if<Drag>(&scene_.forces[i])) {
+        movable(At("forces", i, "drag.body"), drag->body);
+        const bool is_new = dragged.insert(drag->body).second;
+        Expect(is_new, At("forces", i, "drag.body"), "found it again, expected the drag of each body once");
+        Number(At("forces", i, "drag.linear"), drag->linear, in_.not_negative);
+        continue;
+      }
+      const auto& spring = std::get<Spring>(scene_.forces[i]);
+      movable(At("forces", i, "spring.body"), spring.body);
+      if (spring.to != -1) BodyIndex(At("forces", i, "spring.to"), spring.to);
+      Expect(spring.to != spring.body, At("forces", i, "spring.to"), "found the body itself, expected another body");
+      Vector(At("forces", i, "spring.to"), spring.point);
+      Number(At("forces", i, "spring.stiffness"), spring.stiffness, in_.not_negative);
+      Number(At("forces", i, "spring.length"), spring.length, in_.not_negative);
+      Number(At("forces", i, "spring.damping"), spring.damping, in_.not_negative);
+    }
+    constexpr char kAlone[] =
+        "found drag or springs in a scene with a table or pockets, whose discs stop on exact arcs; "
+        "expected one of the two";
+    Expect(scene_.forces.empty() || (!scene_.table && scene_.pockets.empty()), {"forces"}, kAlone);
   }
 
   void CheckContact() {
@@ -551,10 +611,19 @@ class Rules {
   // Returns how many objects of the scene have a parameter of this kind; -1 if it belongs to no object.
   int NumberOf(SceneParameter::Kind kind) const {
     using Kind = SceneParameter::Kind;
-    if (kind == Kind::kMass || kind == Kind::kRadius || kind == Kind::kPosition) return scene_.num_bodies();
+    if (kind == Kind::kMass || kind == Kind::kRadius || kind == Kind::kPosition || kind == Kind::kDrag) {
+      return scene_.num_bodies();
+    }
     if (kind == Kind::kPlaneOffset || kind == Kind::kPlaneAngle) return static_cast<int>(scene_.planes.size());
     if (kind == Kind::kSegmentOffset || kind == Kind::kSegmentAngle) return static_cast<int>(scene_.segments.size());
     return -1;
+  }
+
+  bool HasDrag(int body) const {
+    return std::ranges::any_of(scene_.forces, [&](const StateForce& force) {
+      const auto* drag = std::get_if<Drag>(&force);
+      return drag != nullptr && drag->body == body;
+    });
   }
 
   void CheckDesign() {
@@ -583,6 +652,13 @@ class Rules {
       Expect(kind != Kind::kPosition || fixed, key, [&] {
         return found() + ", expected the position of a fixed body; those that move have optimize: position";
       });
+      Expect(kind != Kind::kDrag || HasDrag(parameter.body), key, [&] {
+        return found() + ", expected the drag of a body that has some in forces";
+      });
+      const bool on_path =
+          (kind == Kind::kPosition && scene_.bodies[parameter.body].path) ||
+          ((kind == Kind::kPlaneOffset || kind == Kind::kPlaneAngle) && scene_.planes[parameter.body].motion);
+      Expect(!on_path, key, [&] { return found() + ", expected a position or wall without a prescribed motion"; });
       const std::vector<int>& turned = scene_.control.turned;
       const bool of_turned = kind == Kind::kRadius && std::ranges::find(turned, parameter.body) != turned.end();
       Expect(!of_turned, key, [&] { return found() + ", expected the radius of a body without a torque on it"; });
@@ -663,6 +739,11 @@ bool Scene::operator==(const Scene& other) const = default;
 
 bool Scene::Spins() const {
   return std::any_of(bodies.begin(), bodies.end(), [](const Body& body) { return body.Spins(); });
+}
+
+bool Scene::HasPaths() const {
+  return std::ranges::any_of(bodies, [](const Body& body) { return body.path.has_value(); }) ||
+         std::ranges::any_of(planes, [](const Plane& plane) { return plane.motion.has_value(); });
 }
 
 const char* OptimizeToString(Optimize optimize) {

@@ -98,6 +98,12 @@ auto MemberOf(const SceneParameter& parameter, SomeScene* scene) -> decltype(&sc
       const int place = PlaceInControl(*scene, parameter.body);
       return place < scene->num_controlled() ? &scene->control.initial[place][parameter.component] : nullptr;
     }
+    case Kind::kDrag:
+      for (auto& force : scene->forces) {
+        auto* drag = std::get_if<Drag>(&force);
+        if (drag != nullptr && drag->body == parameter.body) return &drag->linear;
+      }
+      break;
     case Kind::kLaw:
     case Kind::kPlaneOffset:
     case Kind::kPlaneAngle:
@@ -182,6 +188,10 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
   if (name == "gravity") return Components({Kind::kGravity}, std::nullopt);
   if (const auto component = rest("gravity.")) return Components({Kind::kGravity}, component);
   if (const auto body = rest("mass.")) return ParametersOfObject(Kind::kMass, FindBody(*body, scene, false));
+  if (const auto body = rest("drag.")) {
+    const SceneParameter drag{Kind::kDrag, FindBody(*body, scene, false)};
+    return MemberOf(drag, &scene) == nullptr ? std::vector<SceneParameter>{} : std::vector{drag};
+  }
   if (const auto body = rest("radius.")) return ParametersOfObject(Kind::kRadius, IndexOf(*body, scene.bodies));
   if (const auto body = rest("force.")) return ComponentsOfBody(Kind::kForce, *body, scene, false);
   if (const auto body = rest("position.")) return ComponentsOfBody(Kind::kPosition, *body, scene, true);
@@ -217,6 +227,8 @@ std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
       return "radius." + body();
     case Kind::kPosition:
       return "position." + body() + component;
+    case Kind::kDrag:
+      return "drag." + body();
     case Kind::kPlaneOffset:
       return "offset." + scene.planes[parameter.body].name;
     case Kind::kPlaneAngle:
@@ -271,6 +283,7 @@ ParameterRange RangeOf(const DesignParameter& design) {
     case Kind::kFriction:
     case Kind::kStiffness:
     case Kind::kDamping:
+    case Kind::kDrag:
       range.min = 0;
       break;
     case Kind::kMass:

@@ -7,6 +7,7 @@
 #include "base/table.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
+#include "scene/path_motion.h"
 #include "scene/scene_rules.h"
 
 namespace saltus::internal {
@@ -109,20 +110,53 @@ std::vector<int> SceneReader::ReadBodyNames(const Value& value) {
   return bodies;
 }
 
+PrescribedMotion SceneReader::ReadPath(const Value& value) {
+  const Fields fields = ReadFields(value, {"times", "positions"});
+  PrescribedMotion path;
+  for (const Value& time : ReadList(fields.Require("times", "a list of times in s"), "a list of times")) {
+    path.times.push_back(ReadNumber(time));
+  }
+  const Value& positions = fields.Require("positions", "a list of positions [x, y] in m");
+  for (const Value& position : ReadList(positions, "a list of positions [x, y]")) {
+    path.positions.push_back(ReadVector(position));
+  }
+  return path;
+}
+
 Body SceneReader::ReadBody(const Value& value) {
-  const Fields fields = ReadFields(
-      value,
-      {"name", "radius", "mass", "fixed", "position", "velocity", "inertia", "angle", "angular_velocity", "material"});
+  const Fields fields = ReadFields(value,
+                                   {"name",
+                                    "radius",
+                                    "mass",
+                                    "fixed",
+                                    "position",
+                                    "velocity",
+                                    "inertia",
+                                    "angle",
+                                    "angular_velocity",
+                                    "material",
+                                    "path"});
   Body body;
   body.name = ReadName(fields.Require("name", "a name"));
   body.radius = ReadNumber(fields.Require("radius", "the radius in m"));
+  const Value* path = fields.Find("path");
+  body.fixed = path != nullptr;
   if (const Value* fixed = fields.Find("fixed")) body.fixed = ReadBool(*fixed);
+  if (path != nullptr && !body.fixed) Fail(*fields.Find("fixed"), "found false beside a path, expected no such key");
   if (!body.fixed) {
     body.mass = ReadNumber(fields.Require("mass", "the mass in kg"));
   } else if (const Value* mass = fields.Find("mass")) {
     Fail(*mass, "found a mass, expected none: the body is fixed");
   }
-  body.position = ReadVector(fields.Require("position", "the position [x, y] in m"));
+  if (path != nullptr) {
+    for (const char* key : {"position", "velocity"}) {
+      if (const Value* found = fields.Find(key)) Fail(*found, "found it beside a path, expected none: the path has it");
+    }
+    body.path = ReadPath(*path);
+    if (IsPath(*body.path)) body.position = PathMotion(*body.path).At(0).position;
+  } else {
+    body.position = ReadVector(fields.Require("position", "the position [x, y] in m, or a path"));
+  }
   if (const Value* velocity = fields.Find("velocity")) body.velocity = ReadVector(*velocity);
   if (const Value* inertia = fields.Find("inertia")) body.inertia = ReadInertia(*inertia);
   if (const Value* angle = fields.Find("angle")) body.angle = ReadNumber(*angle);
@@ -132,11 +166,18 @@ Body SceneReader::ReadBody(const Value& value) {
 }
 
 Plane SceneReader::ReadPlane(const Value& value) {
-  const Fields fields = ReadFields(value, {"name", "point", "normal", "material"});
-  return {ReadName(fields.Require("name", "a name")),
-          ReadVector(fields.Require("point", "a point [x, y] of the boundary in m")),
-          ReadVector(fields.Require("normal", "the normal [x, y]")),
-          ReadMaterialOf(fields)};
+  const Fields fields = ReadFields(value, {"name", "point", "normal", "material", "motion"});
+  Plane plane{.name = ReadName(fields.Require("name", "a name"))};
+  if (const Value* motion = fields.Find("motion")) {
+    if (const Value* point = fields.Find("point")) Fail(*point, "found it beside a motion, expected none: it is there");
+    plane.motion = ReadPath(*motion);
+    if (IsPath(*plane.motion)) plane.point = PathMotion(*plane.motion).At(0).position;
+  } else {
+    plane.point = ReadVector(fields.Require("point", "a point [x, y] of the boundary in m, or its motion"));
+  }
+  plane.normal = ReadVector(fields.Require("normal", "the normal [x, y]"));
+  plane.material = ReadMaterialOf(fields);
+  return plane;
 }
 
 EdgeSegment SceneReader::ReadSegment(const Value& value) {
@@ -183,6 +224,28 @@ TableFriction SceneReader::ReadTable(const Value& value) {
   table.friction = ReadNumber(fields.Require("friction", "the coefficient of friction"));
   if (const Value* gravity = fields.Find("gravity")) table.gravity = ReadNumber(*gravity);
   return table;
+}
+
+StateForce SceneReader::ReadForce(const Value& value) {
+  const Fields kind = ReadFields(value, {"drag", "spring"});
+  if (kind.values.size() != 1) FailExpected(value, "one key, drag or spring");
+  if (const Value* drag = kind.Find("drag")) {
+    const Fields fields = ReadFields(*drag, {"body", "linear"});
+    return Drag{ReadBodyName(fields.Require("body", "the name of a body")),
+                ReadNumber(fields.Require("linear", "the force at a speed of 1 m/s, in N s/m"))};
+  }
+  const Fields fields = ReadFields(*kind.Find("spring"), {"body", "to", "stiffness", "length", "damping"});
+  Spring spring{.body = ReadBodyName(fields.Require("body", "the name of a body"))};
+  const Value& to = fields.Require("to", "a point [x, y], or the name of another body");
+  if (to.node.IsSequence()) {
+    spring.point = ReadVector(to);
+  } else {
+    spring.to = ReadBodyName(to);
+  }
+  spring.stiffness = ReadNumber(fields.Require("stiffness", "the stiffness in N/m"));
+  if (const Value* length = fields.Find("length")) spring.length = ReadNumber(*length);
+  if (const Value* damping = fields.Find("damping")) spring.damping = ReadNumber(*damping);
+  return spring;
 }
 
 ContactParameters SceneReader::ReadContact(const Value& value) {
@@ -505,9 +568,9 @@ void SceneReader::ReadUnknown(const Value& value) {
 
 Scene SceneReader::Read(const YAML::Node& root) {
   const Fields fields = ReadFields(
-      {root, "", 1}, {"name",     "duration", "steps",     "gravity",    "bodies",   "planes",    "segments",
-                      "polygons", "arcs",     "pockets",   "table",      "contact",  "materials", "pairs",
-                      "combine",  "control",  "objective", "no_contact", "optimize", "free",      "free_spin"});
+      {root, "", 1}, {"name",    "duration",  "steps",      "gravity",  "bodies",  "planes",    "segments", "polygons",
+                      "arcs",    "pockets",   "table",      "forces",   "contact", "materials", "pairs",    "combine",
+                      "control", "objective", "no_contact", "optimize", "free",    "free_spin"});
   scene_.name = ReadName(fields.Require("name", "the name of the scene"));
   scene_.duration = ReadNumber(fields.Require("duration", "the duration in s"));
   scene_.steps = ReadSteps(fields.Require("steps", "the number of steps"));
@@ -526,6 +589,7 @@ Scene SceneReader::Read(const YAML::Node& root) {
   ReadEach(fields, "arcs", "a list of arcs", &SceneReader::ReadArc, &scene_.arcs);
   ReadEach(fields, "pockets", "a list of pockets", &SceneReader::ReadPocket, &scene_.pockets);
   if (const Value* table = fields.Find("table")) scene_.table = ReadTable(*table);
+  ReadEach(fields, "forces", "a list of forces", &SceneReader::ReadForce, &scene_.forces);
   if (const Value* control = fields.Find("control")) scene_.control = ReadControl(*control);
   scene_.objective = ReadObjective(fields.Require("objective", "a map with the key terminal"));
   ReadEach(fields, "no_contact", "a list of pairs", &SceneReader::ReadNoContact, &scene_.no_contact);

@@ -42,6 +42,7 @@ class SceneReader {
   int ReadBodyName(const Value& value) const;
   std::vector<int> ReadBodyNames(const Value& value);
 
+  PrescribedMotion ReadPath(const Value& value);
   Body ReadBody(const Value& value);
   Plane ReadPlane(const Value& value);
   EdgeSegment ReadSegment(const Value& value);
@@ -49,6 +50,7 @@ class SceneReader {
   EdgeArc ReadArc(const Value& value);
   Pocket ReadPocket(const Value& value);
   TableFriction ReadTable(const Value& value);
+  StateForce ReadForce(const Value& value);
   ContactParameters ReadContact(const Value& value);
   void ReadMaterials(const Value& value);
   int ReadMaterial(const Value& value) const;

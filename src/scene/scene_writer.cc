@@ -6,6 +6,7 @@
 #include <cctype>
 #include <cmath>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "base/number_text.h"
@@ -63,16 +64,26 @@ void WriteMaterial(YAML::Emitter* out, const Scene& scene, int material) {
   if (material >= 0) WriteName(out, "material", scene.materials[material].name);
 }
 
+void WritePath(YAML::Emitter* out, const char* key, const PrescribedMotion& path) {
+  *out << YAML::Key << key << YAML::Value << YAML::BeginMap << YAML::Key << "times" << YAML::Value << YAML::BeginSeq;
+  for (const double time : path.times) *out << ToText(time);
+  *out << YAML::EndSeq << YAML::Key << "positions" << YAML::Value << YAML::BeginSeq;
+  for (const Vec2d& position : path.positions) *out << position;
+  *out << YAML::EndSeq << YAML::EndMap;
+}
+
 void WriteBody(YAML::Emitter* out, const Scene& scene, const Body& body) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", body.name);
   WriteField(out, "radius", body.radius);
-  if (body.fixed) {
+  if (body.path) {
+    WritePath(out, "path", *body.path);
+  } else if (body.fixed) {
     WriteField(out, "fixed", true);
   } else {
     WriteField(out, "mass", body.mass);
   }
-  WriteField(out, "position", body.position);
+  if (!body.path) WriteField(out, "position", body.position);
   if (!body.fixed) WriteField(out, "velocity", body.velocity);
   if (body.Spins()) WriteSpin(out, body);
   WriteMaterial(out, scene, body.material);
@@ -82,7 +93,11 @@ void WriteBody(YAML::Emitter* out, const Scene& scene, const Body& body) {
 void WritePlane(YAML::Emitter* out, const Scene& scene, const Plane& plane) {
   *out << YAML::Flow << YAML::BeginMap;
   WriteName(out, "name", plane.name);
-  WriteField(out, "point", plane.point);
+  if (plane.motion) {
+    WritePath(out, "motion", *plane.motion);
+  } else {
+    WriteField(out, "point", plane.point);
+  }
   WriteField(out, "normal", plane.normal);
   WriteMaterial(out, scene, plane.material);
   *out << YAML::EndMap;
@@ -132,6 +147,29 @@ void WriteTable(YAML::Emitter* out, const TableFriction& table) {
   WriteField(out, "friction", table.friction);
   WriteField(out, "gravity", table.gravity);
   *out << YAML::EndMap;
+}
+
+void WriteForce(YAML::Emitter* out, const Scene& scene, const StateForce& force) {
+  const auto begin = [&](const char* kind, int body) {
+    *out << YAML::Flow << YAML::BeginMap << YAML::Key << kind << YAML::Value << YAML::BeginMap;
+    WriteName(out, "body", scene.bodies[body].name);
+  };
+  if (const auto* drag = std::get_if<Drag>(&force)) {
+    begin("drag", drag->body);
+    WriteField(out, "linear", drag->linear);
+  } else {
+    const auto& spring = std::get<Spring>(force);
+    begin("spring", spring.body);
+    if (spring.to >= 0) {
+      WriteName(out, "to", scene.bodies[spring.to].name);
+    } else {
+      WriteField(out, "to", spring.point);
+    }
+    WriteField(out, "stiffness", spring.stiffness);
+    WriteField(out, "length", spring.length);
+    WriteField(out, "damping", spring.damping);
+  }
+  *out << YAML::EndMap << YAML::EndMap;
 }
 
 void WriteContact(YAML::Emitter* out, const ContactParameters& contact) {
@@ -352,6 +390,7 @@ std::string WriteScene(const Scene& scene) {
   WriteTerms(&out, "arcs", scene, scene.arcs, WriteArc);
   WriteTerms(&out, "pockets", scene, scene.pockets, WritePocket);
   if (scene.table) WriteTable(&out, *scene.table);
+  WriteTerms(&out, "forces", scene, scene.forces, WriteForce);
   WriteContact(&out, scene.contact);
   WriteMaterials(&out, scene);
   if (scene.num_controlled() > 0) WriteControl(&out, scene);

@@ -164,6 +164,7 @@ double UnitFactors::of(const SceneParameter& parameter) const {
     case Kind::kStiffness:
       return force / length;
     case Kind::kDamping:
+    case Kind::kDrag:
       return force / speed;
     case Kind::kMass:
       return mass;
@@ -257,6 +258,10 @@ std::vector<double> Multiplied(std::vector<double> numbers, double factor) {
 Scene InUnits(const Scene& scene, const Units& units) {
   const UnitFactors by(scene.units, units);
   const auto convert_position = [&](Vec2d* position) { *position = ConvertPosition(*position, scene.units, units); };
+  const auto convert_path = [&](PrescribedMotion* path) {
+    path->times = Multiplied(std::move(path->times), by.time);
+    for (Vec2d& position : path->positions) convert_position(&position);
+  };
   Scene out = scene;
   out.units = units;
   out.duration *= by.time;
@@ -265,11 +270,15 @@ Scene InUnits(const Scene& scene, const Units& units) {
     body.radius *= by.length;
     body.mass *= by.mass;
     convert_position(&body.position);
+    if (body.path) convert_path(&*body.path);
     body.velocity *= by.speed;
     body.inertia.moment *= by.moment_of_inertia;
     body.angular_velocity *= by.rate;
   }
-  for (Plane& plane : out.planes) convert_position(&plane.point);
+  for (Plane& plane : out.planes) {
+    convert_position(&plane.point);
+    if (plane.motion) convert_path(&*plane.motion);
+  }
   for (EdgeSegment& segment : out.segments) {
     convert_position(&segment.from);
     convert_position(&segment.to);
@@ -286,6 +295,15 @@ Scene InUnits(const Scene& scene, const Units& units) {
     pocket.radius *= by.length;
   }
   if (out.table) out.table->gravity *= by.acceleration;
+  for (StateForce& force : out.forces) {
+    if (auto* drag = std::get_if<Drag>(&force)) drag->linear *= by.force / by.speed;
+    auto* spring = std::get_if<Spring>(&force);
+    if (spring == nullptr) continue;
+    convert_position(&spring->point);
+    spring->stiffness *= by.force / by.length;
+    spring->length *= by.length;
+    spring->damping *= by.force / by.speed;
+  }
   out.contact.stiffness *= by.force / by.length;
   out.contact.damping *= by.force / by.speed;
   for (Vec2d& force : out.control.initial) force *= by.force;

@@ -140,7 +140,7 @@ template int BroadPhase::Find(const float*, int, std::vector<Candidate>*);
 
 int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
   for (int i = 0; i < num_discs(); ++i) {
-    speed_[i] = discs_[i].fixed ? 0.0 : std::sqrt(Dot(now_[i].v, now_[i].v));
+    speed_[i] = std::sqrt(Dot(now_[i].v, now_[i].v));
     margin_[i] = kMargin * (std::abs(now_[i].p[0]) + std::abs(now_[i].p[1]) + discs_[i].radius);
     SetReach(i);
   }
@@ -170,7 +170,7 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
 
 void BroadPhase::SetReach(int i) {
   const double dt = options_.dt;
-  reach_[i] = (discs_[i].fixed ? 0.0 : (speed_[i] + acceleration_[i] * dt) * dt) + margin_[i];
+  reach_[i] = (speed_[i] + acceleration_[i] * dt) * dt + margin_[i];
 }
 
 bool BroadPhase::ListStands() const {

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "saltus/control/contact_sequence.h"
 #include "scene/units.h"
 #include "simulate/lane_simulator.h"
 
@@ -206,6 +207,7 @@ class ConvertedSimulator final : public LaneSimulator {
                                : mass        ? to_inner_.mass
                                              : 1 / to_inner_.moment_of_inertia;
     }
+    if (island->P.cols() > 0 && !BeyondBallistic(scene_).empty()) island->P.rightCols(discs) *= Damping();  // of drag
   }
 
   // Converts the derivative of a flying disc's rotation after a step by that before.
@@ -224,6 +226,7 @@ class ConvertedSimulator final : public LaneSimulator {
     gradient->gravity *= to_inner_.acceleration;
     for (double& mass : gradient->mass) mass *= to_inner_.mass;
     for (double& inertia : gradient->inertia) inertia *= to_inner_.moment_of_inertia;
+    for (double& drag : gradient->drag) drag *= Damping();
     for (Vec2d& force : gradient->force) force *= to_inner_.force;
     for (std::size_t i = 0; i < gradient->design.size(); ++i) {
       gradient->design[i] *= to_inner_.of(scene_.design[i].parameter);

@@ -7,9 +7,12 @@
 
 #include "base/number_text.h"
 #include "contact/event/event_ties.h"
+#include "control/hybrid_shooting.h"
+#include "control/scene_constraints.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
+#include "scene/path_motion.h"
 #include "scene/scene_rules.h"
 #include "scene/units.h"
 #include "simulate/flight.h"
@@ -103,6 +106,22 @@ std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial,
   return "";
 }
 
+// Adds the costs of running and via terms of a scene whose flights are integrated.
+void AddIntegratedLoss(Scene scene, const std::vector<double>& initial, const std::vector<double>& control,
+                       const std::vector<double>& lengths, ExactRun* run) {
+  scene.objective.terminal.clear();
+  scene.objective.limits.clear();
+  scene.objective.effort = 0;
+  scene.objective.duration.reset();
+  scene.design.clear();
+  const HybridProblem problem = HybridProblemOf(scene);
+  HybridShooting shooting(problem);
+  HybridShooting::Outcome outcome;
+  run->ok = shooting.Simulate(InputOf(problem, initial, control, lengths), &outcome);
+  run->loss += outcome.loss;
+  if (!run->ok) run->reason = shooting.WhyFailed();
+}
+
 // Adds the costs of running and via terms, and of the duration.
 void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                      const std::vector<double>& durations, ExactRun* run) {
@@ -113,6 +132,7 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
     run->loss += objective.duration->weight * std::accumulate(lengths.begin(), lengths.end(), 0.0);
   }
   if (objective.running.empty() && objective.via.empty()) return;
+  if (!BeyondBallistic(scene).empty()) return AddIntegratedLoss(scene, initial, control, lengths, run);
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
     run->ok = false;
     run->reason = "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
@@ -145,15 +165,16 @@ ExactRun SimulateInOrder(const RunSettings& settings, const Scene& whole, const 
     for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
       while (end < durations.size() && durations[end] == durations[begin]) ++end;
       if (durations[begin] == 0) continue;
-      scene.steps = static_cast<int>(end - begin);
-      scene.duration = scene.steps * durations[begin];
+      Scene part = FromTimeOn(scene, start);
+      part.steps = static_cast<int>(end - begin);
+      part.duration = part.steps * durations[begin];
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
       const int first = static_cast<int>(begin);
-      if (!RunEqualIntervals(settings, scene, rows, first, start, &x, &run)) {
+      if (!RunEqualIntervals(settings, part, rows, first, start, &x, &run)) {
         if (end < durations.size()) run.end.clear();
         return run;
       }
-      start += scene.duration;
+      start += part.duration;
     }
   }
   run.ok = true;
@@ -251,7 +272,8 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
 
   RunSettings settings{std::string(exact->name), 0, most_impacts, stop};
   ExactRun run = SimulateInOrder(settings, part, initial, control, durations);
-  if (!run.ok || run.ambiguous.empty()) return run;
+  // Where flights are integrated, every order was tried at the tie.
+  if (!run.ok || run.ambiguous.empty() || !BeyondBallistic(part).empty()) return run;
   int orders = 0;
   for (const Tie& tie : run.ambiguous) orders = std::max(orders, NumTieOrders(tie.num_contacts));
   const SameEnd same(scene, initial, run);

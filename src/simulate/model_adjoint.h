@@ -17,6 +17,7 @@
 #include "simulate/free_flight.h"
 #include "simulate/geometry_derivative.h"
 #include "simulate/island_derivative.h"
+#include "simulate/parameter_derivative.h"
 #include "simulate/rollout_record.h"
 #include "simulate/stepper.h"
 #include "simulate/trajectory.h"
@@ -144,36 +145,14 @@ class ModelAdjoint {
 
   // Sets the total derivatives by Scene::design from those by the constants of a step.
   void FindDesign(ParameterGradient* parameters) const {
-    using Kind = SceneParameter::Kind;
     parameters->design.clear();
     for (std::size_t i = 0; i < given_.design.size(); ++i) {
-      const auto& [kind, body, component] = given_.design[i].parameter;
-      const auto by = [&]() -> double {
-        switch (kind) {
-          case Kind::kRestitution:
-          case Kind::kFriction:
-            return ByContact(given_.design[i].parameter, *parameters);
-          case Kind::kStiffness:
-            return parameters->stiffness;
-          case Kind::kDamping:
-            return parameters->damping;
-          case Kind::kGravity:
-            return parameters->gravity[component];
-          case Kind::kForce:
-            return parameters->force[body][component];
-          case Kind::kMass: {
-            const double mass = parameters->mass[body];
-            if (given_.bodies[body].inertia.kind != Inertia::Kind::kSolid || parameters->inertia.empty()) return mass;
-            const double radius = given_.bodies[body].radius;
-            return mass + 0.5 * radius * radius * parameters->inertia[body];
-          }
-          case Kind::kPosition:
-            return lambda_[body * kSize + component];
-          default:
-            return geometry_.By(i);
-        }
-      };
-      parameters->design.push_back(by());
+      const SceneParameter& parameter = given_.design[i].parameter;
+      const bool position = parameter.kind == SceneParameter::Kind::kPosition;
+      const std::optional<double> by = ByParameter(given_, parameter, *parameters);
+      parameters->design.push_back(by         ? *by
+                                   : position ? lambda_[parameter.body * kSize + parameter.component]
+                                              : geometry_.By(i));
     }
   }
 

@@ -9,8 +9,11 @@
 #include <variant>
 
 #include "base/number_text.h"
+#include "saltus/control/contact_sequence.h"
+#include "saltus/simulate/exact_run.h"
 #include "scene/units.h"
 #include "simulate/converted_simulator.h"
+#include "simulate/forced_simulator.h"
 #include "simulate/registry_entry.h"
 
 namespace saltus {
@@ -153,7 +156,15 @@ std::string WhyNotApplicable(const Contact& contact, const Scene& scene) {
   if (const std::optional<SceneError> error = ValidateStructure(scene))
     return "the scene is wrong: " + error->ToString();
   const ContactEntry& entry = Entry(contact);
-  return entry.why_not_applicable(InUnitsOfModel(entry, scene));
+  const Scene seen = InUnitsOfModel(entry, scene);
+  std::string reason = entry.why_not_applicable(seen);
+  const std::string beyond = BeyondBallistic(scene);
+  if (!reason.empty() || beyond.empty() || !entry.traits.event_driven) return reason;
+  if (&entry != Contact(ExactModel()->name).entry()) {
+    return "the scene has " + beyond +
+           ", in which impacts of this model are not located: use event, or a time-stepping model such as lcp";
+  }
+  return WhyNotIntegrated(seen);
 }
 
 std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision) {
@@ -162,7 +173,12 @@ std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& sc
   const ContactEntry& entry = Entry(contact);
   const Scene seen = InUnitsOfModel(entry, scene);
   const bool same = SameNumbers(seen.units, scene.units);
-  std::unique_ptr<Simulator> simulator = entry.make(same ? scene : seen, precision, OptionsIn(contact));
+  const auto make = [&](const Scene& in_units) -> std::unique_ptr<Simulator> {
+    if (BeyondBallistic(scene).empty()) return entry.make(in_units, precision, OptionsIn(contact));
+    if (entry.traits.event_driven) return MakeIntegratedScene(in_units, entry.traits);
+    return AddForces(in_units, entry.make(WithoutForces(in_units), precision, OptionsIn(contact)));
+  };
+  std::unique_ptr<Simulator> simulator = make(same ? scene : seen);
   return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));
 }
 

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "scene/path_motion.h"
+
 namespace saltus {
 namespace {
 
@@ -184,7 +186,8 @@ std::vector<double> ToState(std::span<const double> initial, int num_bodies) {
 std::vector<double> InitialState(const Scene& scene) {
   std::vector<double> state;
   for (const Body& body : scene.bodies) {
-    state.insert(state.end(), {body.position[0], body.position[1], body.velocity[0], body.velocity[1]});
+    const Vec2d velocity = body.path ? PathMotion(*body.path).At(0).velocity : body.velocity;
+    state.insert(state.end(), {body.position[0], body.position[1], velocity[0], velocity[1]});
   }
   if (!scene.Spins()) return state;
   for (const Body& body : scene.bodies) state.insert(state.end(), {body.angle, body.angular_velocity});

@@ -7,8 +7,10 @@
 #include <numeric>
 #include <tuple>
 
+#include "saltus/control/contact_sequence.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
+#include "scene/path_motion.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
 
@@ -46,21 +48,21 @@ Scene PartOf(const Scene& scene, const std::vector<int>& discs) {
 class ExactFlight {
  public:
   // The exact model takes `scene`, which is in its natural units and outlives the object.
-  explicit ExactFlight(const Scene& scene) : scene_(scene) {}
+  explicit ExactFlight(const Scene& scene) : scene_(scene), integrates_(!BeyondBallistic(scene).empty()) {}
 
   // Sets which discs touch anything in the flights that follow; all others must not.
   void SetTouching(const std::vector<char>& touches) {
     discs_.clear();
     for (int i = 0; i < scene_.num_bodies(); ++i) {
-      if (touches[i]) discs_.push_back(i);
+      if (touches[i] || integrates_) discs_.push_back(i);
     }
     part_ = PartOf(scene_, discs_);
   }
 
-  // The state (simulator.h) after `time` from state x under `force` (B x 2, on every disc). That is x if the time is
-  // too short for numbers; not a number where the simulation fails.
-  std::vector<double> Fly(std::span<const double> x, std::span<const double> force, double time) const {
-    Scene part = part_;
+  // The state (simulator.h) after `time` from state x at time `begin` under `force` (B x 2, on every disc). That is x
+  // if the time is too short for numbers; not a number where the simulation fails.
+  std::vector<double> Fly(std::span<const double> x, std::span<const double> force, double begin, double time) const {
+    Scene part = FromTimeOn(part_, begin);
     part.duration = time;
     std::vector<double> next(x.begin(), x.end());
     if (!WhyNotApplicable(model_, part).empty()) return next;
@@ -98,6 +100,7 @@ class ExactFlight {
 
   const Contact model_{ExactModel()->name};
   const Scene& scene_;
+  const bool integrates_;   // whether all discs are moved together, as flights have no constant acceleration
   Scene part_;              // has the discs that touch
   std::vector<int> discs_;  // these
 };
@@ -161,6 +164,8 @@ class Way {
     simulator_->ExpandForce(control_, k, force_);
     if (ok_) {
       simulator_->GetState(k + 1, next_);
+    } else if (simulator_->scene().HasPaths()) {
+      return false;  // a step by itself begins at time 0
     } else {
       simulator_->Step(x_, force_, next_);
     }
@@ -288,7 +293,7 @@ class ExactMotion {
     if (motion_.failure.empty()) recorder_.AddNode(0, ToState(x, scene_.num_bodies()), size_);
     for (const Group& group : GroupsOf(lengths)) {
       if (!motion_.failure.empty()) break;
-      Scene part = scene_;
+      Scene part = FromTimeOn(scene_, start_);
       part.steps = group.count;
       part.duration = group.count * group.length;
       const std::span<const double> rows(control.data() + width * group.first, width * group.count);
@@ -346,22 +351,23 @@ class ExactMotion {
     }
     flight_.SetTouching(touching);
     std::vector<double> before(way.x().begin(), way.x().end());
+    const double begin = start_ + way.step() * h;
     double now = 0;
     for (size_t i = 0, end = 0; i < events.size(); i = end) {
-      const double time = events[i].touch.time, instant = start_ + way.step() * h + time;
+      const double time = events[i].touch.time, instant = begin + time;
       while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
       if (time - now > kOneInstant * h) {
         // The remainder at the end of the flight (time_grid.h) is added to the next flight.
-        before = flight_.Fly(before, way.force(), time - now);
+        before = flight_.Fly(before, way.force(), begin + now, time - now);
         recorder_.Add(instant, before, size_);
         now = time;
       }
-      std::vector<double> after = flight_.Fly(before, way.force(), kJustAfter * h);
+      std::vector<double> after = flight_.Fly(before, way.force(), instant, kJustAfter * h);
       for (size_t j = 0; j < after.size(); j += size_) std::copy_n(before.begin() + j, 2, after.begin() + j);
       recorder_.Add(instant, after, size_);
       for (size_t j = i; j < end; ++j) {
         Report(events[j],
-               start_ + way.step() * h,
+               begin,
                ImpulseOn(scene_, events[j].touch.candidate, before, after, size_, way.force(), kJustAfter * h));
       }
     }

@@ -7,13 +7,14 @@
 #include <utility>
 
 #include "control/hybrid_shooting.h"
+#include "control/scene_constraints.h"
 #include "optimality/hybrid_conditions.h"
 #include "optimality/kink_conditions.h"
 #include "saltus/control/objective.h"
-#include "saltus/control/scene_problem.h"
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
+#include "saltus/solve/hybrid_solver.h"
 #include "saltus/solve/solvers_by_name.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
@@ -203,19 +204,12 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   scene.design.clear();
   if (report->durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
   HybridProblem problem = HybridProblemOf(scene);
-  HybridInput& guess = problem.guess;
-  std::ranges::copy(report->initial_state, guess.initial.begin());
-  guess.control = report->control;
-  guess.lengths = report->durations;
-  guess.num_intervals = static_cast<int>(report->durations.size());
-  guess.duration = std::accumulate(report->durations.begin(), report->durations.end(), 0.0);
+  const HybridInput& guess = problem.guess =
+      InputOf(problem, report->initial_state, report->control, report->durations);
   HybridShooting shooting(problem);
   // Takes a control, if it is feasible, certified and no worse.
   const auto take = [&](const std::vector<double>& control, const std::vector<double>& durations) {
-    HybridInput input = guess;
-    input.control = control;
-    input.lengths = durations;
-    input.duration = std::accumulate(durations.begin(), durations.end(), 0.0);
+    const HybridInput input = InputOf(problem, guess.initial, control, durations);
     HybridShooting::Outcome outcome;
     if (!shooting.Simulate(input, &outcome) || outcome.violation > std::max(kFeasible, report->final_violation)) {
       return false;
@@ -251,6 +245,73 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   if (!report->iterates.empty()) return;  // of which there is one for each loss
   report->iterations += found.iterations;
   report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());
+}
+
+// Whether a solver of scenes is one of hybrid systems too, which takes scenes that its own flights do not cover.
+bool HasHybrid(std::string_view solver) {
+  return solver == "ceres_phases" || solver == "ipopt" || solver == "mode_search";
+}
+
+// Returns why a solver does not support a scene whose flights are not those of constant acceleration; empty if it does,
+// and for other scenes. Such a scene is solved by shooting or, under the model event, as a hybrid system.
+std::string WhyNotIntegrated(std::string_view solver, const SolveRequest& request, bool given_sequence) {
+  const Scene& scene = request.scene;
+  const std::string beyond = BeyondBallistic(scene), has = "the scene has " + beyond;
+  if (beyond.empty()) return "";
+  if (!scene.design.empty()) {
+    return has +
+           " and free parameters, for which no solver has derivatives: identify or sweep them, or write the scene as "
+           "a hybrid system";
+  }
+  if (!request.terms.empty()) return has + ", beside which user-defined terms are terms of a hybrid system";
+  if (solver == "auto") return "";
+  if (HasHybrid(solver)) {
+    if (given_sequence && !scene.objective.via.empty()) {
+      return has + " and waypoints, beside which sequences are not taken: leave the sequence out";
+    }
+    if (!IsExact(request)) return has + ", which this solver takes under the contact model event only: use ceres_lm";
+    const std::string part = WhyNoHybridProblem(scene);
+    return part.empty() ? "" : has + " and " + part;
+  }
+  if (solver != "gd" && solver != "ceres_lbfgs" && solver != "ceres_lm") {
+    return has + ", among which this solver knows no flights: use ceres_phases, ipopt, mode_search or ceres_lm";
+  }
+  const Objective& objective = scene.objective;
+  if (objective.running.empty() && objective.via.empty() && !objective.duration) return "";
+  return has + " beside path costs or a free duration: use ceres_phases under the contact model event";
+}
+
+// Solves a scene as a hybrid system. The certificate is left to Confirm().
+SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, const SolverOptions& given) {
+  const Scene& scene = request.scene;
+  const ContactSequence pairs = AllPairs(scene);
+  SolverOptions options = given;
+  options.guess.reset();
+  if (given.sequence) {
+    for (Candidate& event : *options.sequence) {
+      event = {.a = 0, .b = static_cast<int>(std::ranges::find(pairs, event) - pairs.begin())};
+    }
+    options.sequence->push_back({.a = 0, .b = -1});
+  }
+  HybridProblem problem = HybridProblemOf(scene);
+  if (given.guess) {
+    problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
+  }
+  SolveReport report = Solve(solver, problem, options);
+  report.contact = request.contact.name();
+  report.initial_state.resize(std::min<size_t>(report.initial_state.size(), InitialSize(scene)));
+  report.certificate.reset();
+  for (LocalOptimum& optimum : report.optima) {
+    LocalOptimum impacts{{}, optimum.loss, {}};
+    for (size_t i = 0; i < optimum.sequence.size(); ++i) {
+      const int guard = optimum.sequence[i].b;
+      if (guard < 0 || guard >= std::ssize(pairs)) continue;  // a jump of the control, or a waypoint
+      impacts.sequence.push_back(pairs[guard]);
+      impacts.times.push_back(optimum.times[i]);
+    }
+    optimum = std::move(impacts);
+  }
+  return report;
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -504,10 +565,12 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
   if (reason.empty()) reason = WhyNotDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
+  if (reason.empty()) reason = WhyNotIntegrated(solver, request, options.sequence.has_value());
+  const bool as_hybrid = HasHybrid(solver) && !BeyondBallistic(request.scene).empty();
   SolveRequest converted = request;
   if (reason.empty()) {
     converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
-    reason = entry->why_not(entry->design ? converted : WithGivenDesign(converted));
+    if (!as_hybrid) reason = entry->why_not(entry->design ? converted : WithGivenDesign(converted));
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
 
@@ -515,7 +578,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
     const bool descends = !converted.scene.design.empty() && !entry->design;
-    report = descends ? DescendDesign(*entry, converted, own) : entry->solve(converted, own);
+    report = as_hybrid  ? SolveAsHybrid(solver, converted, own)
+             : descends ? DescendDesign(*entry, converted, own)
+                        : entry->solve(converted, own);
     Confirm(converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

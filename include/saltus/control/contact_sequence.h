@@ -29,7 +29,10 @@ ContactSequence AllPairs(const Scene& scene);
 // Returns the name of a part of `scene` beyond discs and planes, which alone sequences, closed forms and conditions of
 // optimality support; empty if there is none.
 std::string BeyondPlanes(const Scene& scene);
-// Returns the name of such a part, or of discs that spin, for methods without rotation; empty if there is none.
+// Returns the name of what makes flights of a scene other than those of constant acceleration, drag or springs or
+// prescribed motions; empty if there is nothing.
+std::string BeyondBallistic(const Scene& scene);
+// Returns the name of either, or of discs that spin, for methods without rotation; empty if there is none.
 std::string BeyondPlainDiscs(const Scene& scene);
 
 }  // namespace saltus

@@ -9,7 +9,9 @@
 // with names as "puck.x", "puck.vx", "puck.angle", "puck.spin", "running"; its control is that of the scene
 // (Scene::control_width), with names as "striker.fx", "striker.fy", "striker.turn". Events have the names of pairs, as
 // "striker-puck". Between events the motion has a closed form, so that a step of the integration has any length and no
-// error. A waypoint is an event whose time is given, "waypoint 1", behind which the motion goes on in another mode.
+// error, unless there are springs that have a length, drag or springs beside prescribed motions, or running terms
+// beside either. A waypoint is an event whose time is given, "waypoint 1", behind which the motion goes on in another
+// mode.
 #pragma once
 
 #include <string>
@@ -20,7 +22,7 @@
 namespace saltus {
 
 // Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
-// that slows discs, and design parameters.
+// that slows discs, limits of the speed that hold always beside drag or springs, and design parameters.
 std::string WhyNoHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and

@@ -10,6 +10,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "saltus/scene/geometry.h"
@@ -30,7 +31,18 @@ struct Inertia {
   bool operator==(const Inertia&) const = default;
 };
 
-// A disc. A fixed disc never moves: its velocity is zero, its mass is not used, and it cannot spin.
+// A prescribed motion: the cubic spline through positions at given times, with two continuous derivatives and a third
+// one that is continuous at the second and the last but one time (not-a-knot). Through two positions it is a line, and
+// through three a parabola. Outside of the times it goes on with its first and last cubic.
+struct PrescribedMotion {
+  std::vector<double> times;     // s, rising; at least two, from 0 or before to the end or after
+  std::vector<Vec2d> positions;  // m, one for each time
+
+  bool operator==(const PrescribedMotion&) const = default;
+};
+
+// A disc. A fixed disc is moved by nothing but its path: its velocity is zero here, its mass is not used, and it cannot
+// spin.
 struct Body {
   std::string name;   // [A-Za-z0-9_.-]+
   double radius = 0;  // m, > 0
@@ -42,6 +54,8 @@ struct Body {
   double angle = 0;             // rad, counter-clockwise; zero if it cannot spin
   double angular_velocity = 0;  // rad/s, counter-clockwise; zero if it cannot spin
   int material = -1;            // index into Scene::materials; -1: none, it has the numbers of Scene::contact
+  // The prescribed motion of a fixed disc, whose position is that at time 0.
+  std::optional<PrescribedMotion> path = std::nullopt;
 
   bool Spins() const { return inertia.kind != Inertia::Kind::kNone; }
   // Returns the moment of inertia, kg m^2. Precondition: it spins.
@@ -52,12 +66,14 @@ struct Body {
   bool operator==(const Body&) const = default;
 };
 
-// A half-plane. Bodies stay on the side that the normal points to.
+// A half-plane. Bodies stay on the side that the normal points to. A prescribed motion is that of the point and all
+// that is solid; it does not turn.
 struct Plane {
   std::string name;              // as of a body; no two bodies, planes, edges or pockets have the same
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
   int material = -1;             // as of a body
+  std::optional<PrescribedMotion> motion = std::nullopt;  // of the point, which is that at time 0
 
   bool operator==(const Plane&) const = default;
 };
@@ -102,6 +118,34 @@ struct TableFriction {
 
   bool operator==(const TableFriction&) const = default;
 };
+
+// Linear drag: the force -linear * v on a disc that moves.
+struct Drag {
+  int body = 0;
+  double linear = 0;  // N s/m, >= 0
+
+  bool operator==(const Drag&) const = default;
+};
+
+// A spring with a damper from the centre of a disc to a point or to the centre of another disc, at the distance d of
+// which the velocities differ by w. With n the direction of d, the force on the disc along n is
+//
+//   -(stiffness * (|d| - length) + damping * n.w)
+//
+// and a spring of length 0 has the force -(stiffness * d + damping * w), which is linear in the state: its damper acts
+// in every direction.
+struct Spring {
+  int body = 0;
+  int to = -1;                     // another body; -1: the point
+  Vec2d point = Vec2d::Zero();     // m; not used with another body
+  double stiffness = 0;            // N/m, >= 0
+  double length = 0, damping = 0;  // m and N s/m, >= 0
+
+  bool operator==(const Spring&) const = default;
+};
+
+// A force that depends on the state.
+using StateForce = std::variant<Drag, Spring>;
 
 // A pocket. A disc whose centre reaches the circle is out of play: it stays there, at rest, has no contacts, and no
 // force moves it.
@@ -308,6 +352,7 @@ struct SceneParameter {
     kLaw,            // a parameter of a learned law of impact, which no scene has; for identification only
     kRadius,         // m
     kPosition,       // m, of a fixed disc
+    kDrag,           // N s/m, of a disc that the scene has drag of
     kPlaneOffset,    // m, by which the plane is moved along its normal
     kPlaneAngle,     // rad, by which the plane is rotated about its point, counter-clockwise
     kSegmentOffset,  // m, by which the segment is moved to its left, seen from its first end
@@ -357,7 +402,8 @@ struct Scene {
   std::vector<EdgePolygon> polygons = {};
   std::vector<EdgeArc> arcs = {};
   std::vector<Pocket> pockets = {};
-  std::optional<TableFriction> table = std::nullopt;  // none: nothing slows discs but contact
+  std::optional<TableFriction> table = std::nullopt;  // none: no friction slows discs but that of contacts
+  std::vector<StateForce> forces = {};
   ContactParameters contact;
   std::vector<Material> materials = {};  // none: everything has the restitution and friction of `contact`
   std::vector<MaterialPair> pairs = {};  // no pair twice
@@ -388,6 +434,8 @@ struct Scene {
   std::size_t TurnIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
   // Whether a disc spins.
   bool Spins() const;
+  // Whether a disc or a plane has a prescribed motion.
+  bool HasPaths() const;
   // Whether there are segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 };

@@ -65,6 +65,8 @@ struct ParameterGradient {
   std::vector<double> mass;     // B; 0 for fixed discs; the moment of inertia is constant
   std::vector<Vec2d> force;     // B; with respect to a constant force on the disc; 0 for fixed discs
   std::vector<double> inertia;  // B, if the scene has discs that spin; 0 for the others
+  // B, in scenes with drag, springs or prescribed motions: by the coefficient of a linear drag of each disc.
+  std::vector<double> drag;
   // The total derivatives by Scene::design, in its order: the mass or radius of a solid disc changes its moment of
   // inertia.
   std::vector<double> design;
@@ -99,7 +101,8 @@ class StepLinearization {
   // A contact group. Columns of A: states of its discs. Columns of B: the forces on them and, if discs have torque
   // controls, torque / radius of each. Columns of P, if parameters were asked for: restitution, friction, stiffness,
   // damping, masses of its discs, their inverse moments of inertia if the scene has discs that spin, and restitution
-  // and friction of each pair of materials from 1 on, by MaterialPairIndex(), if it has materials.
+  // and friction of each pair of materials from 1 on, by MaterialPairIndex(), if it has materials; then, in scenes with
+  // drag, springs or prescribed motions, the coefficients of a linear drag of its discs.
   struct Island {
     std::vector<int> bodies;
     Eigen::MatrixXd A, B, P;

@@ -19,6 +19,7 @@
 #include "base/number_text.h"
 #include "base/parallel_for.h"
 #include "base/statistics.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/geometry.h"
 #include "saltus/scene/materials.h"
@@ -81,6 +82,10 @@ class Attributor {
     if (exact != nullptr && WhyNotApplicable(exact->name, scene_).empty()) exact_contact_ = exact->name;
     if (exact_contact_.empty()) {
       out.reason = "there is no exact flow";
+      return out;
+    }
+    if (const std::string beyond = BeyondBallistic(scene_); !beyond.empty()) {
+      out.reason = "the scene has " + beyond + "; contacts are compared between flights of constant acceleration";
       return out;
     }
     initial_ = InitialState(scene_);

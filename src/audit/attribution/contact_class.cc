@@ -9,6 +9,7 @@
 #include "audit/attribution/contact_run.h"
 #include "base/number_text.h"
 #include "base/statistics.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/walls.h"
 #include "scene/units.h"
@@ -242,6 +243,10 @@ ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, 
   ContactRecognition refused;
   refused.words = WhyNotApplicable(contact, scene);
   if (!refused.words.empty()) return refused;
+  if (const std::string beyond = BeyondBallistic(scene); !beyond.empty()) {
+    refused.words = "the scene has " + beyond + ", and contacts are looked at beside flights of constant acceleration";
+    return refused;
+  }
   const Scene natural = InNaturalUnits(scene);
   const std::optional<Encounter> encounter = FindEncounter(contact, natural, stop);
   if (!encounter) {

@@ -110,6 +110,7 @@ bool StaysBeyondRange(const Energy& energy) {
 std::string WhyNoBarrier(const Scene& scene) {
   if (scene.HasEdges())
     return "walls end: this model keeps gaps open within a step to what is nearest at its start only";
+  if (scene.HasPaths()) return "prescribed motions: what moves whatever it meets leaves no gap for a barrier";
   for (int i = 0; i < scene.num_bodies(); ++i) {
     const Body& a = scene.bodies[i];
     for (int j = i + 1; j < scene.num_bodies(); ++j) {

@@ -49,6 +49,7 @@ struct KktEquations {
   bool transposed = false;              // the source's backward pass
   std::vector<T> free_velocity;         // 2 per moving disc, 3 with kTurn
   std::vector<std::vector<Push>> rows;  // per contact: n, then t if there is friction
+  std::vector<T> by_fixed;              // per row: the relative speed along it by fixed discs, which paths may move
   std::vector<T> rebound, friction;     // per contact: e n . w, and mu
 
   int num_velocities() const { return static_cast<int>(free_velocity.size()); }
@@ -58,7 +59,7 @@ struct KktEquations {
   int size() const { return num_velocities() + 2 * num_multipliers(); }
 
   T Speed(std::span<const T> v, int row) const {
-    T speed = T(0.0);
+    T speed = by_fixed[row];
     for (const Push& push : rows[row]) {
       speed += Dot(push.direction, Vec2<T>(v[push.unknown], v[push.unknown + 1]));
       if constexpr (kTurn == kSpin) speed += push.rim * v[push.unknown + 2];
@@ -117,6 +118,7 @@ struct KktEquations {
     out.transposed = transposed;
     for (const T& v : free_velocity) out.free_velocity.push_back(number(v));
     for (const T& r : rebound) out.rebound.push_back(number(r));
+    for (const T& speed : by_fixed) out.by_fixed.push_back(number(speed));
     for (const std::vector<Push>& row : rows) {
       out.rows.emplace_back();
       for (const Push& push : row) {
@@ -344,6 +346,9 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
         const int a = unknown[members.place[c.a]], b = c.plane ? -1 : unknown[members.place[c.b]];
         if (a >= 0) equations.rows.back().push_back({a, direction, in.InverseMassA(c)});
         if (b >= 0) equations.rows.back().push_back({b, Vec2<T>(-direction), in.InverseMassB(c)});
+        T& speed = equations.by_fixed.emplace_back(T(0.0));
+        if (a < 0) speed += Dot(direction, x[c.a].v);
+        if (b < 0 && !c.plane) speed -= Dot(direction, x[c.b].v);
       };
       add_row(n);
       if (equations.has_friction) add_row(Perpendicular(n));

@@ -65,7 +65,8 @@ struct NcpEquations {
   int size() const { return num_velocities + per_contact() * static_cast<int>(contacts.size()); }
 
   Vec2<T> Velocity(std::span<const T> z, int disc) const {
-    if (disc < 0 || discs[disc].unknown < 0) return Vec2<T>(T(0.0), T(0.0));
+    if (disc < 0) return Vec2<T>(T(0.0), T(0.0));
+    if (discs[disc].unknown < 0) return discs[disc].v;
     return {z[discs[disc].unknown], z[discs[disc].unknown + 1]};
   }
   // Returns the sliding speed of the points of contact by spin, m/s.

@@ -107,6 +107,13 @@ struct StaticLcp : SemiImplicitFlight<0> {
       if (place[c.a] >= 0) visit(2 * place[c.a], 1.0);
       if (!c.plane && place[c.b] >= 0) visit(2 * place[c.b], -1.0);
     }
+    // Calls visit(disc, sign) for those that are fixed, and may be on a path.
+    template <typename Visit>
+    void ForFixed(const StepInput<T>& in, std::size_t i, const Visit& visit) const {
+      const Candidate& c = contacts[i].candidate;
+      if (in.bodies[c.a].fixed) visit(c.a, 1.0);
+      if (!c.plane && in.bodies[c.b].fixed) visit(c.b, -1.0);
+    }
   };
 
   // Returns F(z) of M (d - d*) + T^T f - N^T p = 0, N d = g and T d = f / omega. `flying` has the velocities v_f.
@@ -125,6 +132,10 @@ struct StaticLcp : SemiImplicitFlight<0> {
       rows.ForSides(i, [&](int at, double sign) {
         along += sign * (contact.normal[0] * z[at] + contact.normal[1] * z[at + 1]);
         slid += sign * (tangent[0] * z[at] + tangent[1] * z[at + 1]);
+      });
+      rows.ForFixed(in, i, [&](int disc, double sign) {
+        along += sign * in.h * Dot(contact.normal, flying[disc].v);
+        slid += sign * in.h * Dot(tangent, flying[disc].v);
       });
       const int normal = rows.NormalRow(i), tangential = rows.TangentRow(i);
       F[normal] = along;

@@ -74,6 +74,7 @@ class View {
     const ratio = this.canvas.width / Math.max(width, 1);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
+    this.placeWalls(time);
     for (const cell of this.cells(width, options)) this.drawCell(context, cell, time, options, width, height);
   }
 
@@ -114,6 +115,15 @@ class View {
     context.strokeText(words, x, y);
     context.fillStyle = INK;
     context.fillText(words, x, y);
+  }
+
+  // Puts walls that have a prescribed motion where they are at that time.
+  placeWalls(time) {
+    for (const wall of this.replay.walls.filter(({motion}) => motion)) {
+      const {times, points} = wall.motion, next = Math.max(1, times.findIndex((t, i) => t >= time || i === times.length - 1));
+      const [from, to] = [points[next - 1], points[next]], part = (time - times[next - 1]) / (times[next] - times[next - 1]);
+      wall.point = [0, 1].map((j) => from[j] + part * (to[j] - from[j]));
+    }
   }
 
   drawWalls(context, x, y, w, h) {
