@@ -354,7 +354,7 @@ def test_a_contact_ends_where_what_it_is_on_ends():
         coordinates=["x", "y"], parameters=["m", "g"], mass=lambda p: np.diag([p[0], p[0]]),
         force=lambda p: [0, -p[0] * p[1]], contacts={"table": table})
     motion = saltus.rollout(saltus.HybridProblem(system, initial=[0, 0, 0.5, 0], parameters=[2.0, 9.81], duration=3.0))
-    assert [event[2] for event in motion.events] == ["table end"]
+    assert [event[2] for event in motion.events] == ["end table"]
     assert motion.events[0][0] == pytest.approx(2.0, abs=1e-12)
     assert np.allclose(motion.final, [1.5, -9.81 / 2, 0.5, -9.81], rtol=0, atol=1e-11)
 
