@@ -398,8 +398,8 @@ def users(programs, key):
 
 
 def places(path):
-    """A key's path with indices: "bodies[].name" is "bodies.0.name"."""
-    return path.replace("[]", ".0")
+    """A key's path with indices: "bodies[].name" is "bodies.0.name". Only the third disc is fixed, or has a path."""
+    return path.replace("[]", ".2" if path.startswith(("bodies[].fixed", "bodies[].path")) else ".0")
 
 
 def check_keys(programs):
@@ -421,8 +421,7 @@ def check_keys(programs):
         return [{key: value for key, value in run.items() if key != "seconds"} for run in runs]
 
     for path, _, _, default, _, made in KEYS:
-        index = "2" if path == "bodies[].fixed" else "0"  # only the third disc has the key
-        place = path.replace("[]", f".{index}")
+        place = places(path)
         without, of_wrong_type = copy.deepcopy(made), copy.deepcopy(made)
         assign(without, place, None)
         assign(of_wrong_type, place, {"no_such_key": [[]]})
@@ -433,7 +432,8 @@ def check_keys(programs):
             programs.solve(without, "--contact=event", "--solver=none", codes=(2,))
             continue
         if default is None:
-            if path not in ("control", "control.torque", "objective.terminal[].component"):
+            if path not in ("control", "control.torque", "objective.terminal[].component", "bodies[].path", "planes[].motion",
+                            "forces[].drag", "forces[].spring"):
                 result(without)
             continue
         if path == "bodies[].fixed":

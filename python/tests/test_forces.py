@@ -257,7 +257,7 @@ def test_wrong_forces_are_refused(forces, message):
 
 
 def test_what_is_not_supported_is_refused_with_the_alternative():
-    with pytest.raises(ValueError, match="drag or springs, among which this solver knows no flights: use ceres_phases"):
+    with pytest.raises(ValueError, match="drag or springs, whose flights this solver does not support: use ceres_phases"):
         saltus.solve(pushed(), solver="hmp")
     with pytest.raises(ValueError, match="which this solver takes under the contact model event only: use ceres_lm"):
         saltus.solve(pushed(), contact="lcp", solver="ceres_phases")

@@ -274,7 +274,7 @@ std::string WhyNotIntegrated(std::string_view solver, const SolveRequest& reques
     return part.empty() ? "" : has + " and " + part;
   }
   if (solver != "gd" && solver != "ceres_lbfgs" && solver != "ceres_lm") {
-    return has + ", among which this solver knows no flights: use ceres_phases, ipopt, mode_search or ceres_lm";
+    return has + ", whose flights this solver does not support: use ceres_phases, ipopt, mode_search or ceres_lm";
   }
   const Objective& objective = scene.objective;
   if (objective.running.empty() && objective.via.empty() && !objective.duration) return "";

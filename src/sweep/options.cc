@@ -117,10 +117,10 @@ auto* FindBodyNumber(const std::string& name, SceneOrConst& scene) {
   return kNone;
 }
 
-// Restitution or friction of a pair of materials, "restitution.rubber-steel".
-std::optional<SceneParameter> FindOfPair(const std::string& name, const Scene& scene) {
-  const bool of_pair = name.starts_with("restitution.") || name.starts_with("friction.");
-  const std::vector<SceneParameter> found = of_pair ? ParametersNamed(name, scene) : std::vector<SceneParameter>();
+// Restitution or friction of a pair of materials, "restitution.rubber-steel", or the drag of a disc, "drag.ball".
+std::optional<SceneParameter> FindParameter(const std::string& name, const Scene& scene) {
+  const bool named = name.starts_with("restitution.") || name.starts_with("friction.") || name.starts_with("drag.");
+  const std::vector<SceneParameter> found = named ? ParametersNamed(name, scene) : std::vector<SceneParameter>();
   return found.empty() ? std::nullopt : std::optional(found[0]);
 }
 
@@ -178,7 +178,7 @@ std::optional<SweepOptionKind> FindSweepOption(const std::string& name, const Sc
   const bool of_contact = name == "restitution" || name == "friction";  // of all contacts, or of a pair of materials
   if (of_contact && !scene.materials.empty()) return std::nullopt;
   if (const NumberOption* option = FindNumber(name)) return option->kind;
-  if (FindOfPair(name, scene)) return kReal;
+  if (FindParameter(name, scene)) return kReal;
   return FindBodyNumber(name, scene) != nullptr ? std::optional(kReal) : std::nullopt;
 }
 
@@ -205,7 +205,7 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
     SetWord(name, value.get<std::string>(), request);
   } else if (const NumberOption* option = FindNumber(name)) {
     SetNumber(*option, ToNumber(value), request);
-  } else if (const auto of_pair = FindOfPair(name, request->scene)) {
+  } else if (const auto of_pair = FindParameter(name, request->scene)) {
     SetValue(*of_pair, ToNumber(value), &request->scene);
   } else {
     double* number = FindBodyNumber(name, request->scene);

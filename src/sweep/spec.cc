@@ -131,7 +131,8 @@ class SpecParser {
         std::erase_if(names, [](const auto& n) { return n == "restitution" || n == "friction"; });
       fail("an option: one of " + Joined(names) + ", or <body>.<field> of the scene, such as " +
            (scene_.bodies.empty() ? "ball" : scene_.bodies[0].name) + ".mass" +
-           (scene_.materials.empty() ? "" : ", or of its materials: " + ContactParametersOf(scene_)));
+           (scene_.materials.empty() ? "" : ", or of its materials: " + ContactParametersOf(scene_)) +
+           (scene_.forces.empty() ? "" : ", or drag.BODY of a disc with drag"));
     }
     // A pair of materials may be named in either order.
     const std::vector<SceneParameter> parameters = ParametersNamed(name, scene_);
