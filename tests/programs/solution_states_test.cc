@@ -152,7 +152,7 @@ TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {
   EXPECT_EQ(run["exact_touches"][0]["b"], "gate");
   EXPECT_NEAR(run["exact_touches"][0]["begin"].get<double>(), std::sqrt(2 * 0.9 / 9.8), 1e-9);
   EXPECT_THAT(ContentsOf(folder + "/report.html"),
-              HasSubstr(R"("outlines":[{"name":"gate","solid":"neither","points":[[-1.0,0.0],[1.0,0.0]]}])"));
+              HasSubstr(R"("outlines":[{"name":"gate","points":[[-1.0,0.0],[1.0,0.0]],"solid":"neither"}])"));
 }
 
 TEST(SolutionStates, AVelocityIsAWarmStartToo) {

@@ -44,8 +44,6 @@ constexpr double kNoCost = 1e-18;  // relative to the cost at the start: squares
 // The first solve is nearly linear, and damping would only slow it down.
 constexpr double kFirstRadius = 1e8;  // of the trust region, in the first solve
 constexpr double kLastRadius = 1e16;  // near an optimum: steps are those of Gauss-Newton
-constexpr double kLeastLastRadius =
-    1e15;  // where the steps of the last solve gain no more than rounding, damping neither
 // The relative changes of the cost that end the first solves, which only prepare the next.
 constexpr double kFirstGains[] = {1e-3, 1e-6};
 constexpr int kLast = static_cast<int>(std::size(kFirstGains));
@@ -367,11 +365,19 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   weights_ = {options.equality_weight, options.inequality_weight};
   Summary result;
   if (options.weight_of_costs > 0) WeighByCosts(options.weight_of_costs);
+  struct Converged {
+    std::vector<double> values;
+    double change, cost, violation;
+  };
+  std::optional<Converged> first_optimum;  // before the multipliers are those of the conditions of first order
   AfterIteration watch([&](const ceres::IterationSummary& summary) {
     if (summary.iteration == 0) return true;  // of another solve
     ++result.iterations;
     result.interrupted = options.callback && !options.callback(Cost());
-    return !result.interrupted;
+    // Ceres ends where an accepted step gains too little. One that is rejected by as little is so by rounding errors,
+    // which damping does not mend.
+    const bool changes = std::abs(summary.cost_change) > options.gain * std::abs(summary.cost);
+    return !result.interrupted && !(first_optimum && !summary.step_is_successful && !changes);
   });
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
@@ -383,19 +389,11 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   ceres_options.callbacks = {&watch};
   const double least_change = kNoCost * std::abs(Cost());
   bool estimated = false, near = false, nearly_settled = false;
-  struct Converged {
-    std::vector<double> values;
-    double change, cost, violation;
-  };
-  std::optional<Converged> first_optimum;  // before the multipliers are those of the conditions of first order
-  int estimates = 0, stalls = 0;           // where solves stall
+  int estimates = 0, stalls = 0;  // where solves stall
   for (int round = 0; round < options.rounds; ++round) {
     const bool crawls = options.one_of_many && result.violation > kNearlyMet;
     ceres_options.function_tolerance = crawls ? kFirstGains[0] : round < kLast ? kFirstGains[round] : options.gain;
-    if (first_optimum) {
-      ceres_options.function_tolerance = kExactGain * options.gain;
-      ceres_options.min_trust_region_radius = kLeastLastRadius;
-    }
+    if (first_optimum) ceres_options.function_tolerance = kExactGain * options.gain;
     // Damping is in proportion to the weights, and would leave unchanged what changes the cost by no more than
     // rounding.
     ceres_options.initial_trust_region_radius = nearly_settled ? kLastRadius

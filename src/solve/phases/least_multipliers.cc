@@ -7,8 +7,7 @@
 namespace saltus {
 namespace {
 
-constexpr int kMostRows = 16;              // that share a variable or a copy of one
-constexpr int kRounds = 2;                 // of a solve, the second of which corrects errors of the factors
+constexpr int kMostRows = 256;             // that share a variable or a copy of one
 constexpr double kRegularization = 1e-12;  // of the diagonal: rows may depend on each other
 
 using SparseRows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
@@ -63,11 +62,7 @@ Eigen::VectorXd LeastMultipliers(const SparseRows& constraints, const Eigen::Vec
   for (Eigen::Index i = 0; i < normal.rows(); ++i) normal.coeffRef(i, i) *= 1 + kRegularization;
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
   if (factors.info() != Eigen::Success) return {};
-  Eigen::VectorXd multipliers = Eigen::VectorXd::Zero(rows.rows());
-  for (int round = 0; round < kRounds; ++round) {
-    const Eigen::VectorXd left = of_copies + rows.transpose() * multipliers;
-    multipliers -= factors.solve(rows * left);
-  }
+  const Eigen::VectorXd multipliers = -factors.solve(rows * of_copies);
   return multipliers.allFinite() ? multipliers.head(constraints.rows()) : Eigen::VectorXd();
 }
 
