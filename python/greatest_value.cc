@@ -33,11 +33,11 @@ GreatestValue::GreatestValue(HybridSystem system, int mode, RecordedFunction fun
   for (const int size : {system_.state_size(mode), num_controls_, num_parameters_, 1, 1}) {
     if (size > 0) mutable_parameter_block_sizes()->push_back(size);
   }
-  set_num_residuals(functions_.num_outputs());
+  set_num_residuals(2 * functions_.num_outputs());
 }
 
 bool GreatestValue::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const int n = system_.state_size(mode_), P = num_parameters_, m = num_controls_, rows = num_residuals();
+  const int n = system_.state_size(mode_), P = num_parameters_, m = num_controls_, count = functions_.num_outputs();
   const double* const* block = parameters;
   const double* x = *block++;
   const double* u = m > 0 ? *block++ : nullptr;
@@ -61,7 +61,7 @@ bool GreatestValue::Evaluate(double const* const* parameters, double* residuals,
     Matrix by;
   };
   const auto values_at = [&](const Place& at) {
-    Values values{Eigen::VectorXd(rows), Eigen::VectorXd(rows), Matrix(rows, columns)};
+    Values values{Eigen::VectorXd(count), Eigen::VectorXd(count), Matrix(count, columns)};
     const Eigen::VectorXd state = state_at(at);
     const double time = t + (at.part + at.share) * length;
     functions_.Linearize(std::array<RecordedFunction::Part, 4>{{{state.data(), n}, {&time, 1}, {p, P}, {u, m}}},
@@ -76,35 +76,33 @@ bool GreatestValue::Evaluate(double const* const* parameters, double* residuals,
   std::vector<Values> nodes;
   for (int part = 0; part <= kParts; ++part) nodes.push_back(values_at({part, 0}));
 
-  std::vector<Place> places(rows);
-  for (int row = 0; row < rows; ++row) {
-    residuals[row] = nodes[0].value[row];
-    const auto offer = [&](const Place& at, double value) {
-      if (!(value > residuals[row])) return;
-      residuals[row] = value;
-      places[row] = at;
-    };
+  std::vector<Place> places(2 * count);
+  for (int row = 0; row < count; ++row) {
+    residuals[row] = nodes[kParts].value[row];
+    places[row] = {kParts, 0};
+    double& greatest = residuals[count + row];
+    greatest = nodes[0].value[row];
     for (int part = 0; part < kParts; ++part) {
       double low = 0, high = 1, at_low = nodes[part].rate[row], at_high = nodes[part + 1].rate[row];
-      if (at_low > 0 && at_high < 0) {
-        // The Illinois method finds the time at which the rate is zero.
-        Values middle = nodes[part];
-        double share = 0;
-        int side = 0;
-        for (int trial = 0; trial < kMostTrials && high - low > kSameTime && middle.rate[row] != 0; ++trial) {
-          share = low + (high - low) * at_low / (at_low - at_high);
-          middle = values_at({part, share});
-          const double rate = middle.rate[row];
-          (rate > 0 ? low : high) = share;
-          (rate > 0 ? at_low : at_high) = rate;
-          if (side * rate > 0) (rate > 0 ? at_high : at_low) /= 2;
-          side = rate > 0 ? 1 : -1;
-        }
-        offer({part, share}, middle.value[row]);
+      if (!(at_low > 0 && at_high <= 0)) continue;
+      // The Illinois method finds the time at which the rate is zero.
+      Values middle = nodes[part];
+      double share = 0;
+      int side = 0;
+      for (int trial = 0; trial < kMostTrials && high - low > kSameTime && middle.rate[row] != 0; ++trial) {
+        share = low + (high - low) * at_low / (at_low - at_high);
+        middle = values_at({part, share});
+        const double rate = middle.rate[row];
+        (rate > 0 ? low : high) = share;
+        (rate > 0 ? at_low : at_high) = rate;
+        if (side * rate > 0) (rate > 0 ? at_high : at_low) /= 2;
+        side = rate > 0 ? 1 : -1;
       }
-      offer({part + 1, 0}, nodes[part + 1].value[row]);
+      if (!(middle.value[row] > greatest)) continue;
+      greatest = middle.value[row];
+      places[count + row] = {part, share};
     }
-    if (!std::isfinite(residuals[row])) return false;
+    if (!std::isfinite(residuals[row]) || !std::isfinite(greatest)) return false;
   }
   if (jacobians == nullptr) return true;
 
@@ -131,12 +129,13 @@ bool GreatestValue::Evaluate(double const* const* parameters, double* residuals,
   };
   const int last = std::ranges::max(places, {}, &Place::part).part;
   for (int part = 0; part < last; ++part) by.push_back(state_by({part, 1}));
-  for (int row = 0; row < rows; ++row) {
+  for (int row = 0; row < 2 * count; ++row) {
     const Place& at = places[row];
     const Values values = values_at(at);
-    Eigen::RowVectorXd all = values.by.row(row).head(n) * state_by(at);
-    all.segment(n, columns - n) += values.by.row(row).tail(columns - n);
-    all[columns] += values.by(row, n) * (at.part + at.share) / kParts;
+    const int function = row % count;
+    Eigen::RowVectorXd all = values.by.row(function).head(n) * state_by(at);
+    all.segment(n, columns - n) += values.by.row(function).tail(columns - n);
+    all[columns] += values.by(function, n) * (at.part + at.share) / kParts;
     if (!all.allFinite()) return false;
     double** next = jacobians;
     const auto put = [&](int first, int size) {

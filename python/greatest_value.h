@@ -8,9 +8,12 @@
 
 namespace saltus::python {
 
-// The greatest values in a control interval of functions along the flow of a mode, which is integrated in kParts steps
-// from the state at the beginning. Where the rate of a function falls through zero within a step, the time is found at
-// which it does; of several such times within one step one is found. Each value is then differentiated at its time.
+// The values of functions at the end of a control interval, and then their greatest ones before it, along the flow of a
+// mode, which is integrated in kParts steps from the state at the beginning. The latter are at the beginning, or where
+// the rate of a function falls through zero within a step, which is found; of several such times within one step one is
+// found. Each value is then differentiated at its time. Those at the end are residuals of their own because a function
+// that is at its bound for a while has all its values there: with one residual, whose derivative jumps with the time of
+// the greatest value, solvers do not converge.
 //
 // Parameter blocks: the state at the beginning, the control and the parameters, if the system has any, the time of the
 // beginning and the length of the interval.

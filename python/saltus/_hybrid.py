@@ -514,8 +514,8 @@ def residuals(
     the state at the start as x0 and that at the end as xT: ``lambda x0, xT: xT - x0`` is zero for a periodic motion. mode:
     where it counts; any without.
     "always" is for inequalities that hold at all times, between the beginnings of intervals too: in each interval each residual is
-    taken where it is greatest along the flow of the mode, which is integrated in eight parts and searched for times at which
-    the rate of the residual falls through zero. Solvers in phases put the ends of intervals at events.
+    taken at the end, and where it is greatest before that, along the flow of the mode, which is integrated in eight parts and
+    searched for times at which the rate of the residual falls through zero. Solvers in phases put the ends of intervals at events.
     role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
     """
     if not isinstance(at, str):

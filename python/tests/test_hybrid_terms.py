@@ -840,3 +840,56 @@ def test_a_maximum_at_a_bound_that_does_not_press_is_left(solver):
     run = saltus.solve(problem, solver=solver, bounds={"u": (0, 1)})
     assert run.termination == "converged", run.reason
     assert_allclose(run.loss, 0.0975, rtol=1e-6)
+
+
+LINE = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow={"m": lambda x, u: [x[1], u[0]]})
+
+
+def constrained(kind, unit, of_state, of_control, control):
+    """To x(1) = 1 in other units, with a constraint that is written in its own."""
+    system = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"],
+                                 flow={"m": lambda x, u: [x[1], u[0] * of_state / of_control]})
+    limits = {
+        "end": saltus.residuals(lambda x: unit * (x[1] / of_state - 0.2), role="equality"),
+        "at most": saltus.residuals(lambda x: unit * (x[1] / of_state - 0.2), role="inequality"),
+        "far": saltus.residuals(lambda x: unit * (x[1] / of_state - 5), role="inequality"),
+        "path": saltus.residuals(lambda x: unit * (x[1] / of_state - 1.1), at="steps", role="inequality"),
+        "always": saltus.residuals(lambda x: unit * (x[1] / of_state - 1.1), at="always", role="inequality"),
+        "norm": saltus.residuals(lambda u: unit * ((u[0] / of_control)**2 - 4), at="steps", role="inequality"),
+    }
+    return saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1, control=np.full((8, 1), control * of_control),
+                                costs=[saltus.terminal([of_state, None], weight=1 / of_state**2),
+                                       saltus.effort(0.01 / of_control**2), limits[kind]])
+
+
+@pytest.mark.parametrize("kind", ["end", "at most", "far", "path", "always", "norm"])
+@pytest.mark.parametrize("solver", ["auto", *PHASES])
+def test_units_do_not_change_the_solution(kind, solver):
+    usual = np.asarray(saltus.solve(constrained(kind, 1, 1, 1, 0.1), solver="ceres_phases").control)
+    units = [1e-6, 1e-3, 1e3, 1e6]
+    for unit, of_state, of_control in [*[(u, 1, 1) for u in units], *[(1, u, 1) for u in units], *[(1, 1, u) for u in units],
+                                       (1e-6, 1e3, 1e-3), (1e6, 1e-3, 1e3)]:
+        for control in (0, 0.1):
+            run = saltus.solve(constrained(kind, unit, of_state, of_control, control), solver=solver)
+            where = f"{unit:g} {of_state:g} {of_control:g} from {control}: "
+            assert run.termination == "converged", where + run.reason
+            assert_allclose(np.asarray(run.control) / of_control, usual, atol=1e-6, err_msg=where)
+
+
+@pytest.mark.parametrize("solver", PHASES)
+@pytest.mark.parametrize("guess", [1e-12, 1e-7, 1e-3, 1e2, 1e5])
+def test_the_size_of_a_guess_does_not_matter(guess, solver):
+    system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["a", "b"], flow={"m": lambda x, u: [u[0], u[1]]})
+    to_one, both = saltus.terminal([1.0, None]), saltus.effort(0.1)
+    curved = saltus.residuals(lambda x: [x[1]**2])
+    for costs, control, loss in ((to_one, [0, guess], 0.1 / 1.1), (saltus.terminal([1.0, 1.0]), [guess, guess], 0.2 / 1.1)):
+        terms = [costs, both, *([curved] if costs is to_one else [])]
+        problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1, control=np.tile(control, (4, 1)), costs=terms)
+        run = saltus.solve(problem, solver=solver)
+        assert run.termination == "converged", run.reason
+        assert_allclose(run.loss, loss, rtol=1e-9)
+    stop = saltus.HybridProblem(LINE, mode="m", initial=[0, 0], duration=1, control=np.full((8, 1), guess),
+                                costs=[saltus.terminal([1.0, 0.0], hard=True), saltus.effort(0.1)])
+    run = saltus.solve(stop, solver=solver)
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, 1.2190476190476191, rtol=1e-6)

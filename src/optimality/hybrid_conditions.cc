@@ -99,6 +99,30 @@ void SetTheta(double early, double late, double multiplier, double scale, Impact
   impact->concave = counts(kink);
 }
 
+// The rows of a function, each times a factor.
+class ScaledRows final : public ceres::CostFunction {
+ public:
+  ScaledRows(std::shared_ptr<const ceres::CostFunction> function, VectorXd factors)
+      : function_(std::move(function)), factors_(std::move(factors)) {
+    set_num_residuals(function_->num_residuals());
+    *mutable_parameter_block_sizes() = function_->parameter_block_sizes();
+  }
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    if (!function_->Evaluate(parameters, residuals, jacobians)) return false;
+    Eigen::Map<VectorXd>(residuals, num_residuals()).array() *= factors_.array();
+    for (size_t block = 0; jacobians != nullptr && block < parameter_block_sizes().size(); ++block) {
+      if (jacobians[block] == nullptr) continue;
+      Eigen::Map<Matrix>(jacobians[block], num_residuals(), parameter_block_sizes()[block]).array().colwise() *=
+          factors_.array();
+    }
+    return true;
+  }
+
+ private:
+  const std::shared_ptr<const ceres::CostFunction> function_;
+  const VectorXd factors_;
+};
+
 // Adds the kind of a curvature: it is flat if it is nearly zero, or less than `rounding` times the largest.
 Curvature WithKind(const ConstrainedCurvature& found, double rounding) {
   constexpr double kNearlyZero = 1e-6;
@@ -166,6 +190,44 @@ class HybridConditions {
     next.lengths.clear();
     for (size_t k = 1; k < times.size(); ++k) next.lengths.push_back(times[k] - times[k - 1]);
     return next;
+  }
+
+  // Returns the sizes of the motion; std::nullopt if there is none.
+  std::optional<MotionSizes> Sizes() {
+    HybridShooting::Outcome outcome;
+    if (!shooting_.Simulate(input_, &outcome) || !shooting_.EvaluateTerms(&terms_)) return std::nullopt;
+    loss_ = outcome.loss;
+    ReadMotion();
+    FindSizes();
+    for (const HybridShooting::TermAt& at : terms_) {
+      VectorXd residuals;
+      std::vector<Matrix> jacobians;
+      if (!at.term->IsCost() || !EvaluateBeside(at, 1, &residuals, &jacobians) || !residuals.allFinite()) continue;
+      for (const double residual : residuals) sizes_.asked_loss += std::abs(at.term->LossOf(residual));
+    }
+    return sizes_;
+  }
+
+  // Returns by how much each row of each constraint changes, at most, as one of the numbers that it reads changes by
+  // its size: along the motion, and where all of them have changed so. Precondition: Sizes() has returned them.
+  std::vector<VectorXd> SizesOfConstraints() const {
+    std::vector<VectorXd> rows;
+    for (const HybridTerm& term : problem_terms()) rows.push_back(VectorXd::Zero(term.function->num_residuals()));
+    for (const HybridShooting::TermAt& at : terms_) {
+      if (at.term->IsCost()) continue;
+      VectorXd& of_term = rows[at.term - problem_terms().data()];
+      const std::vector<VectorXd> sizes = SizesOfBlocks(at);
+      for (const double part : {0.0, 1.0, -1.0}) {
+        VectorXd residuals;
+        std::vector<Matrix> jacobians;
+        if (!EvaluateBeside(at, part, &residuals, &jacobians)) continue;
+        for (size_t i = 0; i < sizes.size(); ++i) {
+          const VectorXd by = (jacobians[i].cwiseAbs() * sizes[i].asDiagonal()).rowwise().maxCoeff();
+          if (by.allFinite()) of_term = of_term.cwiseMax(by);
+        }
+      }
+    }
+    return rows;
   }
 
   Certificate Run() {
@@ -348,6 +410,38 @@ class HybridConditions {
     shooting_.simulator().Adjoint(std::vector<double>(simulator().final_state().size(), 1.0));
     const std::string& why = simulator().WhyNotFinite();
     return why.empty() ? "they overflow" : why;
+  }
+
+  // Returns the sizes of what a term reads.
+  std::vector<VectorXd> SizesOfBlocks(const HybridShooting::TermAt& at) const {
+    const auto of_state = [&](int mode) -> VectorXd { return sizes_.state[mode].cwiseMax(sizes_.asked_state[mode]); };
+    const int mode = at.event < 0      ? simulator().ModeAt(at.interval < 0 ? input_.num_intervals : at.interval)
+                     : at.term->before ? events()[at.event].mode
+                                       : events()[at.event].next_mode;
+    std::vector<VectorXd> sizes;
+    if (at.term->with_state) sizes.push_back(of_state(mode));
+    if (at.term->with_initial) sizes.push_back(of_state(input_.mode));
+    if (at.term->with_control) sizes.push_back(sizes_.control.cwiseMax(sizes_.asked_control));
+    if (at.term->with_parameters) sizes.push_back(sizes_.parameters);
+    sizes.resize(at.blocks.size(), VectorXd::Constant(1, input_.duration));
+    return sizes;
+  }
+
+  // Evaluates a term where all that it reads has changed by a part of its size. Returns false if it has no value there.
+  bool EvaluateBeside(const HybridShooting::TermAt& at, double part, VectorXd* residuals,
+                      std::vector<Matrix>* jacobians) const {
+    const std::vector<VectorXd> sizes = SizesOfBlocks(at);
+    std::vector<VectorXd> blocks;
+    std::vector<const double*> in;
+    std::vector<double*> out;
+    residuals->resize(static_cast<Eigen::Index>(at.residuals.size()));
+    for (size_t i = 0; i < sizes.size(); ++i) {
+      blocks.push_back(Eigen::Map<const VectorXd>(at.blocks[i].data(), sizes[i].size()) + part * sizes[i]);
+      jacobians->emplace_back(residuals->size(), sizes[i].size());
+    }
+    for (const VectorXd& block : blocks) in.push_back(block.data());
+    for (Matrix& jacobian : *jacobians) out.push_back(jacobian.data());
+    return at.term->function->Evaluate(in.data(), residuals->data(), out.data());
   }
 
   // Whether all costs are squares whose residuals are of the size of rounding errors of the motion.
@@ -930,16 +1024,16 @@ class HybridConditions {
   // Returns the size over the motion of the component that a variable is; 1 if it is zero.
   double UnitOf(const FreeVariable& variable) const {
     const double size =
-        variable.kind == Kind::kInitial ? state_sizes_[input_.mode][variable.index] : parameter_sizes_[variable.index];
+        variable.kind == Kind::kInitial ? sizes_.state[input_.mode][variable.index] : sizes_.parameters[variable.index];
     return size > 0 ? size : 1.0;
   }
   // Returns the least size of the terms of a component of the control. If the component is zero but for errors of the
   // solution, so are its terms: it is the part of the loss that its change by its size would have to change.
   double LeastSizeOfControl(int component) const {
-    return is_zero_[component] ? std::abs(loss_) / (input_.duration * control_sizes_[component]) : 0;
+    return is_zero_[component] ? std::abs(loss_) / (input_.duration * sizes_.control[component]) : 0;
   }
   double SizeOfVariable(const FreeVariable& variable) const {
-    if (variable.kind == Kind::kControl) return control_sizes_[variable.index % width()];
+    if (variable.kind == Kind::kControl) return sizes_.control[variable.index % width()];
     return std::abs(variable.In(input_));
   }
 
@@ -1099,18 +1193,21 @@ class HybridConditions {
     }
   }
 
-  // Returns the largest change of a state with which a residual that counts in the loss would vanish.
+  // Returns the largest change of a state with which a residual that counts in the loss, or one that violates a
+  // constraint, would vanish.
   double SizeOfMisses() const {
     constexpr double kCounts = 1e-6;  // of the loss
     double size = 0;
     for (const HybridShooting::TermAt& at : terms_) {
-      if (!at.term->IsCost() || !at.term->with_state) continue;
+      if (!at.term->with_state) continue;
       const auto columns = static_cast<Eigen::Index>(at.blocks[0].size());
       for (size_t row = 0; row < at.residuals.size(); ++row) {
-        if (std::abs(at.term->LossOf(at.residuals[row])) < kCounts * std::abs(loss_)) continue;
+        const double residual = at.residuals[row];
+        const bool counts = at.term->IsCost() ? std::abs(at.term->LossOf(residual)) >= kCounts * std::abs(loss_)
+                                              : at.term->role == HybridTerm::Role::kEquality || residual > 0;
         const double slope =
             Eigen::Map<const VectorXd>(at.jacobians[0].data() + row * columns, columns).cwiseAbs().maxCoeff();
-        if (slope > 0) size = std::max(size, std::abs(at.residuals[row]) / slope);
+        if (counts && slope > 0) size = std::max(size, std::abs(residual) / slope);
       }
     }
     return size;
@@ -1121,18 +1218,20 @@ class HybridConditions {
   // what the costs ask for.
   void FindSizes() {
     for (int mode = 0; mode < system_.num_modes(); ++mode) {
-      state_sizes_.push_back(VectorXd::Zero(system_.state_size(mode)));
+      sizes_.state.push_back(VectorXd::Zero(system_.state_size(mode)));
     }
-    for (const Step& step : steps_) state_sizes_[step.mode] = state_sizes_[step.mode].cwiseMax(step.state.cwiseAbs());
-    control_sizes_ = VectorXd::Zero(width());
+    sizes_.asked_state = sizes_.state;
+    sizes_.asked_control = VectorXd::Zero(width());
+    for (const Step& step : steps_) sizes_.state[step.mode] = sizes_.state[step.mode].cwiseMax(step.state.cwiseAbs());
+    sizes_.control = VectorXd::Zero(width());
     for (size_t i = 0; i < input_.control.size(); ++i) {
-      double& size = control_sizes_[static_cast<Eigen::Index>(i) % width()];
+      double& size = sizes_.control[static_cast<Eigen::Index>(i) % width()];
       size = std::max(size, std::abs(input_.control[i]));
     }
-    parameter_sizes_ = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
+    sizes_.parameters = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
     // The changes of a motion without its events, and their largest sizes by mode.
     std::vector<Eigen::MatrixXd> largest;
-    for (const VectorXd& sizes : state_sizes_) largest.push_back(Eigen::MatrixXd::Zero(sizes.size(), width()));
+    for (const VectorXd& sizes : sizes_.state) largest.push_back(Eigen::MatrixXd::Zero(sizes.size(), width()));
     Eigen::MatrixXd change = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(input_.initial.size()), width());
     for (const Step& step : steps_) {
       const Eigen::Index n = step.by.rows();
@@ -1141,17 +1240,19 @@ class HybridConditions {
       largest[step.mode] = largest[step.mode].cwiseMax(change.cwiseAbs());
     }
     double of_states = SizeOfMisses();
-    for (const VectorXd& sizes : state_sizes_) of_states = std::max(of_states, sizes.maxCoeff());
+    for (const VectorXd& sizes : sizes_.state) of_states = std::max(of_states, sizes.maxCoeff());
     VectorXd moved = VectorXd::Zero(width());  // the largest state, by each component
     for (const Eigen::MatrixXd& of_mode : largest) moved = moved.cwiseMax(of_mode.colwise().maxCoeff().transpose());
     for (int c = 0; c < width(); ++c) {
       const bool moves = moved[c] > kNoControl * moved.maxCoeff() && std::isfinite(moved[c]);
       const double unit = moves ? of_states / moved[c] : 0;
-      is_zero_.push_back(unit > 0 && control_sizes_[c] <= kNoControl * unit);
-      if (!is_zero_.back()) continue;
-      control_sizes_[c] = unit;
+      is_zero_.push_back(unit > 0 && sizes_.control[c] <= kNoControl * unit);
+      sizes_.asked_control[c] = unit;
+      if (is_zero_.back()) sizes_.control[c] = unit;
       for (size_t mode = 0; mode < largest.size(); ++mode) {
-        state_sizes_[mode] = state_sizes_[mode].cwiseMax(unit * largest[mode].col(c));
+        const VectorXd asked = unit * largest[mode].col(c);
+        sizes_.asked_state[mode] = sizes_.asked_state[mode].cwiseMax(asked);
+        if (is_zero_.back()) sizes_.state[mode] = sizes_.state[mode].cwiseMax(asked);
       }
     }
   }
@@ -1180,7 +1281,7 @@ class HybridConditions {
       for (; event < step.phase; ++event) jump(event);
       const double next = s + 1 < steps_.size() ? steps_[s + 1].begin - kSameTime * input_.duration : INFINITY;
       for (; interval < input_.num_intervals && times_[interval] < next; ++interval) {
-        AddTerms(to, interval, -1, weights, state_sizes_[step.mode], states, form);
+        AddTerms(to, interval, -1, weights, sizes_.state[step.mode], states, form);
       }
       const int n = system_.state_size(step.mode), size = n + 1 + P + m + 1;
       const VectorXd& costate = costates.of_steps[s];
@@ -1194,7 +1295,7 @@ class HybridConditions {
       at << step.state, step.begin, Eigen::Map<const VectorXd>(input_.parameters.data(), P),
           Eigen::Map<const VectorXd>(ControlOf(step.interval), m), step.end - step.begin;
       // The length of a step is scaled by the mean, as a step may be far shorter than others.
-      sizes << state_sizes_[step.mode], input_.duration, parameter_sizes_, control_sizes_,
+      sizes << sizes_.state[step.mode], input_.duration, sizes_.parameters, sizes_.control,
           input_.duration / static_cast<double>(steps_.size());
       form->Add(SecondDerivative(
                     at,
@@ -1211,10 +1312,10 @@ class HybridConditions {
                     },
                     functions_.IsLinear(step.mode) ? size - 1 : 0),
                 along);
-      states = AddState(Image(step.by, along), state_sizes_[step.mode], form);
+      states = AddState(Image(step.by, along), sizes_.state[step.mode], form);
     }
     for (; event < num_events(); ++event) jump(event);
-    AddTerms(to, -1, -1, weights, state_sizes_[simulator().final_mode()], states, form);
+    AddTerms(to, -1, -1, weights, sizes_.state[simulator().final_mode()], states, form);
   }
 
   // Adds the guard, the reset and the terms of event k; returns the derivatives of the state after it.
@@ -1239,7 +1340,7 @@ class HybridConditions {
     VectorXd at(columns + m), sizes(columns + m);
     at << Eigen::Map<const VectorXd>(event.before.data(), n), event.time,
         Eigen::Map<const VectorXd>(input_.parameters.data(), P), control;
-    sizes << at.head(n).cwiseAbs(), input_.duration, parameter_sizes_, control.cwiseAbs();
+    sizes << at.head(n).cwiseAbs(), input_.duration, sizes_.parameters, control.cwiseAbs();
     SparseRows along = states;
     along.push_back(to.boundaries[k + 1]);
     along.insert(along.end(), to.parameters.begin(), to.parameters.end());
@@ -1261,8 +1362,8 @@ class HybridConditions {
     AddTerms(to, -1, k, weights, sizes.head(n), states, form, /*before=*/true);
     along.resize(columns);
     const SparseRows image = Image(reset.topRows(costate.size()), along);
-    const SparseRows next = AddState(image, state_sizes_[event.next_mode], form);
-    AddTerms(to, -1, k, weights, state_sizes_[event.next_mode], next, form);
+    const SparseRows next = AddState(image, sizes_.state[event.next_mode], form);
+    AddTerms(to, -1, k, weights, sizes_.state[event.next_mode], next, form);
     return next;
   }
 
@@ -1730,17 +1831,16 @@ class HybridConditions {
   std::vector<HybridShooting::TermAt> terms_;
   std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)
   std::vector<Constraint> constraints_;
-  std::vector<OfInterval> of_interval_;       // the last of the constraints
-  std::vector<int> cone_of_;                  // of each number of the control: the constraint of its interval, or -1
-  std::vector<Sweep> sweeps_;                 // of the objective, and of each multiplier
-  VectorXd of_sizes_;                         // the multipliers that sizes are taken with
-  Sweep events_together_;                     // of all events, with these multipliers
-  VectorXd theta_;                            // the multipliers, of all constraints
-  std::vector<bool> is_weak_;                 // of each constraint: an inequality that does not press
-  std::vector<size_t> weak_variables_;        // places of variables_ at bounds that do not press
-  std::vector<VectorXd> state_sizes_;         // by mode
-  VectorXd control_sizes_, parameter_sizes_;  // largest values
-  std::vector<bool> is_zero_;                 // of each component of the control: all the time
+  std::vector<OfInterval> of_interval_;  // the last of the constraints
+  std::vector<int> cone_of_;             // of each number of the control: the constraint of its interval, or -1
+  std::vector<Sweep> sweeps_;            // of the objective, and of each multiplier
+  VectorXd of_sizes_;                    // the multipliers that sizes are taken with
+  Sweep events_together_;                // of all events, with these multipliers
+  VectorXd theta_;                       // the multipliers, of all constraints
+  std::vector<bool> is_weak_;            // of each constraint: an inequality that does not press
+  std::vector<size_t> weak_variables_;   // places of variables_ at bounds that do not press
+  MotionSizes sizes_;
+  std::vector<bool> is_zero_;  // of each component of the control: all the time
   size_t num_conditions_ = 0;
   double loss_ = 0;
 };
@@ -1756,11 +1856,34 @@ std::optional<HybridInput> AfterNewtonStep(const HybridProblem& problem, const H
   return HybridConditions(problem, input, {}).NewtonStep(moving);
 }
 
-Certificate Certify(const HybridProblem& problem, const HybridInput& input) {
+std::optional<MotionSizes> SizesOf(const HybridProblem& problem, const HybridInput& input) {
+  return HybridConditions(problem, input, {}).Sizes();
+}
+
+HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput& input) {
+  constexpr double kSmall = 0.1, kLarge = 500;
+  if (std::ranges::all_of(problem.terms, &HybridTerm::IsCost)) return problem;
+  std::vector<VectorXd> sizes;
+  {
+    HybridConditions conditions(problem, input, {});
+    if (!conditions.Sizes()) return problem;
+    sizes = conditions.SizesOfConstraints();
+  }
+  for (size_t i = 0; i < sizes.size(); ++i) {
+    const VectorXd factors =
+        sizes[i].unaryExpr([](double size) { return size == 0 || (size >= kSmall && size <= kLarge) ? 1 : 1 / size; });
+    if (factors.isOnes(0)) continue;
+    problem.terms[i].function = std::make_shared<ScaledRows>(problem.terms[i].function, factors);
+  }
+  return problem;
+}
+
+Certificate Certify(const HybridProblem& given, const HybridInput& input) {
   Certificate wrong;
-  wrong.reason = WhatIsWrongWith(input, problem.system);
+  wrong.reason = WhatIsWrongWith(input, given.system);
   if (wrong.reason.empty() && input.begin != 0) wrong.reason = "the motion does not begin at time 0";
   if (!wrong.reason.empty()) return wrong;
+  const HybridProblem problem = WithConstraintsOfOrderOne(given, input);
   Certificate certificate = CertifyConditions(problem, input, {});
   const bool smooth = certificate.verdict != Certificate::Verdict::kNotApplicable &&
                       certificate.verdict != Certificate::Verdict::kNotStationary;

@@ -1,6 +1,7 @@
 // The conditions of saltus/optimality/hybrid_certificate.h of a motion that stays on one side of its kinks.
 #pragma once
 
+#include <Eigen/Core>
 #include <functional>
 #include <optional>
 #include <vector>
@@ -43,5 +44,24 @@ Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& i
 // move with the events, or on the given intervals, where events at their ends stay there. Returns std::nullopt if there
 // is no motion, or if the second derivative is singular. Preconditions: those of CertifyConditions.
 std::optional<HybridInput> AfterNewtonStep(const HybridProblem& problem, const HybridInput& input, bool moving);
+
+// The sizes of what a motion consists of.
+struct MotionSizes {
+  std::vector<Eigen::VectorXd> state;   // by mode: the largest values, of zero ones those that are asked for
+  Eigen::VectorXd control, parameters;  // likewise
+  // The component of the control that, held for the whole motion, changes a state by as much as the largest state is,
+  // or misses what costs and constraints ask for; and the largest change of each state by one of these, by mode.
+  Eigen::VectorXd asked_control;
+  std::vector<Eigen::VectorXd> asked_state;
+  double asked_loss = 0;  // after such changes
+};
+
+// Returns the sizes of the motion of an input; std::nullopt if it has none to which all terms apply.
+std::optional<MotionSizes> SizesOf(const HybridProblem& problem, const HybridInput& input);
+
+// Returns the problem with the rows of its constraints divided by their sizes, where these are not of order one: by how
+// much a row changes as what it reads changes by its size in the motion of the input. Without a motion, returns the
+// problem as it is.
+HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput& input);
 
 }  // namespace saltus

@@ -7,6 +7,8 @@
 
 #include "base/number_text.h"
 #include "control/hybrid_shooting.h"
+#include "optimality/hybrid_conditions.h"
+#include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"
 #include "solve/solve_chain.h"
 
@@ -15,6 +17,8 @@ namespace {
 
 constexpr int kMostRuns = 6;
 constexpr double kSameLoss = 1e-8;     // relative
+constexpr double kFarBelow = 1e-3;     // of the loss of a guess
+constexpr double kNoLoss = 1e-9;       // of the loss where all has changed by its size
 constexpr double kMoreAccurate = 0.1;  // of the error, with the steps that are chosen at the solution
 
 // Whether the integration of a solution is less accurate than it can be, and than the tolerance. If there is no
@@ -36,16 +40,31 @@ bool NeedsMoreSteps(const HybridProblem& problem, const SolveReport& report, std
   return accurate.simulator().IntegrationError() < kMoreAccurate * report.integration_error;
 }
 
+// Whether a run from this loss has ended so far below it, without an optimum, that the sizes of its guess, to which its
+// tolerances are relative, hide what is left. Adds the certificate that it looks at to the report.
+bool NeedsNewSizes(const HybridProblem& problem, double initial_loss, SolveReport* report) {
+  const bool is_far = std::isfinite(initial_loss) && report->final_violation <= kFeasible &&
+                      std::abs(report->final_loss) <= kFarBelow * std::abs(initial_loss);
+  const bool has_ended =
+      report->termination == Termination::kConverged || report->termination == Termination::kNoProgress;
+  if (!is_far || !has_ended) return false;
+  if (!report->certificate) report->certificate = Certify(problem, SolutionOf(problem, *report));
+  if (report->certificate->verdict != Certificate::Verdict::kNotStationary) return false;
+  return !HasNoLoss(problem, *report);
+}
+
 }  // namespace
 
 SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve) {
   SolveChain chain(options);
   SolveReport report = solve(problem, options);
   chain.Add(report);
+  double initial_loss = report.initial_loss;
   for (int run = 1;; ++run) {
     std::string why;
-    if (report.termination == Termination::kInterrupted || !NeedsMoreSteps(problem, report, &why)) return report;
-    if (!why.empty() || run == kMostRuns) {
+    if (report.termination == Termination::kInterrupted || report.losses.empty()) return report;
+    const bool needs_steps = NeedsMoreSteps(problem, report, &why);
+    if (needs_steps && (!why.empty() || run >= kMostRuns)) {
       report.termination = why.empty() ? Termination::kNoProgress : Termination::kFailed;
       report.reason += (report.reason.empty() ? "" : "; ") +
                        (why.empty() ? "the error of the integration at the solution is " +
@@ -53,16 +72,27 @@ SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptio
                                     : "with the steps that the solution needs there is no motion: " + why);
       return report;
     }
+    const bool needs_sizes = !needs_steps && run < kMostRuns && NeedsNewSizes(problem, initial_loss, &report);
+    if (!needs_steps && (!needs_sizes || chain.IsOutOfIterations())) return report;
     HybridProblem from = problem;
     from.guess = SolutionOf(problem, report);
     from.guess_states.clear();
-    SolveReport more = solve(from, chain.Next());
+    SolveReport more = solve(WithConstraintsOfOrderOne(from, from.guess), chain.Next());
     if (more.losses.empty()) return report;
+    initial_loss = more.initial_loss;
     const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
     if (more.iterations == 0 && converged(report) && converged(more)) more.reason = report.reason;  // not of a guess
     chain.Add(more);
-    report = chain.Finish(std::move(more));
+    report.final_violation = more.initial_violation;  // relative to the new sizes
+    const bool is_worse = needs_sizes && !EndsBetter(more, report) && !(more.final_loss <= report.final_loss);
+    report = chain.Finish(is_worse ? std::move(report) : std::move(more));
+    if (is_worse) return report;
   }
+}
+
+bool HasNoLoss(const HybridProblem& problem, const SolveReport& report) {
+  const auto sizes = SizesOf(problem, SolutionOf(problem, report));
+  return !sizes || std::abs(report.final_loss) <= kNoLoss * sizes->asked_loss;
 }
 
 HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report) {

@@ -7,6 +7,7 @@
 #include <tuple>
 #include <utility>
 
+#include "optimality/hybrid_conditions.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/sequence_mending.h"
@@ -15,10 +16,12 @@
 namespace saltus {
 namespace {
 
-constexpr double kMissWeight = 1e3;    // of constraints beside the loss, relative to its scale
-constexpr double kNodeMargin = 2e-13;  // of the duration: nodes are by half of it behind the events that belong there
-constexpr double kDelay = 1e-7;        // of the duration
-constexpr int kFewestIntervals = 64;   // where no control or cost of intervals gives their number
+constexpr double kMissWeight = 1e3;     // of constraints beside the loss, relative to its scale
+constexpr double kNodeMargin = 2e-13;   // of the duration: nodes are by half of it behind the events that belong there
+constexpr double kDelay = 1e-7;         // of the duration
+constexpr double kLeastOfAsked = 0.01;  // of the change of a state, or of the loss, that costs ask for
+constexpr double kMisses = 1e-3;
+constexpr int kFewestIntervals = 64;  // where no control or cost of intervals gives their number
 
 // The problem with as many intervals as phases need, where their number means nothing, from the piece of the mode in
 // which the motion begins.
@@ -264,8 +267,22 @@ void HybridPhaseRun::FindScales() {
     const double t = problem_.guess.duration * static_cast<double>(row) / static_cast<double>(rows - 1);
     add(problem_.guess.mode, t, std::span(guess_.guess_states).subspan(row * n, n));
   }
+  // Where contacts stick, changes are not in proportion to the control.
+  const bool is_proportional = guess_.exact.ok && !system.functions().CreatesModes();
+  const auto sizes = is_proportional ? SizesOf(problem_, InputOf(guess_)) : std::nullopt;
+  for (size_t mode = 0; sizes && mode < scales_.state.size(); ++mode) {
+    for (size_t i = 0; i < scales_.state[mode].size(); ++i) {
+      double& scale = scales_.state[mode][i];
+      const double asked = sizes->asked_state[mode][static_cast<Eigen::Index>(i)];
+      scale = scale > 0 ? std::max(scale, kLeastOfAsked * asked) : asked;
+    }
+  }
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss != 0) scales_.loss = std::abs(guess_.exact.loss);
+  // The loss of a guess that misses constraints tells little of that of motions that meet them.
+  if (sizes && guess_.exact.violation > kMisses) {
+    scales_.loss = std::max(scales_.loss, kLeastOfAsked * sizes->asked_loss);
+  }
 }
 
 HybridInput HybridPhaseRun::InputOf(const HybridMotion& motion) const {

@@ -12,6 +12,7 @@
 #include "base/table.h"
 #include "control/hybrid_shooting.h"
 #include "hybrid/rollout.h"
+#include "optimality/hybrid_conditions.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
@@ -273,6 +274,7 @@ void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
   const bool zero = squares && report->final_violation <= kFeasible && std::isfinite(report->initial_loss) &&
                     report->final_loss <= kZero * report->initial_loss;
   if (!zero || !report->certificate || report->certificate->verdict != Certificate::Verdict::kNotStationary) return;
+  if (!HasNoLoss(problem, *report)) return;  // the guess was far off
   report->certificate->verdict = Certificate::Verdict::kNotApplicable;
   report->certificate->reason =
       "all costs are squares and zero, so that no motion has a lower loss; conditions relative to their size do not "
@@ -435,7 +437,7 @@ const std::vector<HybridSolverEntry>& HybridSolvers() {
   return solvers;
 }
 
-SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options) {
+SolveReport Solve(std::string_view solver, const HybridProblem& given, const SolverOptions& options) {
   SolveReport report;
   report.solver = solver;
   report.termination = Termination::kNotApplicable;
@@ -446,15 +448,16 @@ SolveReport Solve(std::string_view solver, const HybridProblem& problem, const S
     for (const HybridSolverEntry& known : HybridSolvers()) report.reason += " " + std::string(known.name);
     return report;
   }
-  report.reason = WhatIsWrongWith(problem);
+  report.reason = WhatIsWrongWith(given);
   if (report.reason.empty()) report.reason = WhatIsWrongWith(options);
-  if (report.reason.empty()) report.reason = entry->why_not(problem);
+  if (report.reason.empty()) report.reason = entry->why_not(given);
   if (!report.reason.empty()) return report;
-  if (const auto without = WithoutIdleEvents(problem, options)) {
+  if (const auto without = WithoutIdleEvents(given, options)) {
     report = Solve(solver, *without, options);
-    RenameEvents(without->system, problem.system, &report.optima);
+    RenameEvents(without->system, given.system, &report.optima);
     return report;
   }
+  const HybridProblem problem = WithConstraintsOfOrderOne(given, given.guess);
   report = SolveBy(*entry, problem, options);
   if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
   if (!report.losses.empty()) NameTermsWithoutEvents(problem, &report);
