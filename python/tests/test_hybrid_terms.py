@@ -893,3 +893,26 @@ def test_the_size_of_a_guess_does_not_matter(guess, solver):
     run = saltus.solve(stop, solver=solver)
     assert run.termination == "converged", run.reason
     assert_allclose(run.loss, 1.2190476190476191, rtol=1e-6)
+
+
+@pytest.mark.skipif("ipopt" not in PHASES, reason="this build has no IPOPT")
+@pytest.mark.parametrize("iterations", [8, 10, 12, 14])
+def test_ipopt_if_interrupted_returns_something_better_than_its_guess(iterations):
+    system = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow={"m": lambda x, u: [x[1], u[0] - 10 * np.sin(x[0])]})
+    slow = saltus.residuals(lambda x: x[1] - 3, at="steps", role="inequality")
+    for costs in ([], [slow]):
+        problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=2, control=np.zeros((40, 1)),
+                                       costs=[saltus.terminal([2.0, 0.0], weight=100), saltus.effort(0.01), *costs])
+        run = saltus.solve(problem, solver="ipopt", bounds={"u": (-5, 5)}, iterations=iterations)
+        assert run.termination == "iteration_limit", run.reason
+        assert run.loss < 0.99 * run.losses[0]
+        x, speeds = np.zeros(2), []
+        for (u,) in np.asarray(run.control):
+            speeds.append(x[1])
+            flow = lambda x, u=u: np.array([x[1], u - 10 * np.sin(x[0])])
+            for _ in range(10):
+                a = flow(x)
+                b = flow(x + 0.0025 * a)
+                c = flow(x + 0.0025 * b)
+                x = x + 0.005 / 6 * (a + 2 * b + 2 * c + flow(x + 0.005 * c))
+        assert not costs or max(speeds) < 3 + 1e-6

@@ -167,11 +167,12 @@ inline std::string DescribeSaddle(const std::string& then) {
 
 inline constexpr double kHardlyBetter = 1e-9;  // relative, of losses
 
-// Line search from a motion towards another one whose control is known: the best motion met, if its merit is below that
-// of the first.
+// Line search from a motion towards another one whose control is known: the best motion met that counts, if its merit
+// is below that of the first.
 template <typename Run>
-std::optional<typename Run::Motion> WalkTo(const Run& run, const typename Run::Motion& to,
-                                           const typename Run::Motion& from) {
+std::optional<typename Run::Motion> WalkTo(
+    const Run& run, const typename Run::Motion& to, const typename Run::Motion& from,
+    const std::function<bool(const typename Run::Motion&)>& counts = [](const auto&) { return true; }) {
   constexpr int kHalvings = 8;
   std::optional<typename Run::Motion> best;
   double least = run.MeritOf(run.WithinBounds(from));
@@ -195,7 +196,7 @@ std::optional<typename Run::Motion> WalkTo(const Run& run, const typename Run::M
     run.MoveWithin(&between);
     run.Simulate(&between);
     const double merit = run.MeritOf(between);
-    if (!(merit < least)) continue;
+    if (!(merit < least) || !counts(between)) continue;
     least = merit;
     best = std::move(between);
   }

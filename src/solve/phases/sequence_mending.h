@@ -193,6 +193,14 @@ class SequenceUpdate {
       last_plan_ = task.plan;
     }
     Meet(attempt.trial);
+    // The last iterate of a solve that is interrupted need not meet the equations of the motion, nor the constraints.
+    if (interrupted_ || run_.IsOutOfIterations()) {
+      const bool keeps_constraints = MeetsConstraints(lowest_);
+      const auto better = WalkTo(run_, attempt.trial, task.start.trial, [&](const Trial& trial) {
+        return !keeps_constraints || MeetsConstraints(trial);
+      });
+      if (better) Meet(*better);
+    }
     Remember(task, attempt, left);
     const double least_planned = unrealized_ ? unrealized_->first.planned_loss : INFINITY;
     if (attempt.converged && !attempt.realized && attempt.planned_loss < least_planned) {
