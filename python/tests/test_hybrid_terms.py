@@ -895,6 +895,20 @@ def test_the_size_of_a_guess_does_not_matter(guess, solver):
     assert_allclose(run.loss, 1.2190476190476191, rtol=1e-6)
 
 
+@pytest.mark.parametrize("solver", ["auto", *PHASES])
+@pytest.mark.parametrize("intervals", [1, 3])
+@pytest.mark.parametrize("guess", [[1.0, 0.0], [1.0, 1e-9], [0.5, 0.0]])
+def test_a_saddle_on_a_bound_of_the_norm_is_left(guess, intervals, solver):
+    """On the circle |u| = 1 the loss -x - 1.5 y^2 at the end has a saddle at u = (1, 0), and its minimum at u_x = 1/3."""
+    system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["a", "b"], flow={"m": lambda x, u: [u[0], u[1]]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1, control=np.tile(guess, (intervals, 1)),
+                                   costs=[saltus.cost(lambda x: -x[0] - 1.5 * x[1]**2),
+                                          saltus.residuals(lambda u: u[0]**2 + u[1]**2 - 1, at="steps", role="inequality")])
+    run = saltus.solve(problem, solver=solver)
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, -5 / 3, atol=1e-8)
+
+
 @pytest.mark.skipif("ipopt" not in PHASES, reason="this build has no IPOPT")
 @pytest.mark.parametrize("iterations", [8, 10, 12, 14])
 def test_ipopt_if_interrupted_returns_something_better_than_its_guess(iterations):

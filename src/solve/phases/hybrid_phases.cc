@@ -573,7 +573,7 @@ std::vector<HybridMotion> HybridPhaseRun::StepAside(const HybridMotion& motion,
                                                     const std::vector<double>& direction) const {
   double size = 1;
   for (const double u : motion.control) size = std::max(size, std::abs(u));
-  return StepsToBothSides(motion, size, [&](double length, HybridMotion* moved) {
+  const auto move = [&](double length, HybridMotion* moved) {
     auto next = direction.begin();
     for (double& u : moved->control) u += length * *next++;
     for (const int i : problem_.free.initial) moved->initial[i] += length * *next++;
@@ -584,7 +584,9 @@ std::vector<HybridMotion> HybridPhaseRun::StepAside(const HybridMotion& motion,
     }
     MoveWithin(moved);
     Simulate(moved);
-  });
+  };
+  // Along a bound that is curved, short steps lower the loss by more than they violate it.
+  return StepsToBothSides(motion, size, move, [this](const HybridMotion& of) { return MeritOf(of); });
 }
 
 SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Termination termination,

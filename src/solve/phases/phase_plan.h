@@ -18,6 +18,7 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -134,21 +135,25 @@ bool HasEvents(const Exact& exact, const std::vector<Event>& sequence, const std
 }
 
 // Leaves a motion that is no optimum: takes steps of many lengths, that of the largest in proportion to `size`, to both
-// sides along a direction. move(length, &motion) takes one and simulates it. Returns, of the motions that are better by
-// more than rounding, the best with each sequence of events, best first.
+// sides along a direction. move(length, &motion) takes one and simulates it. Returns, of the motions whose merit, by
+// default the loss, is better by more than rounding, the best with each sequence of events, best first.
 template <typename Motion, typename Move>
-std::vector<Motion> StepsToBothSides(const Motion& start, double size, const Move& move) {
+std::vector<Motion> StepsToBothSides(
+    const Motion& start, double size, const Move& move,
+    const std::type_identity_t<std::function<double(const Motion&)>>& merit = [](const Motion& motion) {
+      return motion.exact.loss;
+    }) {
   constexpr int kLargest = 4, kLengths = 24;  // powers of two
   std::vector<Motion> better;
-  const double least = start.exact.loss - 1e-12 * std::abs(start.exact.loss);
+  const double least = merit(start) - 1e-12 * std::abs(merit(start));
   for (int power = kLargest; power > kLargest - kLengths; --power) {
     for (const double sign : {1.0, -1.0}) {
       Motion moved = start;
       move(sign * std::ldexp(size, power), &moved);
-      if (moved.exact.ok && moved.exact.loss < least) better.push_back(std::move(moved));
+      if (moved.exact.ok && merit(moved) < least) better.push_back(std::move(moved));
     }
   }
-  std::ranges::stable_sort(better, {}, [](const Motion& motion) { return motion.exact.loss; });
+  std::ranges::stable_sort(better, {}, merit);
   std::vector<Motion> best;
   for (Motion& candidate : better) {
     const auto same = [&](const Motion& known) { return known.exact.contacts == candidate.exact.contacts; };
