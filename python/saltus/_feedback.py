@@ -243,6 +243,12 @@ class SaltedKalmanFilter(Remade):
         else:
             if mode is not None or len(self._parameters) > 0:
                 raise ValueError("mode and parameters: found some with a scene, which has its own; leave them out")
+            scene = self._system.to_dict()
+            if any(body.get("path") for body in scene["bodies"]) or any(plane.get("motion") for plane in scene["planes"]):
+                raise ValueError(
+                    "system: found a scene with a prescribed motion, which would begin anew with each prediction; expected one without. "
+                    "Take the system of the scene's hybrid problem: saltus.hybrid_problem(scene).system"
+                )
             self._filter = _saltus.SaltedKalmanFilter(self._system, time, *estimate)
 
     @property

@@ -217,3 +217,29 @@ def test_wrong_paths_are_refused(path, message):
     scene["bodies"][1] = {**paddled()["bodies"][1], "position": [0, 0]}
     with pytest.raises(saltus.SceneError, match=r"bodies\[1\].position: found it beside a path"):
         saltus.Scene(scene)
+
+
+@pytest.mark.parametrize("moving", ["plane", "body"])
+def test_a_filter_of_a_scene_with_a_prescribed_motion_is_refused_and_that_of_its_hybrid_problem_is_right(moving):
+    """A prediction in two parts is that in one; the clock of a scene would begin anew."""
+    scene = {"name": "moving", "duration": 1.0, "steps": 10, "gravity": [0, 0], "contact": {"restitution": 1, "friction": 0},
+             "bodies": [{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 0.5], "velocity": [0, -1]}],
+             "planes": [{"name": "floor", "point": [0, 0], "normal": [0, 1]}],
+             "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 1]}]}, "optimize": "velocity"}
+    times, places = [0, 0.5, 1], [[0, 0], [0, 0.1], [0, 0.4]]
+    if moving == "plane":
+        del scene["planes"][0]["point"]
+        scene["planes"][0]["motion"] = {"times": times, "positions": places}
+    else:
+        scene["bodies"].append({"name": "paddle", "radius": 0.1, "path": {"times": times, "positions": [[5, y] for _, y in places]}})
+    problem = saltus.hybrid_problem(scene)
+    n = len(problem.initial)
+    with pytest.raises(ValueError, match=r"prescribed motion.*hybrid_problem\(scene\)\.system"):
+        saltus.SaltedKalmanFilter(scene, problem.initial, 1e-6 * np.eye(n))
+    given = {"parameters": problem.parameters}
+    one, two = (saltus.SaltedKalmanFilter(problem.system, problem.initial, 1e-6 * np.eye(n), **given) for _ in range(2))
+    one.predict(1.0)
+    two.predict(0.2)
+    two.predict(1.0)
+    assert np.allclose(one.mean, saltus.rollout(problem).final, rtol=0, atol=1e-9)
+    assert np.allclose(one.mean, two.mean, rtol=0, atol=1e-9)
