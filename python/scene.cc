@@ -2,16 +2,19 @@
 #include <pybind11/stl.h>
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
 #include <map>
 #include <string>
 #include <vector>
 
 #include "arrays.h"
+#include "base/number_text.h"
 #include "convert.h"
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/scene_parameter.h"
+#include "scene/path_motion.h"
 
 namespace saltus::python {
 namespace {
@@ -55,6 +58,18 @@ std::vector<int> AllBodies(const Scene& scene) {
   return bodies;
 }
 
+// Checks the state of a body with a path, which starts where and as fast as that begins; a velocity of zero is that of
+// fixed bodies in scene files.
+void CheckOnPath(const Body& body, const Vec2d& found, const std::string& place, bool is_velocity) {
+  constexpr double kSame = 1e-9;
+  const PathMotion::Point start = PathMotion(*body.path).At(0);
+  const Vec2d expected = is_velocity ? start.velocity : start.position;
+  if ((found - expected).norm() <= kSame * std::max(1.0, expected.norm()) || (is_velocity && found.isZero(0))) return;
+  const auto text = [](const Vec2d& of) { return "[" + ToText(of[0], 10) + ", " + ToText(of[1], 10) + "]"; };
+  throw py::value_error(place + ": found " + text(found) + ", expected " + text(expected) +
+                        ", with which the path of '" + body.name + "' begins");
+}
+
 // Returns the scene with another initial state: positions and velocities (B x 2), angles and angular velocities (B), or
 // the present ones for None. With `by_control` its decision variables are the control, whatever they were.
 Scene StartingAt(Scene scene, const py::object& position, const py::object& velocity, const py::object& angle,
@@ -64,7 +79,15 @@ Scene StartingAt(Scene scene, const py::object& position, const py::object& velo
   const auto set = [&](const py::object& given, const char* name, Vec2d Body::*member) {
     if (given.is_none()) return;
     const Array read = ReadArray(given, name, {bodies, 2});
-    for (int i = 0; i < bodies; ++i) scene.bodies[i].*member = {read.data()[2 * i], read.data()[2 * i + 1]};
+    for (int i = 0; i < bodies; ++i) {
+      Body& body = scene.bodies[i];
+      const Vec2d found(read.data()[2 * i], read.data()[2 * i + 1]);
+      if (body.path) {
+        CheckOnPath(body, found, std::string(name) + '[' + std::to_string(i) + ']', member == &Body::velocity);
+      } else {
+        body.*member = found;
+      }
+    }
   };
   const auto turn = [&](const py::object& given, const char* name, double Body::*member) {
     if (given.is_none()) return;

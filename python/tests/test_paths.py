@@ -243,3 +243,19 @@ def test_a_filter_of_a_scene_with_a_prescribed_motion_is_refused_and_that_of_its
     two.predict(1.0)
     assert np.allclose(one.mean, saltus.rollout(problem).final, rtol=0, atol=1e-9)
     assert np.allclose(one.mean, two.mean, rtol=0, atol=1e-9)
+
+
+def test_the_start_of_a_body_with_a_path_is_that_of_the_path():
+    """The velocity of a run, as README gives it to rollout, has that of the path; another start is refused."""
+    scene = {"name": "paddle", "duration": 1.0, "steps": 10, "gravity": [0, 0], "contact": {"restitution": 1, "friction": 0},
+             "bodies": [{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 0.5], "velocity": [0, -1]},
+                        {"name": "paddle", "radius": 0.1, "path": {"times": [0, 1], "positions": [[0, -0.5], [0, 0.5]]}}],
+             "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 1]}]}, "optimize": "velocity"}
+    expected = saltus.rollout(scene).states
+    for velocity in ([[0, -1], [0, 1]], [[0, -1], [0, 0]]):
+        assert np.array_equal(saltus.rollout(scene, velocity=velocity).states, expected)
+    assert np.array_equal(saltus.rollout(scene, position=[[0, 0.5], [0, -0.5]]).states, expected)
+    with pytest.raises(ValueError, match=r"position\[1\]: found \[5, 5\], expected \[0, -0.5\], with which the path of 'paddle' begins"):
+        saltus.rollout(scene, position=[[0, 0.5], [5, 5]])
+    with pytest.raises(ValueError, match=r"velocity\[1\]: found \[0, 2\], expected \[0, 1\]"):
+        saltus.rollout(scene, velocity=[[0, -1], [0, 2]])
