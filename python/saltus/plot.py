@@ -44,7 +44,7 @@ def _draw_walls(ax: Any, scene: Mapping[str, Any]) -> None:
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     for plane in scene.get("planes", []):
         normal = np.asarray(plane["normal"], dtype=float)
-        point = np.asarray(plane["point"], dtype=float)
+        point = np.asarray(plane["motion"]["positions"][0] if plane.get("motion") else plane["point"], dtype=float)
         ax.axline(point, point + [normal[1], -normal[0]], **look)
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)

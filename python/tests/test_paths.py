@@ -259,3 +259,10 @@ def test_the_start_of_a_body_with_a_path_is_that_of_the_path():
         saltus.rollout(scene, position=[[0, 0.5], [5, 5]])
     with pytest.raises(ValueError, match=r"velocity\[1\]: found \[0, 2\], expected \[0, 1\]"):
         saltus.rollout(scene, velocity=[[0, -1], [0, 2]])
+
+
+def test_a_plane_that_moves_is_drawn_where_it_begins():
+    plot = pytest.importorskip("saltus.plot")
+    pytest.importorskip("matplotlib").use("Agg")
+    axes = plot.trajectory(between_walls(), saltus.rollout(between_walls()))
+    assert len(axes.lines) >= 3
