@@ -1,3 +1,5 @@
+// The exact model of scenes with drag, springs or prescribed motions: their hybrid system (SceneSystemOf) is
+// integrated, and its impacts are located on the arcs.
 #include <algorithm>
 #include <cmath>
 #include <memory>

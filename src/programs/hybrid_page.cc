@@ -1,3 +1,4 @@
+// The tables and the page of a hybrid problem, made of its document (hybrid_document.cc).
 #include <algorithm>
 #include <utility>
 

@@ -1,4 +1,4 @@
-// Prescribed motions (PrescribedMotion).
+// Prescribed motions (PrescribedMotion): not-a-knot cubic splines through positions (m) at given times (s).
 #pragma once
 
 #include <vector>

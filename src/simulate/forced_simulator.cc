@@ -1,6 +1,6 @@
 // A moving plane stands for a fixed disc behind it for each disc that moves, which it would touch where it touches the
 // plane: in each step its centre is on the normal through the centre of that disc, and it moves as the plane does. So
-// time- stepping models have moving planes as they have moving discs. Within a step its surface turns away from the
+// time-stepping models have moving planes as they have moving discs. Within a step its surface turns away from the
 // plane by a part of second order in the length of the step. It is so small that discs beside that disc do not reach
 // it.
 #include "simulate/forced_simulator.h"

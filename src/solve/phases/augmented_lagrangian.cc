@@ -375,7 +375,7 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     ++result.iterations;
     result.interrupted = options.callback && !options.callback(Cost());
     // Ceres ends where an accepted step gains too little. One that is rejected by as little is so by rounding errors,
-    // which damping does not mend.
+    // which damping does not correct.
     const bool changes = std::abs(summary.cost_change) > options.gain * std::abs(summary.cost);
     return !result.interrupted && !(first_optimum && !summary.step_is_successful && !changes);
   });
