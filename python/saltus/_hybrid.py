@@ -78,6 +78,7 @@ class System(Closed):
     draw: Any = None
     _system: Any
     _ranges: Mapping[str, tuple[float, float]] = {}  # of parameters that have a range by what they are
+    _longest: float = np.inf  # the longest motion for which its functions are given
 
     def _make(self) -> Any:
         """Returns the system of C++."""
@@ -971,6 +972,9 @@ class HybridProblem(Closed):
         """Calls a method of what evaluates it, which is kept as long as only the guess changes."""
         number = self.system._mode_number(self.mode)
         expect("a number", duration=self.duration)
+        if self.duration > self.system._longest * (1 + 1e-9):
+            raise ValueError(f"duration: found {self.duration:.10g}, expected at most {self.system._longest:.10g}, at which a prescribed "
+                             "motion of the scene ends; give it further times and positions")
         guess = (number, self.initial, self.parameters, float(self.duration),
                  *self._intervals())
         expect("a number", tolerance=self.tolerance)
@@ -1642,6 +1646,10 @@ class _SceneSystem(HybridSystem):
 
     def __init__(self, scene: Scene):
         self._scene, self.sliding = scene, None
+        keys = scene.to_dict()
+        paths = [body["path"] for body in keys["bodies"] if body.get("path")]
+        paths += [plane["motion"] for plane in keys["planes"] if plane.get("motion")]
+        self._longest = min((path["times"][-1] for path in paths), default=np.inf)
         self._system = self._make()
         self.states, self.guards = self._read["states"], self._read["guards"]
         self.modes, self.controls, self.parameters = list(self.states), self._read["controls"], []

@@ -1,5 +1,7 @@
 """Prescribed motions of discs and planes in scenes."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -266,3 +268,12 @@ def test_a_plane_that_moves_is_drawn_where_it_begins():
     pytest.importorskip("matplotlib").use("Agg")
     axes = plot.trajectory(between_walls(), saltus.rollout(between_walls()))
     assert len(axes.lines) >= 3
+
+
+def test_a_hybrid_problem_does_not_go_on_beyond_the_paths_of_its_scene():
+    problem = saltus.hybrid_problem(between_walls())
+    problem.duration = 2.0
+    saltus.rollout(pickle.loads(pickle.dumps(problem)))
+    problem.duration = 2.1
+    with pytest.raises(ValueError, match="duration: found 2.1, expected at most 2, at which a prescribed motion of the scene ends"):
+        saltus.rollout(problem)
