@@ -277,3 +277,19 @@ def test_a_hybrid_problem_does_not_go_on_beyond_the_paths_of_its_scene():
     problem.duration = 2.1
     with pytest.raises(ValueError, match="duration: found 2.1, expected at most 2, at which a prescribed motion of the scene ends"):
         saltus.rollout(problem)
+
+
+@pytest.mark.parametrize("times", [[0, 0.25, 0.5, 0.75, 1], [0, 0.33, 0.71, 0.9, 1]])
+def test_where_the_path_of_a_disc_far_away_turns_is_no_kink_of_a_running_cost(times):
+    scene = {"name": "far", "duration": 1.0, "steps": 50, "control": {"bodies": ["ball"], "initial": [[0.1, 0]]}, "optimize": "control",
+             "bodies": [{"name": "ball", "radius": 0.1, "mass": 1, "position": [0, 0]}],
+             "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [1, 0]}], "effort": 0.1,
+                           "running": [{"body": "ball", "quantity": "position", "target": [[0, 0.4, 0.9]], "weight": 0.3}]}}
+    alone = saltus.solve(scene, "event", "ceres_phases")
+    path = {"times": times, "positions": [[5 + 0.1 * (k % 2), 0] for k in range(len(times))]}
+    scene["bodies"].append({"name": "paddle", "radius": 0.1, "path": path})
+    beside = saltus.solve(scene, "event", "ceres_phases")
+    assert alone.termination == beside.termination == "converged"
+    assert beside.certificate.verdict == alone.certificate.verdict
+    assert beside.durations.min() > 1e-3  # no interval is spent on the turn at the final time
+    assert beside.final_loss == pytest.approx(alone.final_loss, rel=2e-6)  # intervals end where the path turns

@@ -17,6 +17,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory>
 #include <numeric>
 #include <set>
@@ -88,13 +89,16 @@ bool Integrates(const Scene& scene, SceneParameters parameters) {
   return running || moves || !AreLinear(scene.forces) || SceneLayout(scene).size() > LinearFlow::kMostStates;
 }
 
-// Returns the times of waypoints, rising, each once. Steps that are integrated end where targets and paths turn, too.
+// Returns the times of waypoints, rising, each once. Steps that are integrated end where targets and paths turn, too,
+// but at the final time, where the motion ends.
 std::vector<double> WaypointTimes(const Scene& scene, bool integrates) {
   std::set<double> times;
   for (const ViaTerm& term : scene.objective.via) times.insert(term.time);
+  constexpr double kBeforeEnd = 1 - 1e-9;  // intervals add up to the duration but for rounding
+  const double end = scene.objective.duration ? std::numeric_limits<double>::infinity() : kBeforeEnd * scene.duration;
   const auto add = [&](const std::vector<double>& turns) {
     for (const double turn : turns) {
-      if (turn > 0) times.insert(turn);
+      if (turn > 0 && turn < end) times.insert(turn);
     }
   };
   if (!integrates) return {times.begin(), times.end()};

@@ -1684,7 +1684,7 @@ class HybridConditions {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
         continue;
       }
-      if (on_node_[k] && !FallsOnBothSides(k)) continue;
+      if (on_node_[k] && (!FallsOnBothSides(k) || IsAtGivenTime(k))) continue;
       const int sign = on_node_[k] ? 1 : 0;
       if (sign != 0) {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), -sign, &conditions, &kinds.events);
@@ -1707,6 +1707,20 @@ class HybridConditions {
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
     PlaceMultipliers(result);
+  }
+
+  // Whether an event is at a time that is given, as that of a waypoint, and so cannot leave the end of an interval: to
+  // first order its guard depends on time alone, and the intervals are as long as the input says.
+  bool IsAtGivenTime(int k) const {
+    const auto is_duration = [](const auto& one) { return one.first.kind == Kind::kDuration; };
+    if (std::ranges::any_of(variables_, is_duration)) return false;
+    const HybridEvent& event = events()[k];
+    const ModePoint at{
+        event.mode, event.time, event.before.data(), ControlOf(interval_before_[k]), input_.parameters.data()};
+    VectorXd gradient(system_.state_size(event.mode) + 1 + system_.num_parameters() + system_.num_controls());
+    functions_.GuardGradient(at, event.guard, gradient.data());
+    gradient[system_.state_size(event.mode)] = 0;
+    return gradient.isZero(0);
   }
 
   bool IsAtEnd(int k) const { return events()[k].time >= times_.back() - kAtNode * LengthOf(input_.num_intervals - 1); }
@@ -1743,7 +1757,7 @@ class HybridConditions {
   // guard is above zero under the control that begins there, and has no event then.
   bool JumpsAtNode(int k) const {
     const HybridEvent& event = events()[k];
-    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr) return false;
+    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr || IsAtGivenTime(k)) return false;
     if (on_node_[k] && functions_.ReadsControl(event.mode, event.guard) &&
         GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
       return true;
@@ -1803,7 +1817,7 @@ class HybridConditions {
       impact.concave = false;
       // Where a free control goes on at the node, as between two intervals at a bound, both sides have one multiplier.
       const bool judged = on_node_[k] || (node_[k] > 0 && problem_.free.control);
-      if (!judged || !FallsOnBothSides(k) || HoldsAlways() != nullptr) continue;
+      if (!judged || !FallsOnBothSides(k) || IsAtGivenTime(k) || HoldsAlways() != nullptr) continue;
       // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
       const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });
