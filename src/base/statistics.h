@@ -2,7 +2,9 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -28,8 +30,13 @@ inline double Largest(std::span<const double> entries) {
   return largest;
 }
 
+// Returns whether all entries are finite. Exponents of ones only become negative by the addition, and the loop has no
+// branches, so that the compiler takes several entries at a time.
 inline bool AllFinite(std::span<const double> entries) {
-  return std::ranges::all_of(entries, [](double entry) { return std::isfinite(entry); });
+  constexpr std::uint64_t kExponent = 0x7ff0'0000'0000'0000, kOne = 0x0010'0000'0000'0000;
+  std::uint64_t sums = 0;
+  for (const double entry : entries) sums |= (std::bit_cast<std::uint64_t>(entry) & kExponent) + kOne;
+  return sums >> 63 == 0;
 }
 
 // Returns the median, the upper one of the two middle values if their number is even. Precondition: not empty.

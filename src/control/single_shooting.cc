@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/statistics.h"
 #include "control/design_difference.h"
 #include "control/way_costs.h"
 #include "saltus/internal/lanes.h"
@@ -53,9 +54,9 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
 // Returns the reason why derivatives of the simulator's last rollout are not finite; empty if they are.
 std::string WhyNotFinite(const Simulator& simulator, std::span<const double> control,
                          std::span<const double> derivatives) {
-  if (simulator.stopped() || std::ranges::all_of(derivatives, [](double entry) { return std::isfinite(entry); })) {
-    return "";
-  }
+  bool are_finite = true;
+  internal::RunWide([&] { are_finite = AllFinite(derivatives); });
+  if (simulator.stopped() || are_finite) return "";
   return WhyDerivativesOverflow(simulator, control);
 }
 

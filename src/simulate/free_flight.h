@@ -161,7 +161,7 @@ Eigen::Matrix<S, 2, 3> DifferentiateTurn(const ContactStep<S, kSpin>& model, S h
     jets.rotation[j] = Jet(x.rotation[j], j);
   }
   const BodyConstants<Jet> constants{
-      Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed, Jet(body.inverse_inertia), body.material};
+      Jet(body.mass), Jet(body.inverse_mass), body.radius, body.fixed, body.material, Jet(body.inverse_inertia)};
   const Jet by_torque(torque, 2);
   const Vec2<Jet> no_force(Jet(S(0)), Jet(S(0)));
   const auto next = model.Free(LoneDisc(h, constants, no_force, &by_torque), jets);
@@ -202,7 +202,8 @@ std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>&
   FlightOver over{pick(flown, value), pick(flown, by_time)};
   if constexpr (kRotation == kSpin) {
     if (!model.properties().linear_rotation) return over;
-    const BodyConstants<Jet> spinning{Jet(S(1)), Jet(S(1)), S(1), false, Jet(S(1))};
+    const BodyConstants<Jet> spinning{
+        .mass = Jet(S(1)), .inverse_mass = Jet(S(1)), .radius = S(1), .inverse_inertia = Jet(S(1))};
     const Vec2<Jet> no_force(Jet(S(0)), Jet(S(0)));
     const auto turn = [&](S angle, S speed, S torque) {
       State x{}, next{};

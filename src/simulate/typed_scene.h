@@ -35,7 +35,7 @@ struct TypedScene {
     for (WallPart& part : WallPartsOf(scene)) {
       const Wall<double>& wall = part.wall;
       planes.push_back(
-          {wall.normal.cast<S>(), S(wall.offset), wall.side, wall.center.cast<S>(), S(wall.radius), wall.material});
+          {wall.normal.cast<S>(), S(wall.offset), wall.side, wall.material, wall.center.cast<S>(), S(wall.radius)});
       extents.push_back(part.extent);
       if (part.table) table = static_cast<int>(wall_parts.size());
       if (part.pocket && num_pockets++ == 0) first_pocket = static_cast<int>(wall_parts.size());

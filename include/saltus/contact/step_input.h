@@ -41,8 +41,8 @@ struct BodyConstants {
   T inverse_mass;  // 1/kg; 0 if fixed
   Base<T> radius;  // m
   bool fixed = false;
-  T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it has no inertia in the scene
   int material = 0;                   // 0: none; else 1 + the index into Scene::materials
+  T inverse_inertia = T(Base<T>(0));  // 1/(kg m^2); 0 if it has no inertia in the scene
 };
 
 // Restitution and friction where two things touch.

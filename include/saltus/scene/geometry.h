@@ -56,9 +56,9 @@ struct Wall {
   Vec2<S> normal = Vec2<S>::Zero();  // of a line, |normal| = 1; discs are where normal . x >= offset
   S offset = S(0);                   // m
   int side = 0;                      // 0: a line; 1: discs are outside a circle, -1: inside
+  int material = 0;                  // as of a disc in a step (step_input.h)
   Vec2<S> center = Vec2<S>::Zero();  // m, of the circle
   S radius = S(0);                   // m; 0: a point
-  int material = 0;                  // as of a disc in a step (step_input.h)
 
   bool curved() const { return side != 0; }
 };
