@@ -46,12 +46,14 @@ Eigen::VectorXd LeastSquaresSolution(const Eigen::MatrixXd& matrix, const Eigen:
 }
 
 Eigen::MatrixXd NullSpace(const Eigen::MatrixXd& rows) {
+  if (rows.size() == 0) return Eigen::MatrixXd::Identity(rows.cols(), rows.cols());
   const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(rows.transpose());
   const Eigen::MatrixXd q = qr.householderQ() * Eigen::MatrixXd::Identity(rows.cols(), rows.cols());
   return q.rightCols(rows.cols() - qr.rank());
 }
 
 SymmetricEigen EigenOf(const Eigen::MatrixXd& symmetric) {
+  if (symmetric.size() == 0) return {};
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(symmetric);
   return {solver.eigenvalues(), solver.eigenvectors()};
 }

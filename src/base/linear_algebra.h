@@ -90,10 +90,11 @@ Eigen::VectorXd SolveLdlt(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& 
 // The least squares solution, for matrices of full rank, by a QR decomposition with column pivoting.
 Eigen::VectorXd LeastSquaresSolution(const Eigen::MatrixXd& matrix, const Eigen::VectorXd& right);
 
-// An orthonormal basis of the vectors that all rows of a matrix are orthogonal to.
+// An orthonormal basis of the vectors that all rows of a matrix are orthogonal to: of all, if it has no rows.
 Eigen::MatrixXd NullSpace(const Eigen::MatrixXd& rows);
 
-// Eigenvalues of a symmetric matrix in rising order, and its eigenvectors, of length 1, as columns in the same order.
+// Eigenvalues of a symmetric matrix in rising order, and its eigenvectors, of length 1, as columns in the same order. A
+// matrix without rows has none.
 struct SymmetricEigen {
   Eigen::VectorXd values;
   Eigen::MatrixXd vectors;

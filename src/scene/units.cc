@@ -131,6 +131,7 @@ double LossOf(const Scene& scene, const Units& units) {
     const double force = units.mass * units.length / (scene.duration * scene.duration);
     loss = std::max(loss, scene.objective.effort * force * force * scene.duration);
   }
+  if (scene.objective.duration) loss = std::max(loss, scene.objective.duration->weight * scene.duration);
   return NearestPower(loss);
 }
 

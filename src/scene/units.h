@@ -8,7 +8,8 @@
 //   mass     the largest of a pushed disc; of any that moves, if none is pushed
 //   time     length / speed, with the speed the largest of length / duration, the given speeds, and what the given
 //            forces and gravity make over that length
-//   loss     the largest of its terms for a miss by that length or speed, or a force that matters in the duration
+//   loss     the largest of its terms for a miss by that length or speed, a force that matters in the duration, or the
+//            duration
 //
 // each rounded to the nearest power of two. Multiplied by powers of two, floating-point numbers keep all their bits:
 // two scenes that differ in their units (by powers of two) are the same scene, bit by bit, in natural units. (The

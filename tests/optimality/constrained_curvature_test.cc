@@ -89,6 +89,16 @@ TEST(ConstrainedCurvature, OfFewFunctionalsAgreesWithDenseEigenvalues) {
   }
 }
 
+// The Hessian of the control's effort alone is the metric.
+TEST(ConstrainedCurvature, IsOneWhereTheHessianIsTheMetricAndNothingIsHeld) {
+  const MatrixXd metric = MatrixXd::Identity(3, 3), none(0, 3);
+  const auto found = FindConstrainedCurvature(metric.sparseView(), none.sparseView(), metric.sparseView());
+  ASSERT_TRUE(found);
+  EXPECT_EQ(found->smallest, 1);
+  EXPECT_EQ(found->largest, 1);
+  EXPECT_NEAR(found->direction.norm(), 1, 1e-15);
+}
+
 TEST(ConstrainedCurvature, HasNoDirectionWhereEquationsLeaveNone) {
   const MatrixXd square = MatrixXd::Identity(3, 3);
   EXPECT_FALSE(FindConstrainedCurvature(square.sparseView(), square.sparseView(), square.sparseView()));

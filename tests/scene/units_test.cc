@@ -35,6 +35,15 @@ TEST(Units, LengthsTimesMassesAndLossesAreAboutOne) {
   EXPECT_LT(scene.objective.terminal[0].weight, 10);
 }
 
+TEST(Units, ThePriceOfTheDurationIsAboutOneWhereNoOtherTermIsLarger) {
+  Scene scene = ProblemScene("two_balls");
+  for (TerminalTerm& term : scene.objective.terminal) term.weight *= 1e-9;
+  scene.objective.effort = 1e-9;
+  scene.objective.duration = FreeDuration{0.5, 2, 1e3};
+  const Scene natural = InNaturalUnits(scene);
+  EXPECT_NEAR(natural.objective.duration->weight * natural.duration, 1, 0.5);
+}
+
 TEST(Units, PowersOfTwoGiveTheSameNaturalScene) {
   for (const Scene& scene : Scenes()) {
     const Scene natural = InNaturalUnits(scene);
