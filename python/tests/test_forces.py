@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import saltus
 
@@ -269,5 +270,18 @@ def test_what_is_not_supported_is_refused_with_the_alternative():
     assert np.isfinite(saltus.rollout(walls, "lcp").states).all()
     with pytest.raises(saltus.SceneError, match="forces: found drag or springs in a scene with a table"):
         saltus.Scene({**thrown(), "table": {"friction": 0.1}})
-    with pytest.raises(RuntimeError, match="do not come to rest.*use a time-stepping model such as lcp"):
+    with pytest.raises(RuntimeError, match="do not come to rest.*use a time-stepping model with short steps, such as ncp"):
         saltus.rollout(thrown(duration=30.0))
+
+
+def test_bounces_that_do_not_end_are_refused_with_their_step():
+    """With w = g / k, a bounce at the speed v lasts t with (v + w) (1 - exp(-k t)) = g t, and ends at (v + w) exp(-k t) - w."""
+    k, e, now, v = DRAG / MASS, 0.5, 0.0, 0.0
+    w, height = G / k, 0.9
+    while now == 0 or v > 1e-5:
+        landing = brentq(lambda t: height + (v + w) * (1 - math.exp(-k * t)) / k - w * t, 1e-9 if now == 0 else v / G, 1 + v)
+        now, v, height = now + landing, -e * ((v + w) * math.exp(-k * landing) - w), 0.0
+    scene = thrown(duration=now / 0.305, steps=100, contact={"restitution": e, "friction": 0})  # within the step from 30%
+    scene["bodies"][0]["velocity"] = [0, 0]
+    with pytest.raises(RuntimeError, match=r"step 30 of event: impacts accumulate .*drag.* ncp \(ball\)"):
+        saltus.rollout(scene)

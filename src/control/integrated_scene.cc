@@ -79,12 +79,14 @@ class IntegratedScene final : public Simulator {
     }
     if (ok || stopped()) return ok;
     why_ = motion_.WhyFailed();
-    if (motion_.accumulation()) {
-      why_ += "; discs do not come to rest on each other in scenes with " + BeyondBallistic(scene_) +
-              ": use a time-stepping model such "
-              "as lcp";
-    }
     failure_ = {-1, -1, why_};
+    if (const std::optional<double> time = motion_.accumulation()) {
+      why_ = "impacts accumulate (Zeno behaviour), and discs do not come to rest on each other in scenes with " +
+             BeyondBallistic(scene_) +
+             ": end the motion before, or use a time-stepping model with short steps, such as ncp";
+      const int step = std::min(static_cast<int>(*time / this->step()), num_steps_ - 1);
+      failure_ = {step, touches_.empty() ? -1 : touches_.back().touch.candidate.a, why_};
+    }
     return false;
   }
 

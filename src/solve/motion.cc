@@ -86,6 +86,19 @@ class ExactFlight {
     return next;
   }
 
+  // Returns the state just before an event at the end of `time`. A flight that is integrated ends behind its event: it
+  // is taken to `margin` before the event, and goes on with the velocity there.
+  std::vector<double> FlyToEvent(std::span<const double> x, std::span<const double> force, double begin, double time,
+                                 double margin) const {
+    if (!integrates_) return Fly(x, force, begin, time);
+    std::vector<double> before = Fly(x, force, begin, time - margin);
+    const std::size_t size = before.size() / scene_.bodies.size();
+    for (std::size_t i = 0; i < before.size(); i += size) {
+      for (std::size_t j = i; j < i + 2; ++j) before[j] += margin * before[j + 2];
+    }
+    return before;
+  }
+
  private:
   void FlyFreely(int disc, std::span<const double> force, double time, std::span<double> state) const {
     const Body& body = scene_.bodies[disc];
@@ -358,7 +371,7 @@ class ExactMotion {
       while (end < events.size() && events[end].touch.time - time <= kOneInstant * h) ++end;
       if (time - now > kOneInstant * h) {
         // The remainder at the end of the flight (time_grid.h) is added to the next flight.
-        before = flight_.Fly(before, way.force(), begin + now, time - now);
+        before = flight_.FlyToEvent(before, way.force(), begin + now, time - now, 0.5 * kOneInstant * h);
         recorder_.Add(instant, before, size_);
         now = time;
       }

@@ -64,6 +64,32 @@ TEST(Motion, ExactMotionHasEachImpactTwiceAndArcsBetween) {
   }
 }
 
+// With v' = g - k v, v(t) = -(g / k) (1 - e^{-k t}) from rest, so that the speeds before and after the impact follow
+// from its time, and the height from their integral. A paddle far away moves all along.
+TEST(Motion, ImpactsBesideForcesAndPathsHaveTheStateBeforeThem) {
+  Scene scene = FallingBall();
+  const double k = 0.6, g = 8;
+  scene.forces = {Drag{.body = 0, .linear = k * scene.bodies[0].mass}};
+  for (const bool has_path : {false, true}) {
+    if (has_path) {
+      scene.bodies.push_back({.name = "paddle", .radius = 0.1, .fixed = true, .position = {9, 9}});
+      scene.bodies[1].path = PrescribedMotion{.times = {0, 0.5, 1}, .positions = {{9, 9}, {9.5, 9}, {9, 9}}};
+    }
+    const size_t width = 4 * scene.bodies.size();
+    const Motion motion = SimulateExactMotion(scene, {InitialState(scene), {}, {}});
+    ASSERT_EQ(motion.failure, "");
+    ASSERT_FALSE(motion.touches.empty());
+    const double time = motion.touches[0].begin, speed = g / k * (1 - std::exp(-k * time));
+    EXPECT_NEAR(g / k * time - speed / k, 1, 1e-9);  // it falls by 1 m
+    EXPECT_NEAR(motion.touches[0].impulse[1], 2 * 1.5 * speed, 1e-5);
+    const size_t row = std::ranges::lower_bound(motion.times, time - 1e-9) - motion.times.begin();
+    ASSERT_EQ(motion.times[row], motion.times[row + 1]);
+    EXPECT_NEAR(motion.states[width * row + 1], 0.25, 1e-12);
+    EXPECT_NEAR(motion.states[width * row + 3], -speed, 1e-9);
+    EXPECT_NEAR(motion.states[width * (row + 1) + 3], 0.5 * speed, 1e-5);
+  }
+}
+
 // Only discs that touch are flown to an instant with contacts: the others, pushed ones too, must be where one step of
 // the whole scene to that time takes them.
 TEST(Motion, ManyDiscsAreWhereTheWholeSceneHasThem) {
