@@ -215,6 +215,7 @@ py::dict PartsOf(const HybridProblem& problem) {
                   "terms"_a = terms,
                   "free"_a = py::make_tuple(free.control, free.initial, free.parameters, free.duration),
                   "control_bounds"_a = py::make_tuple(free.control_min, free.control_max),
+                  "parameter_bounds"_a = py::make_tuple(free.parameters_min, free.parameters_max),
                   "duration_bounds"_a = py::make_tuple(free.duration_min, free.duration_max));
 }
 

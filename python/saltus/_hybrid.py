@@ -1633,6 +1633,7 @@ def problem_of(system: Any) -> HybridProblem:
     optimize = [*(["control"] if control else []), *(states[i] for i in initial),
                 *(system.parameters[i] for i in parameters), *(["duration"] if duration else [])]
     bounds = {name: pair for name, *pair in zip(system.controls, *read["control_bounds"])} if control else {}
+    bounds.update((system.parameters[i], pair) for i, *pair in zip(parameters, *read["parameter_bounds"]))
     if duration:
         bounds["duration"] = list(read["duration_bounds"])
     return HybridProblem(
@@ -1652,7 +1653,7 @@ class _SceneSystem(HybridSystem):
         self._longest = min((path["times"][-1] for path in paths), default=np.inf)
         self._system = self._make()
         self.states, self.guards = self._read["states"], self._read["guards"]
-        self.modes, self.controls, self.parameters = list(self.states), self._read["controls"], []
+        self.modes, self.controls, self.parameters = list(self.states), self._read["controls"], self._read["parameters"]
         self._next_modes = self._read["next_modes"]
 
     def _make(self) -> Any:
@@ -1679,7 +1680,7 @@ def hybrid_problem(scene: SceneLike) -> HybridProblem:
 
     Raises:
         SceneError: the scene is wrong.
-        ValueError: the scene has walls that end, pockets, a table that slows discs, limits of the speed that hold always,
-            or design parameters.
+        ValueError: the scene has walls that end, pockets, a table that slows discs, limits of the speed that hold always
+            beside drag or springs, or terms or springs of a fixed disc whose position is a parameter.
     """
     return problem_of(_SceneSystem(as_scene(scene)))

@@ -236,6 +236,37 @@ def test_running_costs_beside_drag_are_those_of_fine_steps():
     assert found == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("keys", [{}, {"forces": pushed()["forces"][:2] + [
+    {"spring": {"body": "puck", "to": [0, -0.3], "stiffness": 2.0, "length": 0.2}}]},
+    {"planes": [{"name": "wall", "normal": [-1, 0],
+                 "motion": {"times": [0, 0.5, 0.8, 2], "positions": [[0.7, 0], [0.6, 0], [0.55, 0], [0.3, 0]]}}]}], ids=["linear", "length", "path"])
+def test_the_hybrid_problem_has_free_parameters_beside_drag(keys):
+    names = [*(["drag.puck"] if "planes" not in keys else []), "mass.puck", "mass.striker", "gravity.x", "restitution", "radius.puck"]
+    scene = pushed(**keys, optimize=["control", *({"parameter": name} for name in names)])
+    problem = saltus.hybrid_problem(scene)
+    found = saltus.loss_and_gradient(problem)
+    assert problem.system.parameters == names
+    assert found.loss == pytest.approx(saltus.rollout(pushed(**keys)).loss, rel=1e-9)
+
+    def loss(name, by):
+        other = pushed(**keys)
+        thing = {body["name"]: body for body in other["bodies"]}.get(name.split(".")[-1])
+        if name == "drag.puck":
+            other["forces"] = [other["forces"][0], {"drag": {"body": "puck", "linear": 0.4 + by}}, *other["forces"][2:]]
+        elif name == "gravity.x":
+            other["gravity"] = [by, 0]
+        elif name == "restitution":
+            other["contact"] = {"restitution": 0.9 + by}
+        else:
+            thing[name.split(".")[0]] += by
+        return saltus.rollout(other).loss
+
+    for name, derivative in zip(names, found.gradient.parameters):
+        h = 1e-3
+        rule = 8 * (loss(name, h) - loss(name, -h)) - (loss(name, 2 * h) - loss(name, -2 * h))
+        assert derivative == pytest.approx(rule / (12 * h), rel=1e-5, abs=1e-8), name
+
+
 def test_scenes_keep_their_forces():
     scene = saltus.Scene(crowded())
     data = scene.to_dict()

@@ -23,10 +23,11 @@ struct SceneConstraint {
 // are into `scene`, which must outlive them.
 HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints);
 
-// Whether the system of a scene has parameters, by which its motion has derivatives.
-enum class SceneParameters { kNone, kAll };
+// The parameters of a scene's system: none, those of Scene::design in its order, whose values change the motion, or
+// all, by which the motion has derivatives alone.
+enum class SceneParameters { kNone, kDesign, kAll };
 
-// Where the parameters are: restitution and friction of each pair of materials by MaterialPairIndex(), gravity, and of
+// Where all parameters are: restitution and friction of each pair of materials by MaterialPairIndex(), gravity, and of
 // each disc its mass, its moment of inertia and the coefficient of a linear drag. They are constants: the functions of
 // the system have the values that the scene gives, whatever the values of its parameters.
 struct ParameterPlaces {

@@ -18,9 +18,12 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <list>
 #include <memory>
+#include <mutex>
 #include <numeric>
 #include <set>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -28,6 +31,7 @@
 #include "control/scene_constraints.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/internal/linear_flow.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/simulator.h"
 #include "scene/path_motion.h"
 #include "simulate/flight.h"
@@ -110,16 +114,27 @@ std::vector<double> WaypointTimes(const Scene& scene, bool integrates) {
 
 std::string WaypointName(std::size_t index) { return "waypoint " + std::to_string(index + 1); }
 
-// Mode k has passed k waypoints. The guards of a mode are those of the pairs, then that of the next waypoint.
+// Mode k has passed k waypoints. The guards of a mode are those of the pairs, then that of the next waypoint. Design
+// parameters are the parameters of the system, and derivatives by them differences of fourth order of the functions.
 class SceneSystem final : public HybridFunctions {
+  struct Constants;
+
  public:
   SceneSystem(const Scene& scene, SceneParameters parameters)
       : HybridFunctions(LayoutOf(scene, parameters)),
-        scene_(scene),
+        scene_(WithParameters(scene, parameters)),
         at_(scene_),
         parameters_(scene, parameters),
         integrates_(Integrates(scene, parameters)),
-        waypoints_(WaypointTimes(scene, integrates_)) {
+        waypoints_(WaypointTimes(scene, integrates_)),
+        placed_(scene_.bodies.size(), false) {
+    for (const DesignParameter& design : scene_.design) {
+      using enum SceneParameter::Kind;
+      const SceneParameter& parameter = design.parameter;
+      flight_is_designed_ = flight_is_designed_ || parameter.kind == kMass || parameter.kind == kGravity ||
+                            parameter.kind == kDrag || (parameter.kind == kRadius && scene_.Spins());
+      if (parameter.kind == kPosition) placed_[parameter.body] = true;
+    }
     for (const Candidate& contact : AllPairs(scene_)) {
       const bool must_not_touch = std::ranges::any_of(scene_.no_contact, [&](const NoContact& apart) {
         const bool same = apart.a == contact.a && apart.b == contact.b;
@@ -128,19 +143,22 @@ class SceneSystem final : public HybridFunctions {
       });
       const int a = scene_.bodies[contact.a].material + 1;
       const int b = (contact.plane ? scene_.planes[contact.b].material : scene_.bodies[contact.b].material) + 1;
-      pairs_.push_back({contact, MakeImpactConstants(scene_, contact), MaterialPairIndex(a, b), must_not_touch});
+      pairs_.push_back({contact, MaterialPairIndex(a, b), must_not_touch});
     }
     const auto motion_of = [](const std::optional<PrescribedMotion>& path) {
       return path ? std::optional(PathMotion(*path)) : std::nullopt;
     };
     for (const Body& body : scene_.bodies) paths_.push_back(motion_of(body.path));
     for (const Plane& plane : scene_.planes) motions_.push_back(motion_of(plane.motion));
-    if (!scene_.forces.empty() && !integrates_) linear_.emplace(MakeLinear());
+    given_ = ConstantsOf(scene_);
     const bool flies = BeyondBallistic(scene_).empty() && !parameters_.exist;
     if (flies && scene_.objective.running.empty() && scene_.num_bodies() > 1) AddParts();
   }
 
   void Flow(const ModePoint& from, double* xdot) const override {
+    With(from.p, [&](const Constants& of) { Flow(of, from, xdot); });
+  }
+  void Flow(const Constants& of, const ModePoint& from, double* xdot) const {
     std::fill_n(xdot, at_.size(), 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
       if (paths_[i]) {
@@ -149,16 +167,16 @@ class SceneSystem final : public HybridFunctions {
         std::copy_n(point.acceleration.data(), 2, xdot + at_.VelocityOf(i));
       }
       if (scene_.bodies[i].fixed) continue;
-      const Vec2d a = AccelerationOf(i, from.u);
+      const Vec2d a = AccelerationOf(of.scene, i, from.u);
       for (int j = 0; j < 2; ++j) {
         xdot[at_.PositionOf(i) + j] = from.x[at_.VelocityOf(i) + j];
         xdot[at_.VelocityOf(i) + j] = a[j];
       }
       if (!scene_.Spins()) continue;
       xdot[at_.AngleOf(i)] = from.x[at_.AngleOf(i) + 1];
-      xdot[at_.AngleOf(i) + 1] = TurningOf(i, from.u);
+      xdot[at_.AngleOf(i) + 1] = TurningOf(of.scene, i, from.u);
     }
-    ForEachForce(from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
+    ForEachForce(of.scene, from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
       for (int j = 0; j < 2; ++j) xdot[row + j] += inverse_mass * force.value[j];
     });
     for (const RunningTerm& term : scene_.objective.running) {
@@ -167,7 +185,14 @@ class SceneSystem final : public HybridFunctions {
   }
 
   void FlowJacobian(const ModePoint& from, double* xdot, double* jacobian) const override {
-    Flow(from, xdot);
+    With(from.p, [&](const Constants& of) { FlowJacobian(of, from, xdot, jacobian); });
+    if (!flight_is_designed_ || !from.by_parameters) return;
+    AddDifferences(from.p, at_.size(), at_.size() + 1, Columns(), jacobian, [&](const Constants& of, double* out) {
+      Flow(of, from, out);
+    });
+  }
+  void FlowJacobian(const Constants& of, const ModePoint& from, double* xdot, double* jacobian) const {
+    Flow(of, from, xdot);
     const int n = at_.size(), columns = Columns();
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
@@ -183,14 +208,14 @@ class SceneSystem final : public HybridFunctions {
         jacobian[(at_.PositionOf(i) + j) * columns + at_.VelocityOf(i) + j] = 1;
         if (at_.ForceOn(i) < 0) continue;
         jacobian[(at_.VelocityOf(i) + j) * columns + FirstControl() + at_.ForceOn(i) + j] =
-            InverseMass(scene_.bodies[i]);
+            InverseMass(of.scene.bodies[i]);
       }
       if (!scene_.Spins()) continue;
       jacobian[at_.AngleOf(i) * columns + at_.AngleOf(i) + 1] = 1;
       if (at_.TorqueOn(i) >= 0)
-        jacobian[(at_.AngleOf(i) + 1) * columns + FirstControl() + at_.TorqueOn(i)] = RateOfTurn(i);
+        jacobian[(at_.AngleOf(i) + 1) * columns + FirstControl() + at_.TorqueOn(i)] = RateOfTurn(of.scene, i);
     }
-    ForEachForce(from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
+    ForEachForce(of.scene, from.x, [&](int row, double inverse_mass, const ForceAtState& force) {
       for (int j = 0; j < 2; ++j) {
         for (int i = 0; i < 4; ++i) {
           const double by = inverse_mass * force.by(j, i);
@@ -222,7 +247,7 @@ class SceneSystem final : public HybridFunctions {
   }
 
   bool IsLinear(int /*mode*/) const override {
-    return scene_.objective.running.empty() && AreLinear(scene_.forces) && !scene_.HasPaths();
+    return scene_.objective.running.empty() && AreLinear(scene_.forces) && !scene_.HasPaths() && !flight_is_designed_;
   }
 
   void Step(const FlowStep& step, const double* slope, double* scratch, double* after,
@@ -232,15 +257,24 @@ class SceneSystem final : public HybridFunctions {
   }
 
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override {
+    if (integrates_) return false;
+    With(step.p, [&](const Constants& of) { Fly(of, step, after, jacobian); });
+    if (jacobian != nullptr && flight_is_designed_ && step.by_parameters) {
+      AddDifferences(step.p, at_.size(), at_.size() + 1, Columns(), jacobian, [&](const Constants& of, double* out) {
+        Fly(of, step, out, nullptr);
+      });
+    }
+    return true;
+  }
+  void Fly(const Constants& of, const FlowStep& step, double* after, double* jacobian) const {
     const int n = at_.size(), columns = Columns();
     const double h = step.h;
-    if (integrates_) return false;
-    if (linear_) {
+    if (of.linear) {
       std::array<double, LinearFlow::kMostStates> slope;
-      Flow(step, slope.data());
-      linear_->Step(h, step.x, slope.data(), after);
-      if (jacobian != nullptr) linear_->Jacobian(h, jacobian);
-      return true;
+      Flow(of, step, slope.data());
+      of.linear->Step(h, step.x, slope.data(), after);
+      if (jacobian != nullptr) of.linear->Jacobian(h, jacobian);
+      return;
     }
     std::copy_n(step.x, n, after);
     if (jacobian != nullptr) {
@@ -270,20 +304,20 @@ class SceneSystem final : public HybridFunctions {
         }
       }
       if (scene_.bodies[i].fixed) continue;
-      const Vec2d a = AccelerationOf(i, step.u);
+      const Vec2d a = AccelerationOf(of.scene, i, step.u);
       const int force = at_.ForceOn(i);
       for (int j = 0; j < 2; ++j) {
         move(at_.PositionOf(i) + j,
              at_.VelocityOf(i) + j,
              a[j],
              force < 0 ? -1 : force + j,
-             InverseMass(scene_.bodies[i]));
+             InverseMass(of.scene.bodies[i]));
       }
       if (!scene_.Spins()) continue;
-      move(at_.AngleOf(i), at_.AngleOf(i) + 1, TurningOf(i, step.u), at_.TorqueOn(i), RateOfTurn(i));
+      move(
+          at_.AngleOf(i), at_.AngleOf(i) + 1, TurningOf(of.scene, i, step.u), at_.TorqueOn(i), RateOfTurn(of.scene, i));
     }
-    for (const RunningTerm& term : scene_.objective.running) AddRunning(term, step, after, jacobian);
-    return true;
+    for (const RunningTerm& term : scene_.objective.running) AddRunning(of.scene, term, step, after, jacobian);
   }
 
   // Discs fly by themselves, and turn by themselves; a running term integrates what discs do.
@@ -298,19 +332,29 @@ class SceneSystem final : public HybridFunctions {
     std::vector<int> parts = {c.a};
     if (!c.plane) parts.push_back(c.b);
     for (int side = 0; side < (c.plane ? 1 : 2); ++side) {
-      if (pairs_[guard].law.inverse_inertia[side] > 0) parts.push_back(turning + parts[side]);
+      if (given_.laws[guard].inverse_inertia[side] > 0) parts.push_back(turning + parts[side]);
     }
     return parts;
   }
   void MovePart(int part, const FlowStep& step, double* after, double* jacobian) const override {
+    With(step.p, [&](const Constants& of) { MovePart(of, part, step, after, jacobian); });
+    if (jacobian == nullptr || !flight_is_designed_ || !step.by_parameters) return;
+    const int n = static_cast<int>(parts_[part].states.size()), m = static_cast<int>(parts_[part].controls.size());
+    AddDifferences(
+        step.p, n, n + 1, n + 1 + layout().num_parameters + m + 1, jacobian, [&](const Constants& of, double* out) {
+          MovePart(of, part, step, out, nullptr);
+        });
+  }
+  void MovePart(const Constants& of, int part, const FlowStep& step, double* after, double* jacobian) const {
     const bool turns = part >= at_.num_bodies();
     const int body = part % at_.num_bodies(), m = static_cast<int>(parts_[part].controls.size());
-    const int dimension = turns ? 1 : 2, n = 2 * dimension, columns = n + 1 + m + 1;
-    const double h = step.h, by = turns ? RateOfTurn(body) : InverseMass(scene_.bodies[body]);
+    const int dimension = turns ? 1 : 2, n = 2 * dimension, control = n + 1 + layout().num_parameters;
+    const int columns = control + m + 1;
+    const double h = step.h, by = turns ? RateOfTurn(of.scene, body) : InverseMass(of.scene.bodies[body]);
     if (jacobian != nullptr) std::fill_n(jacobian, n * columns, 0.0);
     for (int j = 0; j < dimension; ++j) {
       const int v = dimension + j;
-      const double acceleration = (turns ? 0 : scene_.gravity[j]) + (m > 0 ? by * step.u[j] : 0);
+      const double acceleration = (turns ? 0 : of.scene.gravity[j]) + (m > 0 ? by * step.u[j] : 0);
       after[j] = step.x[j] + h * (step.x[v] + 0.5 * h * acceleration);
       after[v] = step.x[v] + h * acceleration;
       if (jacobian == nullptr) continue;
@@ -320,14 +364,14 @@ class SceneSystem final : public HybridFunctions {
       of_q[columns - 1] = after[v];
       of_v[columns - 1] = acceleration;
       if (m == 0) continue;
-      of_q[n + 1 + j] = 0.5 * h * h * by;
-      of_v[n + 1 + j] = h * by;
+      of_q[control + j] = 0.5 * h * h * by;
+      of_v[control + j] = h * by;
     }
   }
 
   double Guard(const ModePoint& from, int guard) const override {
     if (IsWaypoint(guard)) return waypoints_[from.mode] - from.t;
-    return SeparationAt(guard, from).distance - pairs_[guard].law.contact_distance;
+    return With(from.p, [&](const Constants& of) { return GapOf(of, guard, from); });
   }
   double GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const override {
     if (IsWaypoint(guard)) {
@@ -335,10 +379,12 @@ class SceneSystem final : public HybridFunctions {
       return Guard(from, guard);
     }
     const Candidate& c = pairs_[guard].contact;
-    const Separation<double> apart = SeparationAt(guard, from);
-    const Vec2d of_b = c.plane ? WallAt(c, from.t).velocity : TwoAt(xdot, at_.PositionOf(c.b));
-    *rate = Dot(apart.normal, Vec2d(TwoAt(xdot, at_.PositionOf(c.a)) - of_b));
-    return apart.distance - pairs_[guard].law.contact_distance;
+    return With(from.p, [&](const Constants& of) {
+      const Separation<double> apart = SeparationAt(of, guard, from);
+      const Vec2d of_b = c.plane ? WallAt(c, from.t).velocity : TwoAt(xdot, at_.PositionOf(c.b));
+      *rate = Dot(apart.normal, Vec2d(TwoAt(xdot, at_.PositionOf(c.a)) - of_b));
+      return apart.distance - of.laws[guard].contact_distance;
+    });
   }
   double GuardGradient(const ModePoint& from, int guard, double* gradient) const override {
     std::fill_n(gradient, Columns(), 0.0);
@@ -346,39 +392,55 @@ class SceneSystem final : public HybridFunctions {
       gradient[at_.size()] = -1;
       return Guard(from, guard);
     }
-    const Candidate& c = pairs_[guard].contact;
-    const Separation<double> apart = SeparationAt(guard, from);
-    if (c.plane) gradient[at_.size()] = -Dot(apart.normal, WallAt(c, from.t).velocity);
-    for (int j = 0; j < 2; ++j) {
-      gradient[at_.PositionOf(c.a) + j] = apart.normal[j];
-      if (!c.plane) gradient[at_.PositionOf(c.b) + j] = -apart.normal[j];
+    if (from.by_parameters) {
+      AddDifferences(from.p, 1, at_.size() + 1, Columns(), gradient, [&](const Constants& of, double* out) {
+        *out = GapOf(of, guard, from);
+      });
     }
-    return apart.distance - pairs_[guard].law.contact_distance;
+    const Candidate& c = pairs_[guard].contact;
+    return With(from.p, [&](const Constants& of) {
+      const Separation<double> apart = SeparationAt(of, guard, from);
+      if (c.plane) gradient[at_.size()] = -Dot(apart.normal, WallAt(c, from.t).velocity);
+      for (int j = 0; j < 2; ++j) {
+        if (!placed_[c.a]) gradient[at_.PositionOf(c.a) + j] = apart.normal[j];
+        if (!c.plane && !placed_[c.b]) gradient[at_.PositionOf(c.b) + j] = -apart.normal[j];
+      }
+      return apart.distance - of.laws[guard].contact_distance;
+    });
   }
 
   int Reset(const ModePoint& from, int guard, double* x_plus) const override {
+    if (!IsWaypoint(guard) && pairs_[guard].must_not_touch) return -1;
+    With(from.p, [&](const Constants& of) { Reset(of, from, guard, x_plus); });
+    return IsWaypoint(guard) ? from.mode + 1 : from.mode;
+  }
+  void Reset(const Constants& of, const ModePoint& from, int guard, double* x_plus) const {
     std::copy_n(from.x, at_.size(), x_plus);
-    if (IsWaypoint(guard)) return from.mode + 1;
-    const Pair& pair = pairs_[guard];
-    if (pair.must_not_touch) return -1;
-    const std::array<int, kOfPair> places = PlacesOf(pair.contact);
+    if (IsWaypoint(guard)) return;
+    const std::array<int, kOfPair> places = PlacesOf(pairs_[guard].contact);
     std::array<double, kOfPair> x{};
     for (int i = 0; i < kOfPair; ++i) x[i] = places[i] < 0 ? 0.0 : from.x[places[i]];
-    const std::array<double, kOfPair> after = Strike(pair, x, LawOf(pair), WallAt(pair.contact, from.t).velocity);
+    const Vec2d of_wall = WallAt(pairs_[guard].contact, from.t).velocity;
+    const std::array<double, kOfPair> after = Strike(of, guard, x, LawOf(of.laws[guard]), of_wall);
     for (int i = 0; i < kOfPair; ++i) {
       if (places[i] >= 0) x_plus[places[i]] = after[i];
     }
-    return from.mode;
   }
   int ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const override {
     const int n = at_.size(), columns = FirstControl(), next = Reset(from, guard, x_plus);
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < n; ++i) jacobian[i * columns + i] = 1;
     if (IsWaypoint(guard) || next < 0) return next;
-    if (parameters_.exist) {
-      SetByPair<kOfPair + kOfLaw>(from, pairs_[guard], jacobian);
-    } else {
-      SetByPair<kOfPair>(from, pairs_[guard], jacobian);
+    With(from.p, [&](const Constants& of) {
+      if (parameters_.exist) {
+        SetByPair<kOfPair + kOfLaw>(of, from, guard, jacobian);
+      } else {
+        SetByPair<kOfPair>(of, from, guard, jacobian);
+      }
+    });
+    if (from.by_parameters) {
+      AddDifferences(
+          from.p, n, n + 1, columns, jacobian, [&](const Constants& of, double* out) { Reset(of, from, guard, out); });
     }
     return next;
   }
@@ -391,16 +453,90 @@ class SceneSystem final : public HybridFunctions {
  private:
   struct Pair {
     Candidate contact;
-    ImpactConstants law;
     int material;  // MaterialPairIndex()
     bool must_not_touch;
   };
+  // The scene with values of its design parameters, and what follows from these.
+  struct Constants {
+    std::vector<double> values;
+    Scene scene;
+    std::vector<ImpactConstants> laws;  // of the pairs
+    std::vector<HalfPlane<double>> planes;
+    std::optional<LinearFlow> linear;  // of scenes with forces, if their flow is linear
+  };
+  Constants ConstantsOf(Scene scene) const {
+    Constants constants;
+    for (const Pair& pair : pairs_) constants.laws.push_back(MakeImpactConstants(scene, pair.contact));
+    for (const Plane& plane : scene.planes) constants.planes.push_back(MakeHalfPlane(plane));
+    constants.scene = std::move(scene);
+    if (!constants.scene.forces.empty() && !integrates_) constants.linear.emplace(MakeLinear(constants));
+    return constants;
+  }
+  // Returns function(constants) of the parameters p. The last constants are kept, as many as a derivative takes.
+  template <typename Function>
+  std::invoke_result_t<Function, const Constants&> With(const double* p, const Function& function) const {
+    if (scene_.design.empty()) return function(given_);
+    std::shared_ptr<const Constants> constants;
+    {
+      const std::lock_guard lock(mutex_);
+      const auto found = std::ranges::find_if(
+          known_, [&](const auto& known) { return std::equal(known->values.begin(), known->values.end(), p); });
+      if (found != known_.end()) constants = *found;
+    }
+    if (constants == nullptr) {
+      std::vector<double> values(p, p + scene_.design.size());
+      for (std::size_t k = 0; k < values.size(); ++k) {
+        using enum SceneParameter::Kind;
+        const SceneParameter::Kind kind = scene_.design[k].parameter.kind;
+        if ((kind == kMass || kind == kRadius) && !(values[k] > 0)) values[k] = NAN;  // no such disc has a motion
+      }
+      Constants made = ConstantsOf(WithDesign(scene_, values));
+      made.values.assign(p, p + scene_.design.size());
+      constants = std::make_shared<const Constants>(std::move(made));
+      const std::lock_guard lock(mutex_);
+      known_.push_front(constants);
+      if (known_.size() > 2 * (1 + 4 * scene_.design.size())) known_.pop_back();
+    }
+    return function(*constants);
+  }
+  // Sets the columns by p, from `first` on, of a derivative of `rows` numbers, which function(constants, out) computes,
+  // beyond the bounds of parameters too, where solvers step.
+  template <typename Function>
+  void AddDifferences(const double* p, int rows, int first, int columns, double* jacobian,
+                      const Function& function) const {
+    constexpr double kWidth = 3e-4;
+    constexpr std::array<std::pair<int, double>, 4> kRule = {
+        {{-2, 1. / 12}, {-1, -8. / 12}, {1, 8. / 12}, {2, -1. / 12}}};
+    std::vector<double> values(p, p + scene_.design.size()), out(rows), sum(rows);
+    for (std::size_t k = 0; k < values.size(); ++k) {
+      const bool is_mass = scene_.design[k].parameter.kind == SceneParameter::Kind::kMass;
+      const double width = is_mass ? kWidth * values[k] : kWidth;
+      std::ranges::fill(sum, 0.0);
+      for (const auto& [node, weight] : kRule) {
+        values[k] = p[k] + node * width;
+        With(values.data(), [&](const Constants& of) { function(of, out.data()); });
+        for (int row = 0; row < rows; ++row) sum[row] += weight / width * out[row];
+      }
+      values[k] = p[k];
+      for (int row = 0; row < rows; ++row) jacobian[row * columns + first + static_cast<int>(k)] = sum[row];
+    }
+  }
 
+  static Scene WithParameters(Scene scene, SceneParameters parameters) {
+    if (parameters != SceneParameters::kDesign) scene.design.clear();
+    return scene;
+  }
   static HybridLayout LayoutOf(const Scene& scene, SceneParameters parameters) {
     const SceneLayout at(scene);
     const std::vector<double> waypoints = WaypointTimes(scene, Integrates(scene, parameters));
     HybridLayout layout{.num_controls = scene.control_width(),
                         .num_parameters = ParameterPlaces(scene, parameters).size()};
+    if (parameters == SceneParameters::kDesign) {
+      layout.num_parameters = static_cast<int>(scene.design.size());
+      for (const DesignParameter& design : scene.design) {
+        layout.parameter_names.push_back(NameOf(design.parameter, scene));
+      }
+    }
     std::vector<std::string> states;
     for (const Body& body : scene.bodies) {
       for (const char* of : {".x", ".y", ".vx", ".vy"}) states.push_back(body.name + of);
@@ -447,31 +583,35 @@ class SceneSystem final : public HybridFunctions {
   int Columns() const { return FirstControl() + scene_.control_width(); }
   bool IsWaypoint(int guard) const { return guard == static_cast<int>(pairs_.size()); }
   static Vec2d TwoAt(const double* x, int place) { return {x[place], x[place + 1]}; }
-  Vec2d AccelerationOf(int body, const double* u) const {
+  Vec2d AccelerationOf(const Scene& scene, int body, const double* u) const {
     const int force = at_.ForceOn(body);
-    return force < 0 ? scene_.gravity : Vec2d(scene_.gravity + InverseMass(scene_.bodies[body]) * TwoAt(u, force));
+    return force < 0 ? scene.gravity : Vec2d(scene.gravity + InverseMass(scene.bodies[body]) * TwoAt(u, force));
   }
-  double RateOfTurn(int body) const { return scene_.bodies[body].radius / scene_.bodies[body].MomentOfInertia(); }
-  double TurningOf(int body, const double* u) const {
-    return at_.TorqueOn(body) < 0 ? 0.0 : RateOfTurn(body) * u[at_.TorqueOn(body)];
+  static double RateOfTurn(const Scene& scene, int body) {
+    return scene.bodies[body].radius / scene.bodies[body].MomentOfInertia();
+  }
+  double TurningOf(const Scene& scene, int body, const double* u) const {
+    return at_.TorqueOn(body) < 0 ? 0.0 : RateOfTurn(scene, body) * u[at_.TorqueOn(body)];
   }
   // Calls add(row, inverse mass, force) for each disc that a force accelerates, with the row of its velocity; the
   // forces and derivatives of the other disc have the opposite inverse mass.
   template <typename Add>
-  void ForEachForce(const double* x, const Add& add) const {
-    for (const StateForce& one : scene_.forces) {
+  void ForEachForce(const Scene& scene, const double* x, const Add& add) const {
+    for (const StateForce& one : scene.forces) {
       const ForceAtState force = ForceAt(one, {x, static_cast<std::size_t>(4 * at_.num_bodies())}, 4);
-      add(at_.VelocityOf(force.body), InverseMass(scene_.bodies[force.body]), force);
-      if (force.other >= 0) add(at_.VelocityOf(force.other), -InverseMass(scene_.bodies[force.other]), force);
+      add(at_.VelocityOf(force.body), InverseMass(scene.bodies[force.body]), force);
+      if (force.other >= 0) add(at_.VelocityOf(force.other), -InverseMass(scene.bodies[force.other]), force);
     }
   }
-  LinearFlow MakeLinear() const {
+  LinearFlow MakeLinear(const Constants& of) const {
     const std::vector<double> zeros(Columns());
     std::vector<double> slope(at_.size()), jacobian(at_.size() * Columns());
-    FlowJacobian({0, 0, zeros.data(), zeros.data(), nullptr}, slope.data(), jacobian.data());
+    FlowJacobian(of, {0, 0, zeros.data(), zeros.data(), nullptr}, slope.data(), jacobian.data());
     std::vector<LinearFlow::Entry> entries;
     for (int i = 0; i < std::ssize(jacobian); ++i) {
-      if (jacobian[i] != 0) entries.push_back({i / Columns(), i % Columns(), jacobian[i]});
+      // Without a motion, as with a mass that is none, the slope is not a number, and so is a step.
+      const bool is_entry = jacobian[i] != 0 && std::isfinite(jacobian[i]);
+      if (is_entry) entries.push_back({i / Columns(), i % Columns(), jacobian[i]});
     }
     return {at_.size(), Columns(), entries};
   }
@@ -481,13 +621,21 @@ class SceneSystem final : public HybridFunctions {
     const Vec2d none = Vec2d::Zero();
     return {c.plane ? scene_.planes[c.b].point : none, none, none, none};
   }
-  Separation<double> SeparationAt(int guard, const ModePoint& from) const {
+  Separation<double> SeparationAt(const Constants& of, int guard, const ModePoint& from) const {
     const Candidate& c = pairs_[guard].contact;
-    const Vec2d a = TwoAt(from.x, at_.PositionOf(c.a));
-    if (!c.plane) return Separate<double>(a, TwoAt(from.x, at_.PositionOf(c.b)));
-    HalfPlane<double> wall = MakeHalfPlane(scene_.planes[c.b]);
+    const Vec2d a = PositionIn(of, c.a, TwoAt(from.x, at_.PositionOf(c.a)));
+    if (!c.plane) return Separate<double>(a, PositionIn(of, c.b, TwoAt(from.x, at_.PositionOf(c.b))));
+    HalfPlane<double> wall = of.planes[c.b];
     if (motions_[c.b]) wall.offset = Dot(wall.normal, WallAt(c, from.t).position);
     return Separate<double>(a, wall);
+  }
+  // Discs whose positions are parameters are there, whatever the state.
+  template <typename T>
+  Vec2<T> PositionIn(const Constants& of, int body, const Vec2<T>& in_state) const {
+    return placed_[body] ? Vec2<T>(of.scene.bodies[body].position.template cast<T>()) : in_state;
+  }
+  double GapOf(const Constants& of, int guard, const ModePoint& from) const {
+    return SeparationAt(of, guard, from).distance - of.laws[guard].contact_distance;
   }
   Vec2d MissOf(const RunningTerm& term, const double* x, double t) const {
     return TwoAt(x, at_.IndexOf(term.body, term.quantity)) - TargetAt(term, t);
@@ -499,7 +647,8 @@ class SceneSystem final : public HybridFunctions {
   }
 
   // Adds the integral of a running term over a step, and its derivatives by [x t u].
-  void AddRunning(const RunningTerm& term, const FlowStep& step, double* after, double* jacobian) const {
+  void AddRunning(const Scene& scene, const RunningTerm& term, const FlowStep& step, double* after,
+                  double* jacobian) const {
     std::vector<double> ends = {0, step.h};
     for (const double turn : term.times) {
       if (turn > step.t && turn < step.t + step.h) ends.push_back(turn - step.t);
@@ -508,7 +657,7 @@ class SceneSystem final : public HybridFunctions {
     const int n = at_.size(), q = at_.PositionOf(term.body), v = at_.VelocityOf(term.body);
     const int force = at_.ForceOn(term.body);
     const bool fixed = scene_.bodies[term.body].fixed, of_position = term.quantity == Quantity::kPosition;
-    const Vec2d a = fixed ? Vec2d::Zero() : AccelerationOf(term.body, step.u);
+    const Vec2d a = fixed ? Vec2d::Zero() : AccelerationOf(scene, term.body, step.u);
     const Vec2d p = TwoAt(step.x, q), velocity = TwoAt(step.x, v);
     double* row = jacobian != nullptr ? jacobian + at_.running() * Columns() : nullptr;
     for (std::size_t i = 0; i + 1 < ends.size(); ++i) {
@@ -521,7 +670,7 @@ class SceneSystem final : public HybridFunctions {
         if (row == nullptr) continue;
         const Vec2d by = 2 * weight * miss;
         row[n] -= by.dot(RateOfTarget(term, step.t + s));
-        const double by_force = (of_position ? 0.5 * s * s : s) * InverseMass(scene_.bodies[term.body]);
+        const double by_force = (of_position ? 0.5 * s * s : s) * InverseMass(scene.bodies[term.body]);
         for (int j = 0; j < 2; ++j) {
           if (of_position) row[q + j] += by[j];
           row[v + j] += (of_position ? s : 1.0) * by[j];
@@ -534,20 +683,21 @@ class SceneSystem final : public HybridFunctions {
   // Sets the rows of the Jacobian of a reset that an impact changes; with kVariables == kOfPair, by the state and time
   // alone.
   template <int kVariables>
-  void SetByPair(const ModePoint& from, const Pair& pair, double* jacobian) const {
+  void SetByPair(const Constants& of, const ModePoint& from, int guard, double* jacobian) const {
+    const Pair& pair = pairs_[guard];
     using Jet = ceres::Jet<double, kVariables>;
     const int n = at_.size(), columns = FirstControl();
     const std::array<int, kOfPair> places = PlacesOf(pair.contact);
     std::array<Jet, kOfPair> x;
     for (int i = 0; i < kOfPair; ++i) x[i] = Jet(places[i] < 0 ? 0.0 : from.x[places[i]], i);
-    const std::array<double, kOfLaw> values = LawOf(pair);
+    const std::array<double, kOfLaw> values = LawOf(of.laws[guard]);
     std::array<Jet, kOfLaw> law;
     for (int i = 0; i < kOfLaw; ++i) {
       law[i] = Jet(values[i]);
       if constexpr (kVariables > kOfPair) law[i].v[kOfPair + i] = 1;
     }
     const PathMotion::Point wall = WallAt(pair.contact, from.t);
-    const std::array<Jet, kOfPair> after = Strike(pair, x, law, wall.velocity);
+    const std::array<Jet, kOfPair> after = Strike(of, guard, x, law, wall.velocity);
     for (int i = 0; i < kOfPair; ++i) {
       if (places[i] < 0) continue;
       double* row = jacobian + places[i] * columns;
@@ -583,8 +733,7 @@ class SceneSystem final : public HybridFunctions {
     }
     return places;
   }
-  static std::array<double, kOfLaw> LawOf(const Pair& pair) {
-    const ImpactConstants& law = pair.law;
+  static std::array<double, kOfLaw> LawOf(const ImpactConstants& law) {
     return {law.restitution,
             law.friction,
             law.inverse_mass_a,
@@ -594,17 +743,18 @@ class SceneSystem final : public HybridFunctions {
   }
   // Returns what an impact makes of the numbers of its pair. `law` has the numbers of LawOf().
   template <typename T>
-  std::array<T, kOfPair> Strike(const Pair& pair, std::array<T, kOfPair> x, const std::array<T, kOfLaw>& law,
-                                const Vec2d& of_wall) const {
+  std::array<T, kOfPair> Strike(const Constants& of, int guard, std::array<T, kOfPair> x,
+                                const std::array<T, kOfLaw>& law, const Vec2d& of_wall) const {
     const auto two = [&](int i) { return Vec2<T>(x[i], x[i + 1]); };
-    const Candidate& c = pair.contact;
+    const Candidate& c = pairs_[guard].contact;
+    const Vec2<T> a = PositionIn<T>(of, c.a, two(0));
     const Separation<T> apart =
-        c.plane ? Separate<T>(two(0), MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(two(0), two(2));
-    const std::array<double, 2>& radius = pair.law.radius;
+        c.plane ? Separate<T>(a, of.planes[c.b]) : Separate<T>(a, PositionIn<T>(of, c.b, two(2)));
+    const std::array<double, 2>& radius = of.laws[guard].radius;
     const Vec2<T> w = two(4) - two(6) - of_wall.cast<T>();
     const T mobility = law[2] + law[3], speed = Dot(apart.normal, w);
     const T turning = radius[0] * radius[0] * law[4] + radius[1] * radius[1] * law[5];
-    const T sliding = Dot(Perpendicular(apart.normal), w) - AtRims(pair.law, std::array<T, 2>{x[8], x[9]});
+    const T sliding = Dot(Perpendicular(apart.normal), w) - AtRims(of.laws[guard], std::array<T, 2>{x[8], x[9]});
     const Impact<T> impact = MakeImpact<T>(
         apart.normal, speed, sliding, T(1.0 / mobility), T(1.0 / (mobility + turning)), T(1.0 + law[0]), law[1]);
     for (int side = 0; side < 2; ++side) {
@@ -620,10 +770,14 @@ class SceneSystem final : public HybridFunctions {
   const ParameterPlaces parameters_;
   const bool integrates_;
   const std::vector<double> waypoints_;
+  std::vector<bool> placed_;         // discs whose positions are design parameters
+  bool flight_is_designed_ = false;  // design parameters change the flow
   std::vector<Pair> pairs_;
   std::vector<StatePart> parts_;                            // none: the state is one
   std::vector<std::optional<PathMotion>> paths_, motions_;  // of each body, and of each plane
-  std::optional<LinearFlow> linear_;                        // of scenes with forces, if their flow is linear
+  Constants given_;
+  mutable std::mutex mutex_;
+  mutable std::list<std::shared_ptr<const Constants>> known_;
 };
 
 // The residuals factor (x_i - target_i) of successive components of a state.
@@ -654,21 +808,25 @@ struct NormExcess {
   }
 };
 
-// NormExcess of a velocity at the beginning and at the end of an interval, given the state, the control and the length.
-// Under a constant force the speed is largest at one of them.
+// NormExcess of a velocity at the beginning and at the end of an interval, given the state, the control, the design
+// parameters if there are any, and the length. Under a constant force the speed is largest at one of them.
 struct SpeedExcess {
   NormExcess of;
   int force;  // on the body, in the control; -1: none
-  double inverse_mass;
+  double mass;
   Vec2d gravity;
+  bool designed = false;                     // there are design parameters
+  int of_mass = -1;                          // the one that is its mass; -1: none
+  std::array<int, 2> of_gravity = {-1, -1};  // those that are components of gravity
 
   template <typename T>
   bool operator()(T const* const* blocks, T* residuals) const {
+    const T *parameters = blocks[2], &length = blocks[designed ? 3 : 2][0];
     T end[2];
     for (int j = 0; j < 2; ++j) {
-      T acceleration(gravity[j]);
-      if (force >= 0) acceleration += inverse_mass * blocks[1][force + j];
-      end[j] = blocks[0][of.first + j] + blocks[2][0] * acceleration;
+      T acceleration = of_gravity[j] < 0 ? T(gravity[j]) : parameters[of_gravity[j]];
+      if (force >= 0) acceleration += blocks[1][force + j] / (of_mass < 0 ? T(mass) : parameters[of_mass]);
+      end[j] = blocks[0][of.first + j] + length * acceleration;
     }
     const T* at_end = end;
     of(blocks, residuals);
@@ -692,10 +850,24 @@ std::string WhyNoHybridProblem(const Scene& scene) {
                                            [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; });
   if (limited && !scene.forces.empty()) {
     return "limits of the speed that hold always beside drag or springs, which may be exceeded within an interval "
-           "(give "
-           "at: end)";
+           "(give at: end)";
   }
-  return scene.design.empty() ? "" : "design parameters";
+  // The state has these discs where the scene has them.
+  for (const auto& [parameter, min, max] : scene.design) {
+    const auto is_of = [&](const auto& term) { return term.body == parameter.body; };
+    const Objective& objective = scene.objective;
+    const bool held = std::ranges::any_of(scene.forces, [&](const StateForce& force) {
+      const ForceAtState at = ForceAt(force, std::vector<double>(4 * scene.num_bodies()), 4);
+      return at.body == parameter.body || at.other == parameter.body;
+    });
+    if (parameter.kind != SceneParameter::Kind::kPosition) continue;
+    if (held) return "a spring to " + scene.bodies[parameter.body].name + ", whose position is a parameter";
+    if (std::ranges::any_of(objective.terminal, is_of) || std::ranges::any_of(objective.via, is_of) ||
+        std::ranges::any_of(objective.running, is_of)) {
+      return "a term of " + scene.bodies[parameter.body].name + ", whose position is a parameter";
+    }
+  }
+  return "";
 }
 
 HybridProblem HybridProblemOf(const Scene& scene) { return HybridProblemOf(scene, nullptr); }
@@ -718,12 +890,19 @@ HybridInput InputOf(const HybridProblem& problem, const std::vector<double>& ini
 HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints) {
   const SceneLayout at(scene);
   const Objective& objective = scene.objective;
-  HybridProblem problem{.system = SceneSystemOf(scene, SceneParameters::kNone),
+  HybridProblem problem{.system = SceneSystemOf(scene, SceneParameters::kDesign),
                         .guess = {.initial = InitialState(scene),
                                   .duration = scene.duration,
                                   .num_intervals = scene.steps,
                                   .control = InitialControl(scene, scene.steps)}};
   problem.guess.initial.resize(at.size(), 0.0);
+  problem.guess.parameters = DesignOf(scene);
+  for (std::size_t k = 0; k < scene.design.size(); ++k) {
+    const ParameterRange range = RangeOf(scene.design[k]);
+    problem.free.parameters.push_back(static_cast<int>(k));
+    problem.free.parameters_min.push_back(range.min);
+    problem.free.parameters_max.push_back(range.max);
+  }
 
   // Says that the term that is added next is a constraint of the scene.
   const auto tell = [&](SceneConstraint constraint) {
@@ -779,17 +958,25 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
     }
     tell({.limit = &limit, .by = {by, by}});
     const Body& body = scene.bodies[limit.body];
-    const Vec2d gravity = body.fixed ? Vec2d::Zero() : scene.gravity;
-    problem.terms.push_back(
-        {.name = name,
-         .at = HybridTerm::At::kEachInterval,
-         .role = HybridTerm::Role::kInequality,
-         .with_state = true,
-         .with_control = true,
-         .with_length = true,
-         .function = MakeFunction(SpeedExcess{excess, at.ForceOn(limit.body), InverseMass(body), gravity},
-                                  {at.size(), scene.control_width(), 1},
-                                  2)});
+    SpeedExcess speeds{excess, at.ForceOn(limit.body), body.mass, body.fixed ? Vec2d::Zero() : scene.gravity};
+    std::vector<int> blocks = {at.size(), scene.control_width(), 1};
+    if (speeds.designed = !scene.design.empty(); speeds.designed) {
+      blocks.insert(blocks.end() - 1, static_cast<int>(scene.design.size()));
+    }
+    for (std::size_t k = 0; k < scene.design.size() && !body.fixed; ++k) {
+      const SceneParameter& parameter = scene.design[k].parameter;
+      const auto place = static_cast<int>(k);
+      if (parameter.kind == SceneParameter::Kind::kGravity) speeds.of_gravity[parameter.component] = place;
+      if (parameter.kind == SceneParameter::Kind::kMass && parameter.body == limit.body) speeds.of_mass = place;
+    }
+    problem.terms.push_back({.name = name,
+                             .at = HybridTerm::At::kEachInterval,
+                             .role = HybridTerm::Role::kInequality,
+                             .with_state = true,
+                             .with_control = true,
+                             .with_parameters = speeds.designed,
+                             .with_length = true,
+                             .function = MakeFunction(speeds, blocks, 2)});
   }
   for (const TerminalTerm& term : objective.terminal) {
     if (term.region) {
@@ -804,7 +991,7 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
       add({.name = "terminal term"}, term);
     }
   }
-  const std::vector<double> waypoints = WaypointTimes(scene, Integrates(scene, SceneParameters::kNone));
+  const std::vector<double> waypoints = WaypointTimes(scene, Integrates(scene, SceneParameters::kDesign));
   for (const ViaTerm& term : objective.via) {
     const auto index = static_cast<std::size_t>(std::ranges::find(waypoints, term.time) - waypoints.begin());
     if (term.hard) tell({.via = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});

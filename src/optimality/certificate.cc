@@ -9,13 +9,15 @@
 #include <numeric>
 #include <string>
 
+#include "base/statistics.h"
 #include "control/scene_constraints.h"
-#include "optimality/design_gradient.h"
 #include "optimality/hybrid_conditions.h"
 #include "optimality/kink_conditions.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/objective.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/registry.h"
 #include "scene/units.h"
 #include "simulate/flight.h"
 #include "simulate/impact.h"
@@ -138,25 +140,41 @@ struct Motion {
   ExactRun exact;
   std::vector<double> lengths;  // of the control intervals, s
   Scene scene;
+  bool grid_is_given = false;  // by equal intervals
 };
 
 // Simulates a control. Returns std::nullopt, with the reason, if there is nothing to certify.
 std::optional<Motion> MotionOf(const Scene& scene, const std::vector<double>& initial,
                                const std::vector<double>& control, const std::vector<double>& durations,
                                const StopRequest& stop, std::string* reason) {
-  Motion motion{SimulateExactly(scene, initial, control, durations, stop), durations, scene};
+  Motion motion{SimulateExactly(scene, initial, control, durations, stop), durations, scene, durations.empty()};
   *reason = WhyNotCertify(scene, motion.exact);
   if (!reason->empty()) return std::nullopt;
   if (durations.empty()) {
     const size_t intervals = control.size() / scene.control_width();
     motion.lengths.assign(intervals, scene.duration / static_cast<double>(intervals));
   }
-  motion.scene.design.clear();
   if (std::optional<FreeDuration>& free = motion.scene.objective.duration) {
     motion.scene.duration = std::accumulate(motion.lengths.begin(), motion.lengths.end(), 0.0);
     if (free->min == free->max) free.reset();  // nothing is asked of a time that cannot be another
   }
   return motion;
+}
+
+// Adds the derivative of the loss by a design parameter, which is relative to `size`; its residual is zero at a bound
+// beyond which the loss would fall. A stationary verdict falls if it is too large.
+void AddParameter(const Scene& scene, size_t i, double derivative, double size, Certificate* certificate) {
+  const SceneParameter& parameter = scene.design[i].parameter;
+  ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
+  entry.derivative = derivative;
+  const ParameterRange range = RangeOf(scene.design[i]);
+  const bool held = (entry.value <= range.min && derivative > 0) || (entry.value >= range.max && derivative < 0);
+  if (!held) entry.residual = std::abs(derivative) / size;
+  if (!(entry.residual <= kCertificateTolerance) && certificate->IsStationary()) {
+    certificate->verdict = Certificate::Verdict::kNotStationary;
+    certificate->reason = "the derivative by " + entry.name + " does not vanish";
+  }
+  certificate->parameters.push_back(std::move(entry));
 }
 
 // Drops limits that always hold and are not active. They end intervals at events, which these need not do.
@@ -185,11 +203,16 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
     return certificate;
   }
   std::vector<SceneConstraint> constraints;
-  const HybridProblem problem = HybridProblemOf(scene, &constraints);
+  HybridProblem problem = HybridProblemOf(scene, &constraints);
+  problem.free.parameters.clear();  // whose derivatives are judged with the multipliers of the other conditions
+  problem.free.parameters_min.clear();
+  problem.free.parameters_max.clear();
   const HybridInput input = InputOf(problem, initial, control, motion.lengths);
   const ContactSequence pairs = AllPairs(scene);
   std::vector<TermMultiplier> multipliers;
   options.multipliers = &multipliers;
+  std::vector<ParameterDerivative> by_parameters;
+  options.parameters = &by_parameters;
   options.name = [&](int /*mode*/, int guard, ImpactCertificate* impact) {
     if (guard < static_cast<int>(pairs.size())) NamePair(scene, pairs[guard], impact);
   };
@@ -197,6 +220,15 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
   std::erase_if(certificate.impacts, [](const ImpactCertificate& one) { return one.b.starts_with("waypoint "); });
   if (certificate.verdict == Certificate::Verdict::kNotApplicable) return certificate;
   certificate.constraints = ConstraintsOf(scene, motion.lengths, constraints, multipliers);
+  const auto one_sided = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
+  if (motion.grid_is_given && !scene.design.empty() && std::ranges::any_of(certificate.impacts, one_sided)) {
+    certificate = {};
+    certificate.reason = "an impact is on a node of the grid, where the derivatives by parameters are one-sided";
+    return certificate;
+  }
+  for (size_t i = 0; i < by_parameters.size(); ++i) {
+    AddParameter(scene, i, by_parameters[i].value, by_parameters[i].size, &certificate);
+  }
   if (!certificate.curvature) return certificate;
   // The condition of Legendre and Clebsch: where H_uu is zero, the second variation is not positive definite.
   if (scene.objective.effort == 0) {
@@ -239,31 +271,45 @@ double LargestOfFree(const Scene& scene, const std::vector<double>& initial) {
   return largest;
 }
 
-// Adds the conditions of the scene's design parameters to those of its control.
-void CertifyParameters(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                       const std::vector<double>& durations, const StopRequest& stop, Certificate* certificate) {
-  using enum Certificate::Verdict;
-  const bool controls = scene.optimize == Optimize::kControl;
-  if (certificate->verdict == kAmbiguous || (controls && certificate->verdict == kNotApplicable)) return;
+// Certifies design parameters without a control, from the derivatives of the adjoint.
+Certificate CertifyDesign(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                          const std::vector<double>& durations, const StopRequest& stop) {
+  Certificate certificate;
   const auto refuse = [&](const std::string& why) {
-    *certificate = {};
-    certificate->reason = why;
+    certificate.reason = why;
+    return certificate;
   };
-  const auto one_sided = [](const ImpactCertificate& impact) { return impact.theta.has_value(); };
-  if (durations.empty() && std::ranges::any_of(certificate->impacts, one_sided)) {
-    return refuse("an impact is on a node of the grid, where the derivatives by parameters are one-sided");
+  if (!durations.empty() || scene.objective.HasConstraints() || !scene.objective.running.empty() ||
+      !scene.objective.via.empty()) {
+    return refuse(
+        "beside constraints and path costs, conditions by parameters are those of a control, and none is free");
   }
-  const DesignGradient gradient = GradientByDesign(scene, initial, control, durations, certificate->constraints, stop);
-  if (!gradient.ok()) {
-    refuse(gradient.reason);
-    return JudgeTies(gradient.ambiguous, certificate);
+  const ExactRun run = SimulateExactly(scene, initial, control, durations, stop);
+  if (!run.ok) return refuse(run.reason);
+  JudgeTies(run.ambiguous, &certificate);
+  if (!run.ambiguous.empty()) return certificate;
+  if (!run.only_impacts) return refuse("discs rest on or graze each other or a wall");
+  const std::unique_ptr<Simulator> simulator = MakeSimulator(Contact(ExactModel()->name), scene, Precision::kDouble);
+  const std::vector<double> end = ToState(run.end, scene.num_bodies());
+  std::vector<double> costate(end.size());
+  TerminalGradient(scene.objective, end, simulator->body_size(), costate);
+  simulator->set_stop(stop);
+  if (!simulator->Rollout(initial, control)) return refuse(simulator->WhyFailed());
+  Sensitivity all;
+  simulator->Adjoint(costate, /*with_parameters=*/true, &all);
+  // In natural units costates are about 1, but they vanish with a loss that reaches zero.
+  const double size = std::max({1.0, Largest(costate), Largest(all.initial)});
+  certificate.initial = LargestOfFree(scene, all.initial) / size;
+  certificate.verdict = Certificate::Verdict::kStationary;
+  if (!(*certificate.initial <= kCertificateTolerance)) {
+    certificate.verdict = Certificate::Verdict::kNotStationary;
+    certificate.reason = "the derivative by the initial state does not vanish";
   }
-  if (!controls) {
-    *certificate = {};
-    certificate->verdict = kStationary;
-    certificate->initial = gradient.initial.empty() ? 0.0 : LargestOfFree(scene, gradient.initial) / gradient.costate;
+  for (size_t i = 0; i < scene.design.size(); ++i) {
+    const double by = all.parameters.design[i];
+    AddParameter(scene, i, by, size, &certificate);
   }
-  JudgeParameters(scene, gradient.by, gradient.costate, certificate);
+  return certificate;
 }
 
 }  // namespace
@@ -283,11 +329,12 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   }
   Certificate certificate;
   try {
-    certificate = CertifyControl(scene, initial, control, durations, stop);
+    const bool of_design = !scene.design.empty() && scene.optimize != Optimize::kControl;
+    certificate = of_design ? CertifyDesign(scene, initial, control, durations, stop)
+                            : CertifyControl(scene, initial, control, durations, stop);
   } catch (const std::bad_alloc&) {
     certificate.reason = "memory ran out";
   }
-  if (!scene.design.empty()) CertifyParameters(scene, initial, control, durations, stop, &certificate);
   return certificate;
 }
 

@@ -263,6 +263,7 @@ class HybridConditions {
     }
     SetGridGradients(&result);
     if (options_.multipliers != nullptr) *options_.multipliers = TermMultipliers();
+    if (options_.parameters != nullptr) *options_.parameters = ParameterDerivatives();
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
     }
@@ -1468,6 +1469,17 @@ class HybridConditions {
       const auto sign = SignAt(variable.In(input_), variable.min, variable.max);
       if (sign) variables_.emplace_back(variable, *sign);
     }
+  }
+  std::vector<ParameterDerivative> ParameterDerivatives() const {
+    std::vector<ParameterDerivative> all;
+    for (int k = 0; k < system_.num_parameters(); ++k) {
+      ParameterDerivative& one = all.emplace_back();
+      one.value = sweeps_[0].parameters[k];
+      for (int j = 0; j < num_multipliers(); ++j) one.value += theta_[j] * sweeps_[j + 1].parameters[k];
+      one.size = std::max(SizeOf([&](const Sweep& s) { return s.parameters_size[k]; }),
+                          std::abs(loss_) / UnitOf({FreeVariable::Kind::kParameter, k, 0, 0}));
+    }
+    return all;
   }
   // Returns the derivative by a variable. The duration moves the last phase alone, or scales all intervals.
   double DerivativeByVariable(const Sweep& sweep, const FreeVariable& variable, bool moving) const {

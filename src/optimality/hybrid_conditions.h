@@ -26,11 +26,18 @@ struct TermMultiplier {
   double value = 0;   // the loss of the optimum decreases by it per unit by which the residual may grow
 };
 
+// The derivative of the loss by a parameter, with the multipliers that are found, and the size of the terms that
+// cancel.
+struct ParameterDerivative {
+  double value = 0, size = 1;
+};
+
 struct ConditionsOptions {
   std::vector<GuardTouch> touches = {};  // with these there is no curvature
   // Sets the names in the certificate of an event; by default those of its mode and its guard.
   std::function<void(int mode, int guard, ImpactCertificate* impact)> name = {};
-  std::vector<TermMultiplier>* multipliers = nullptr;  // unless null, it is set
+  std::vector<TermMultiplier>* multipliers = nullptr;      // unless null, it is set
+  std::vector<ParameterDerivative>* parameters = nullptr;  // unless null, it is set
   // Whether there is a curvature where the conditions do not hold, too: with the intervals as they are, and events at
   // their ends held there.
   bool always_curvature = false;

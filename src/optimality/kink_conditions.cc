@@ -372,7 +372,7 @@ Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input)
 }
 
 Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations) {
-  if (!WhyNoHybridProblem(scene).empty()) return {};
+  if (!scene.design.empty() || !WhyNoHybridProblem(scene).empty()) return {};
   const HybridProblem problem = HybridProblemOf(scene);
   HybridInput input = problem.guess;
   input.control = control;

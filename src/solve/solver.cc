@@ -18,7 +18,6 @@
 #include "saltus/solve/solvers_by_name.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
-#include "solve/design_descent.h"
 #include "solve/grid_solver.h"
 #include "solve/hmp.h"
 #include "solve/phases/ceres_event.h"
@@ -118,10 +117,16 @@ std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) 
   const std::string found = "optimize: found " + NameOf(scene.design.front().parameter, scene);
   if (!entry.given_design) {
     return found + ", a parameter of the scene, which this solver does not change; gd, ceres_lbfgs, ceres_lm, " +
-           "ceres_event, ceres_phases, hmp and mode_search do";
+           "ceres_event, ceres_phases, ipopt and mode_search do";
   }
   if (!IsExact(request)) return found + ", which this solver changes under the contact model event only";
-  return WhyNotDescent(scene);
+  if (scene.optimize != Optimize::kControl) {
+    return found + " without a control; gd, ceres_lbfgs and ceres_lm take parameters alone";
+  }
+  if (!request.terms.empty()) {
+    return found + " beside user-defined cost terms, which are taken with given parameters only";
+  }
+  return "";
 }
 
 std::string WhyNotAny(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
@@ -252,20 +257,27 @@ bool HasHybrid(std::string_view solver) {
   return solver == "ceres_phases" || solver == "ipopt" || solver == "mode_search";
 }
 
-// Returns why a solver does not support a scene whose flights are not those of constant acceleration; empty if it does,
-// and for other scenes. Such a scene is solved by shooting or, under the model event, as a hybrid system.
-std::string WhyNotIntegrated(std::string_view solver, const SolveRequest& request, bool given_sequence) {
+// Whether a solver solves a scene as a hybrid system, of which design parameters are parameters.
+bool SolvesAsHybrid(const SolverEntry& entry, const Scene& scene) {
+  if (!BeyondBallistic(scene).empty()) return HasHybrid(entry.name);
+  return entry.given_design && !scene.design.empty();
+}
+
+// Returns why a solver does not support a scene that is solved as a hybrid system, or whose flights are not those of
+// constant acceleration; empty if it does, and for other scenes.
+std::string WhyNotAsHybrid(const SolverEntry& entry, const SolveRequest& request, bool given_sequence) {
   const Scene& scene = request.scene;
-  const std::string beyond = BeyondBallistic(scene), has = "the scene has " + beyond;
-  if (beyond.empty()) return "";
-  if (!scene.design.empty()) {
+  const bool as_hybrid = SolvesAsHybrid(entry, scene);
+  const std::string beyond = BeyondBallistic(scene);
+  const std::string has = "the scene has " + (beyond.empty() ? "free parameters" : beyond);
+  if (beyond.empty() && !as_hybrid) return "";
+  if (!scene.design.empty() && !beyond.empty()) {
     return has +
-           " and free parameters, for which no solver has derivatives: identify or sweep them, or write the scene as "
-           "a hybrid system";
+           " and free parameters, for which no solver of scenes has derivatives: identify or sweep them, or solve its "
+           "hybrid problem (saltus.hybrid_problem)";
   }
   if (!request.terms.empty()) return has + ", beside which user-defined terms are terms of a hybrid system";
-  if (solver == "auto") return "";
-  if (HasHybrid(solver)) {
+  if (as_hybrid) {
     if (given_sequence && !scene.objective.via.empty()) {
       return has + " and waypoints, beside which sequences are not taken: leave the sequence out";
     }
@@ -273,7 +285,7 @@ std::string WhyNotIntegrated(std::string_view solver, const SolveRequest& reques
     const std::string part = WhyNoHybridProblem(scene);
     return part.empty() ? "" : has + " and " + part;
   }
-  if (solver != "gd" && solver != "ceres_lbfgs" && solver != "ceres_lm") {
+  if (entry.name != "gd" && entry.name != "ceres_lbfgs" && entry.name != "ceres_lm") {
     return has + ", whose flights this solver does not support: use ceres_phases, ipopt, mode_search or ceres_lm";
   }
   const Objective& objective = scene.objective;
@@ -281,7 +293,8 @@ std::string WhyNotIntegrated(std::string_view solver, const SolveRequest& reques
   return has + " beside path costs or a free duration: use ceres_phases under the contact model event";
 }
 
-// Solves a scene as a hybrid system. The certificate is left to Confirm().
+// Solves a scene as a hybrid system, of which design parameters are parameters. The certificate, which has the names of
+// events, is left to Confirm(), which goes on where it denies a solution.
 SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, const SolverOptions& given) {
   const Scene& scene = request.scene;
   const ContactSequence pairs = AllPairs(scene);
@@ -297,9 +310,14 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   if (given.guess) {
     problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
   }
-  SolveReport report = Solve(solver, problem, options);
+  SolveReport report = Solve(solver == "ceres_event" ? "ceres_phases" : solver, problem, options);
+  report.solver = solver;
   report.contact = request.contact.name();
+  if (report.parameters.empty()) report.parameters = DesignOf(scene);
   report.initial_state.resize(std::min<size_t>(report.initial_state.size(), InitialSize(scene)));
+  if (!scene.design.empty()) report.initial_state = InitialState(WithDesign(scene, report.parameters));
+  const bool is_denied = report.certificate && report.termination == Termination::kNoProgress;
+  if (is_denied) report.termination = Termination::kConverged;
   report.certificate.reset();
   for (LocalOptimum& optimum : report.optima) {
     LocalOptimum impacts{{}, optimum.loss, {}};
@@ -507,8 +525,7 @@ const std::vector<SolverEntry>& AllSolvers() {
        .why_not = WhyNotHmp,
        .solve = SolveByHmp,
        .exact_only = true,
-       .constraints = true,
-       .given_design = true},
+       .constraints = true},
       {.name = "mode_search",
        .summary = "search over sequences of impacts, each solved by ceres_event or ceres_phases",
        .why_not = WhyNotModeSearch,
@@ -565,22 +582,19 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
   if (reason.empty()) reason = WhyNotDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
-  if (reason.empty()) reason = WhyNotIntegrated(solver, request, options.sequence.has_value());
-  const bool as_hybrid = HasHybrid(solver) && !BeyondBallistic(request.scene).empty();
+  if (reason.empty()) reason = WhyNotAsHybrid(*entry, request, options.sequence.has_value());
+  const bool as_hybrid = reason.empty() && SolvesAsHybrid(*entry, request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
     converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
-    if (!as_hybrid) reason = entry->why_not(entry->design ? converted : WithGivenDesign(converted));
+    if (!as_hybrid) reason = entry->why_not(converted);
   }
   if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
 
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
-    const bool descends = !converted.scene.design.empty() && !entry->design;
-    report = as_hybrid  ? SolveAsHybrid(solver, converted, own)
-             : descends ? DescendDesign(*entry, converted, own)
-                        : entry->solve(converted, own);
+    report = as_hybrid ? SolveAsHybrid(solver, converted, own) : entry->solve(converted, own);
     Confirm(converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

@@ -22,12 +22,13 @@
 namespace saltus {
 
 // Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
-// that slows discs, limits of the speed that hold always beside drag or springs, and design parameters.
+// that slows discs, limits of the speed that hold always beside drag or springs, and terms and springs of a fixed disc
+// whose position is a design parameter.
 std::string WhyNoHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and
-// its unknowns. Pairs that must not touch have no motion behind a touch. Precondition: WhyNoHybridProblem is empty, and
-// ValidateStructure finds nothing.
+// its unknowns: design parameters are its parameters, in the order of Scene::design. Pairs that must not touch have no
+// motion behind a touch. Precondition: WhyNoHybridProblem is empty, and ValidateStructure finds nothing.
 HybridProblem HybridProblemOf(const Scene& scene);
 
 }  // namespace saltus

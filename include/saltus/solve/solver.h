@@ -188,8 +188,7 @@ struct SolverEntry {
   bool constraints = false;      // supports what BeyondTerminalCost() names, with exceptions by why_not
   bool own_terms = false;        // supports SolveRequest::terms
   bool design = false;           // supports Scene::design
-  // Whether it finds optima in exact dynamics with impacts at boundaries of control intervals: a descent around it then
-  // changes Scene::design.
+  // Whether a scene with Scene::design and a control is solved as a hybrid problem, of which these are parameters.
   bool given_design = false;
 };
 

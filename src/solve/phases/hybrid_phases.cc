@@ -21,6 +21,7 @@ constexpr double kNodeMargin = 2e-13;   // of the duration: nodes are by half of
 constexpr double kDelay = 1e-7;         // of the duration
 constexpr double kLeastOfAsked = 0.01;  // of the change of a state, or of the loss, that costs ask for
 constexpr double kMisses = 1e-3;
+constexpr double kRounding = 1e-10;   // of a parameter, at least of 1: one that near to a bound is at it
 constexpr int kFewestIntervals = 64;  // where no control or cost of intervals gives their number
 
 // The problem with as many intervals as phases need, where their number means nothing, from the piece of the mode in
@@ -350,6 +351,10 @@ void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
     if (variable.kind == FreeVariable::Kind::kDuration) continue;
     double& value = variable.In(*motion);
     value = std::min(std::max(value, variable.min), variable.max);
+    if (variable.kind != FreeVariable::Kind::kParameter) continue;
+    for (const double bound : {variable.min, variable.max}) {
+      if (std::abs(value - bound) <= kRounding * std::max(1.0, std::abs(value))) value = bound;
+    }
   }
   if (!free.duration) return;
   const double duration = DurationOf(*motion), within = std::clamp(duration, free.duration_min, free.duration_max);

@@ -998,12 +998,13 @@ void HybridTranscription::AddBounds() {
                        int size,
                        const std::vector<int>& components,
                        const std::vector<double>& min,
-                       const std::vector<double>& max) {
+                       const std::vector<double>& max,
+                       bool are_goals = false) {
     std::vector<BoundRows::Bound> bounds = BoundsOf(components, min, max);
     const int rows = static_cast<int>(bounds.size());
     if (rows > 0)
       lagrangian_.Add(std::make_unique<BoundRows>(size, std::move(bounds)),
-                      {.inequalities = rows, .affine_blocks = 1, .are_bounds = true},
+                      {.inequalities = rows, .affine_blocks = 1, .are_bounds = true, .are_goals = are_goals},
                       {block});
   };
   // The bounds of the components of a block that are free.
@@ -1048,7 +1049,8 @@ void HybridTranscription::AddBounds() {
       static_cast<int>(parameters_.size()),
       free.parameters,
       free.parameters_min,
-      free.parameters_max);
+      free.parameters_max,
+      /*are_goals=*/true);
   if (free.duration) add(&times_.back(), 1, {0}, {free.duration_min}, {free.duration_max});
 }
 

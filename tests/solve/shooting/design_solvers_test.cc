@@ -290,19 +290,25 @@ TEST(DesignSolvers, FindAMassBesideAFreeDuration) {
   EXPECT_GT(least_loss(0, 0.26), at);
 }
 
-// hmp has the loss in continuous time, of which ceres_phases approaches the optimum with its steps.
-TEST(DesignSolvers, HmpFindsTheOptimumInContinuousTime) {
-  Scene scene = ProblemScene("post_shot");
-  const SolveReport report = Solve("hmp", {scene, "event"}, {});
-  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+// Solvers in phases have parameters among their unknowns; the impacts keep the names of the discs.
+TEST(DesignSolvers, SolveAlongAGivenSequence) {
+  const Scene scene = ProblemScene("post_shot");
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
-  ASSERT_EQ(report.parameters.size(), 3u);
-  scene.steps = 384;
-  const SolveReport fine = Solve("ceres_event", {scene, "event"}, {});
-  ASSERT_EQ(fine.parameters.size(), 3u);
-  EXPECT_NEAR(report.parameters[0], fine.parameters[0], 1e-6);
-  EXPECT_NEAR(report.final_loss, fine.final_loss, 1e-6);
+  ASSERT_EQ(report.certificate->impacts.size(), 2u);
+  EXPECT_EQ(report.certificate->impacts[0].a, "striker");
+  EXPECT_EQ(report.certificate->impacts[1].b, "post");
+  const ContactSequence sequence = {{.a = 0, .b = 1}, {.a = 1, .b = 2}};
+  const SolveReport along = Solve("ceres_event", {scene, "event"}, {.sequence = sequence, .search = false});
+  EXPECT_EQ(along.solver, "ceres_event");
+  EXPECT_EQ(along.termination, Termination::kConverged) << along.reason;
+  EXPECT_NEAR(along.final_loss, report.final_loss, 1e-9);
+  ASSERT_EQ(along.parameters.size(), 3u);
+  // The initial state has the post where it is found.
+  ASSERT_EQ(along.initial_state.size(), 12u);
+  EXPECT_EQ(along.initial_state[8], along.parameters[0]);
 }
 
 // With the given post the ball is best sent past it; with a better one, against it.
@@ -334,7 +340,7 @@ TEST(DesignSolvers, AWallStopsAtItsBound) {
 TEST(DesignSolvers, ThatDoNotTakeParametersNameTheKey) {
   Scene scene = ProblemScene("two_balls");
   scene.design = {Design("mass.target", scene)};
-  for (const std::string solver : {"ceres_shooting", "ceres_lagrangian", "grid_optimum"}) {
+  for (const std::string solver : {"ceres_shooting", "ceres_lagrangian", "grid_optimum", "hmp"}) {
     const SolveReport report = Solve(solver, {scene, "event"}, {});
     EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver;
     EXPECT_THAT(report.reason, HasSubstr("optimize: found mass.target")) << solver;
