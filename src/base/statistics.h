@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -23,11 +24,16 @@ inline double RelativeError(std::vector<double> found, const std::vector<double>
   return Norm(found) / Norm(exact);
 }
 
-// Returns the largest magnitude, 0 if there are no entries.
+// Returns the largest magnitude, 0 if there are no entries. The largest of every fourth entry are found side by side,
+// as each comparison waits for the one before.
 inline double Largest(std::span<const double> entries) {
-  double largest = 0;
-  for (double entry : entries) largest = std::max(largest, std::abs(entry));
-  return largest;
+  std::array<double, 4> largest = {};
+  std::size_t i = 0;
+  for (; i + largest.size() <= entries.size(); i += largest.size()) {
+    for (std::size_t j = 0; j < largest.size(); ++j) largest[j] = std::max(largest[j], std::abs(entries[i + j]));
+  }
+  for (; i < entries.size(); ++i) largest[0] = std::max(largest[0], std::abs(entries[i]));
+  return std::max({largest[0], largest[1], largest[2], largest[3]});
 }
 
 // Returns whether all entries are finite. Exponents of ones only become negative by the addition, and the loop has no

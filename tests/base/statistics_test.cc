@@ -22,5 +22,16 @@ TEST(StatisticsTest, NumbersAreFiniteUnlessOneOfThemIsInfiniteOrNotANumber) {
   }
 }
 
+TEST(StatisticsTest, TheLargestMagnitudeIsFoundWhereverItIs) {
+  EXPECT_EQ(Largest({}), 0);
+  for (std::size_t size = 1; size < 12; ++size) {
+    for (std::size_t i = 0; i < size; ++i) {
+      std::vector<double> numbers(size, 0.5);
+      numbers[i] = -3;
+      EXPECT_EQ(Largest(numbers), 3) << i << " of " << size;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace saltus
