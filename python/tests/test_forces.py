@@ -60,6 +60,18 @@ def test_a_thrown_disc_bounces_as_in_closed_form():
     assert np.allclose(motion.states[-1][0], state, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("contact, tolerance", [("event", 1e-12), ("ncp_restitution", 0.01)])
+def test_a_thrown_disc_of_a_material_bounces_by_its_pair_beside_drag(contact, tolerance):
+    scene = thrown(contact={"restitution": 0.3, "friction": 0.0}, duration=2.2, steps=3000,
+                   materials={"felt": {"restitution": 0.1, "friction": 0.9}, "steel": {"restitution": 0.2, "friction": 0.9}},
+                   pairs=[{"between": ["felt", "steel"], "restitution": E, "friction": MU}])
+    scene["bodies"][0]["material"] = "steel"
+    scene["planes"][0]["material"] = "felt"
+    state, times = thrown_in_closed_form("2.2")
+    assert len(times) >= 2
+    assert np.allclose(saltus.rollout(scene, contact).states[-1][0], state, rtol=0, atol=tolerance)
+
+
 def test_a_spring_without_length_and_with_damping_is_an_oscillator():
     k, c, m, x0 = 40.0, 0.7, 0.5, 0.3
     scene = thrown(gravity=[0, 0], planes=[], bodies=[

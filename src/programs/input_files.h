@@ -76,7 +76,8 @@ GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene);
 //
 // and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
 // such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
-// them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B). Throws InputError with the key.
+// them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B), and "rotations" (n x B x 2) may
+// have the angles and angular velocities. Throws InputError with the key.
 // `scene` stands in for what the file says of bodies. The model of a motion is empty if the file names none.
 Replay ReadReplayFile(const std::string& path, const std::optional<Scene>& scene);
 

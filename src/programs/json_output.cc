@@ -149,7 +149,8 @@ void AddResiduals(const ImpactCertificate& impact, Json* item) {
 
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of) {
   // Whatever loss a solver has minimized, the conditions are those of the exact one.
-  Json item = {{"of", of}, {"verdict", VerdictToString(certificate.verdict)}};
+  Json item = {
+      {"of", of}, {"verdict", VerdictToString(certificate.verdict)}, {"in_words", VerdictInWords(certificate)}};
   if (!certificate.reason.empty()) item["reason"] = certificate.reason;
   AddTies(certificate.ambiguous, std::nullopt, &item);
   using enum Certificate::Verdict;

@@ -303,6 +303,7 @@ class ReplayReader : InputReader {
     ReadMotions(arrays, model, label, "", [&](const std::string& prefix, ReplayMotion* drawn) {
       drawn->motion.times = Numbers(arrays.at(prefix + "times"), prefix + "times");
       ReadStateArray(arrays.at(prefix + "states"), prefix + "states", drawn);
+      ReadRotationArray(arrays, prefix + "rotations", &drawn->motion);
       ReadTouchArrays(arrays, prefix, &drawn->motion);
       ReadControl(arrays, drawn);
     });
@@ -342,6 +343,16 @@ class ReplayReader : InputReader {
           per_disc, [&](size_t j) { return numbers[i + j]; }, &drawn->motion);
     }
     FinishStates(per_disc < kState, drawn);
+  }
+
+  // Reads angles and angular velocities, which files of saltus have beside the states.
+  void ReadRotationArray(const NpzArrays& arrays, const std::string& key, Motion* motion) const {
+    const auto rotations = arrays.find(key);
+    if (rotations == arrays.end()) return;
+    motion->rotations = Numbers(rotations->second, key);
+    if (kState * motion->rotations.size() != kSpin * motion->states.size()) {
+      Fail(key, "a shape of (n, " + std::to_string(num_discs()) + ", 2) with the n of the states");
+    }
   }
 
   void ReadTouchArrays(const NpzArrays& arrays, const std::string& prefix, Motion* motion) {

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "output/npz.h"
+#include "programs/input_files.h"
 #include "programs/run_program.h"
 
 namespace saltus {
@@ -69,6 +70,9 @@ TEST(TorqueOutput, ComesBackAsItWent) {
   const std::string page = TempFile("torque.html");
   EXPECT_EQ(RunProgram("saltus_replay " + file + " --output=" + page).exit_code, 0);
   EXPECT_THAT(ContentsOf(page), HasSubstr("\"torques\":"));
+  const Motion drawn = ReadReplayFile(file, std::nullopt).motions[0].motion;
+  ASSERT_EQ(drawn.rotations.size(), 4 * drawn.times.size());  // angle and angular velocity of two discs
+  EXPECT_NEAR(drawn.rotations[drawn.rotations.size() - 2], run["exact_final_state"][1][4].get<double>(), 1e-12);
 }
 
 TEST(TorqueOutput, GradientsAreByTheTorque) {
