@@ -295,7 +295,8 @@ std::string WhyNotAsHybrid(const SolverEntry& entry, const SolveRequest& request
 
 // Solves a scene as a hybrid system, of which design parameters are parameters. The certificate, which has the names of
 // events, is left to Confirm(), which goes on where it denies a solution.
-SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, const SolverOptions& given) {
+SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, const SolverOptions& given,
+                          const std::vector<double>& parameters) {
   const Scene& scene = request.scene;
   const ContactSequence pairs = AllPairs(scene);
   SolverOptions options = given;
@@ -310,6 +311,7 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   if (given.guess) {
     problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
   }
+  problem.guess.parameters = parameters;
   SolveReport report = Solve(solver == "ceres_event" ? "ceres_phases" : solver, problem, options);
   report.solver = solver;
   report.contact = request.contact.name();
@@ -330,6 +332,51 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
     optimum = std::move(impacts);
   }
   return report;
+}
+
+// Solves a scene with design parameters by turns with these free, as a hybrid system, and with those that were found,
+// as a scene, which may take it to a lower loss along other impacts.
+SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, const SolverOptions& options) {
+  constexpr int kMostTurns = 4;
+  constexpr double kGain = 1e-9;  // relative: of the loss, for which it goes on
+  SolveChain chain(options);
+  bool interrupted = false;
+  const auto add = [&](const SolveReport& report) {
+    chain.Add(report);
+    interrupted = interrupted || report.termination == Termination::kInterrupted;
+  };
+  const auto solve_from = [&](const SolveReport* start) {
+    SolverOptions own = chain.Next();
+    own.iterations = options.iterations;
+    if (start != nullptr) own.guess = ControlGuess{start->control, start->durations};
+    return own;
+  };
+  std::vector<double> parameters = DesignOf(request.scene);
+  SolveReport best = SolveAsHybrid(entry.name, request, solve_from(nullptr), parameters);
+  add(best);
+  for (int turn = 0; turn < kMostTurns && !interrupted; ++turn) {
+    SolveRequest given{WithDesign(request.scene, parameters), request.contact};
+    given.scene.design.clear();
+    if (!entry.why_not(given).empty()) break;
+    SolveReport found = entry.solve(given, solve_from(turn == 0 ? nullptr : &best));
+    add(found);
+    const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
+    if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
+    SolveReport next = SolveAsHybrid(entry.name, request, solve_from(&found), parameters);
+    add(next);
+    if (found.termination == Termination::kConverged) {
+      found.termination = Termination::kNoProgress;
+      found.reason = "the solution is optimal with these parameters, and not among other ones";
+    }
+    found.parameters = parameters;
+    for (SolveReport* report : {&found, &next}) {
+      if (EndsBetter(*report, best)) best = std::move(*report);
+    }
+    parameters = best.parameters;
+  }
+  best = chain.Finish(std::move(best));
+  if (interrupted) best.termination = Termination::kInterrupted;
+  return best;
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
@@ -594,7 +641,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
-    report = as_hybrid ? SolveAsHybrid(solver, converted, own) : entry->solve(converted, own);
+    report = !as_hybrid                       ? entry->solve(converted, own)
+             : converted.scene.design.empty() ? SolveAsHybrid(solver, converted, own, {})
+                                              : SolveDesign(*entry, converted, own);
     Confirm(converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

@@ -11,6 +11,7 @@
 #include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
+#include "scene/control_problems.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -309,6 +310,21 @@ TEST(DesignSolvers, SolveAlongAGivenSequence) {
   // The initial state has the post where it is found.
   ASSERT_EQ(along.initial_state.size(), 12u);
   EXPECT_EQ(along.initial_state[8], along.parameters[0]);
+}
+
+// With the parameters that were found the scene has no better control.
+TEST(DesignSolvers, EndWithTheBestControlOfTheirParameters) {
+  Scene scene = ControlProblem(16);
+  scene.steps = 60;
+  const double mass = scene.bodies.back().mass;
+  scene.design = {{{.kind = SceneParameter::Kind::kMass, .body = scene.num_bodies() - 1}, 0.5 * mass, 2 * mass}};
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  Scene given = WithDesign(scene, report.parameters);
+  given.design.clear();
+  const SolveReport solved = Solve("ceres_phases", {given, "event"}, {});
+  ASSERT_EQ(solved.termination, Termination::kConverged) << solved.reason;
+  EXPECT_LE(report.final_loss, solved.final_loss * (1 + 1e-9));
 }
 
 // With the given post the ball is best sent past it; with a better one, against it.
