@@ -9,23 +9,27 @@
 
 namespace saltus {
 
-// Sets `next` to the model's free flight from the state x = [p_x p_y v_x v_y] under the acceleration a.
-inline void Fly(const StepLinearization::FreeFlight& by, const double* x, const Vec2d& a, double* next) {
-  for (int j = 0; j < 2; ++j) {
-    next[j] = by.pp * x[j] + by.pv * x[2 + j] + by.pa * a[j];
-    next[2 + j] = by.vp * x[j] + by.vv * x[2 + j] + by.va * a[j];
+// Sets `next` to the model's free flight from the state x = [p v] under the acceleration a.
+template <int kSize>
+void Fly(const StepLinearization::FreeFlight& by, const double* x, const Coordinates<double, kSize>& a, double* next) {
+  for (int j = 0; j < kSize; ++j) {
+    next[j] = by.pp * x[j] + by.pv * x[kSize + j] + by.pa * a[j];
+    next[kSize + j] = by.vp * x[j] + by.vv * x[kSize + j] + by.va * a[j];
   }
 }
 
-// Blocks: node, force (2) if the disc is pushed, begin, end, next node. Rows: 4 equalities next - f(node, force, h),
-// and if it is pushed the costs sqrt(effort h) force. Fails where the model has no free flight over h.
+// The effect of a force on a disc and its cost; that of a torque has r^2 / I in place of 1/m.
+struct Push {
+  double inverse_mass, effort;
+  double least;  // s, of the length in the cost, whose root has no derivative at 0
+};
+
+// Blocks: node, force if the disc is pushed, begin, end, next node. Rows: the equalities next - f(node, force, h), and
+// if it is pushed the costs sqrt(effort h) force. Fails where the model has no free flight over h. With kSize 1, a step
+// of a disc with a torque, by rotations and torque / radius.
+template <int kSize>
 class ModelStep final : public ceres::CostFunction {
  public:
-  struct Push {
-    double inverse_mass, effort;
-    double least;  // s, of the length in the cost, whose root has no derivative at 0
-  };
-
   // `simulator` must outlive this object.
   ModelStep(const Simulator& simulator, StepOfPhase step, std::optional<Push> push);
 
@@ -37,19 +41,7 @@ class ModelStep final : public ceres::CostFunction {
   std::optional<Push> push_;
 };
 
-// A step of a disc with a torque, as TurnedStep. Blocks: rotation, torque / radius, begin, end, next rotation. Rows:
-// 2 equalities and a cost.
-class ModelTurn final : public ceres::CostFunction {
- public:
-  // `simulator` must outlive this object.
-  ModelTurn(const Simulator& simulator, StepOfPhase step, const ModelStep::Push& push);
-
-  bool Evaluate(double const* const* parameters, double* rows, double** jacobians) const override;
-
- private:
-  const Simulator& simulator_;
-  StepOfPhase step_;
-  ModelStep::Push push_;  // with r^2 / I
-};
+extern template class ModelStep<1>;
+extern template class ModelStep<2>;
 
 }  // namespace saltus

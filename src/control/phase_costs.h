@@ -8,6 +8,7 @@
 // that all unknowns are lengths and velocities. SI units, or any others that fit.
 #pragma once
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -30,98 +31,63 @@ struct StepOfPhase {
   }
 };
 
+// Coordinates of a node (2) or of a rotation (1).
+template <typename T, int kSize>
+using Coordinates = Eigen::Matrix<T, kSize, 1, Eigen::DontAlign>;
+
 // Returns the acceleration of a disc in free flight, m/s^2; `force` is null if nothing pushes it.
-template <typename T>
-Vec2<T> FlightAcceleration(const Vec2d& gravity, double inverse_mass, const T* force) {
-  Vec2<T> a = gravity.template cast<T>();
-  if (force != nullptr) a += Vec2<T>(inverse_mass * force[0], inverse_mass * force[1]);
+template <typename T, int kSize>
+Coordinates<T, kSize> FlightAcceleration(const Coordinates<double, kSize>& gravity, double inverse_mass,
+                                         const T* force) {
+  Coordinates<T, kSize> a = gravity.template cast<T>();
+  for (int j = 0; force != nullptr && j < kSize; ++j) a[j] += inverse_mass * force[j];
   return a;
 }
 
 // Sets `next` to the state after free flight for a time s from x.
-template <typename T>
-void Fly(const T* x, const Vec2<T>& a, const T& s, T* next) {
-  for (int j = 0; j < 2; ++j) {
-    next[j] = x[j] + s * (x[2 + j] + 0.5 * s * a[j]);
-    next[2 + j] = x[2 + j] + s * a[j];
+template <typename T, int kSize>
+void Fly(const T* x, const Coordinates<T, kSize>& a, const T& s, T* next) {
+  for (int j = 0; j < kSize; ++j) {
+    next[j] = x[j] + s * (x[kSize + j] + 0.5 * s * a[j]);
+    next[kSize + j] = x[kSize + j] + s * a[j];
   }
 }
 
-// A step of a pushed disc. Blocks: node, force (2), begin, end, next node. Rows: 4 equalities next - f(node, force, h),
-// and the costs sqrt(effort h) force.
+// A step of a pushed disc. Blocks: node, force, begin, end, next node. Rows: the equalities next - f(node, force, h),
+// and the costs sqrt(effort h) force. Torques turn a disc in the same way: [r angle, r w] is to torque / radius as a
+// position and a velocity are to a force, with r^2 / I in place of 1/m.
+template <int kSize>
 struct PushedStep {
   StepOfPhase step;
-  Vec2d gravity;
+  Coordinates<double, kSize> gravity;
   double inverse_mass, effort;
   double least;  // s, of the length in the cost, whose root has no derivative at 0
 
-  static constexpr int kEqualities = 4, kRows = 6;
+  static constexpr int kEqualities = 2 * kSize, kRows = 3 * kSize;
   template <typename T>
   bool operator()(const T* x, const T* force, const T* begin, const T* end, const T* next, T* rows) const {
     using std::sqrt;
     const T h = step.Length(begin, end);
     Fly(x, FlightAcceleration(gravity, inverse_mass, force), h, rows);
-    for (int j = 0; j < 4; ++j) rows[j] = next[j] - rows[j];
+    for (int j = 0; j < kEqualities; ++j) rows[j] = next[j] - rows[j];
     const T scale = std::sqrt(effort) * (Value(h) > least ? T(sqrt(h)) : T(std::sqrt(least)));
-    for (int j = 0; j < 2; ++j) rows[4 + j] = scale * force[j];
+    for (int j = 0; j < kSize; ++j) rows[kEqualities + j] = scale * force[j];
     return true;
   }
 };
 
-// A step of a disc without a force. Blocks: node, begin, end, next node. Rows: 4 equalities next - f(node, h).
+// A step of a disc without a force, or its rotation between two times, those of impacts or the first or last one.
+// Blocks: node or rotation, begin, end, the next one. Rows: the equalities next - f(node, h).
+template <int kSize>
 struct CoastingStep {
   StepOfPhase step;
-  Vec2d gravity;
+  Coordinates<double, kSize> gravity;
 
-  static constexpr int kRows = 4;
+  static constexpr int kRows = 2 * kSize;
   template <typename T>
   bool operator()(const T* x, const T* begin, const T* end, const T* next, T* rows) const {
     Fly(x, FlightAcceleration<T>(gravity, 0, nullptr), step.Length(begin, end), rows);
-    for (int j = 0; j < 4; ++j) rows[j] = next[j] - rows[j];
-    return true;
-  }
-};
-
-// Rotation of a disc that spins between two times, those of impacts or the first or last one. Blocks: rotation, begin,
-// end, next rotation. Rows: 2 equalities.
-struct Turning {
-  static constexpr int kRows = 2;
-  template <typename T>
-  bool operator()(const T* x, const T* begin, const T* end, const T* next, T* rows) const {
-    rows[0] = next[0] - (x[0] + (end[0] - begin[0]) * x[1]);
-    rows[1] = next[1] - x[1];
-    return true;
-  }
-};
-
-// A step of a disc that is turned, as PushedStep: [r angle, r w] is to torque / radius as a position and a velocity
-// are to a force, with r^2 / I in place of 1/m. Blocks: rotation, torque / radius, begin, end, next rotation. Rows: 2
-// equalities, and the cost sqrt(effort h) torque / radius.
-struct TurnedStep {
-  StepOfPhase step;
-  double inverse_mass, effort;  // r^2 / I
-  double least;                 // s, as of PushedStep
-
-  static constexpr int kEqualities = 2, kRows = 3;
-  template <typename T>
-  bool operator()(const T* x, const T* turn, const T* begin, const T* end, const T* next, T* rows) const {
-    using std::sqrt;
-    const T h = step.Length(begin, end), a = inverse_mass * turn[0];
-    rows[0] = next[0] - (x[0] + h * (x[1] + 0.5 * h * a));
-    rows[1] = next[1] - (x[1] + h * a);
-    rows[2] = std::sqrt(effort) * (Value(h) > least ? T(sqrt(h)) : T(std::sqrt(least))) * turn[0];
-    return true;
-  }
-};
-
-// The row scale (q - target), a cost, with q an angle or angular velocity. Block: rotation.
-struct RotationTarget {
-  TerminalTerm::Quantity quantity;
-  double target, scale, radius;
-  static constexpr int kRows = 1;
-  template <typename T>
-  bool operator()(const T* x, T* rows) const {
-    rows[0] = scale * (x[quantity == TerminalTerm::Quantity::kAngle ? 0 : 1] / radius - target);
+    for (int j = 0; j < kRows; ++j) rows[j] = next[j] - rows[j];
     return true;
   }
 };
@@ -222,14 +188,15 @@ struct RunningCost {
   }
 };
 
-// Bounds on a force, in parts of the bound. Block: force. Rows: 4 inequalities |u_x|, |u_y| <= most; or one |u| <=
-// most.
+// Bounds on a force, or on torque / radius, in parts of the bound. Block: force. Rows: inequalities |u_j| <= most; or
+// one |u| <= most.
+template <int kSize>
 struct ComponentBound {
   double most;
-  static constexpr int kRows = 4;
+  static constexpr int kRows = 2 * kSize;
   template <typename T>
   bool operator()(const T* force, T* rows) const {
-    for (int j = 0; j < 2; ++j) {
+    for (int j = 0; j < kSize; ++j) {
       rows[2 * j] = force[j] / most - 1.0;
       rows[2 * j + 1] = -force[j] / most - 1.0;
     }
@@ -246,18 +213,6 @@ struct NormBound {
   }
 };
 
-// |torque / radius| <= most, in parts of the bound. Block: torque / radius. Rows: 2 inequalities.
-struct TurnBound {
-  double most;
-  static constexpr int kRows = 2;
-  template <typename T>
-  bool operator()(const T* turn, T* rows) const {
-    rows[0] = turn[0] / most - 1.0;
-    rows[1] = -turn[0] / most - 1.0;
-    return true;
-  }
-};
-
 // least <= end - begin. Blocks: begin, end. Row: an inequality.
 struct LengthBound {
   double least = 0;
@@ -269,16 +224,24 @@ struct LengthBound {
   }
 };
 
-// scale (q - target), costs, with q the position or velocity of a node. Rows: 2.
-struct NodeTarget {
+// The place of a quantity in a node or a rotation.
+inline int PlaceOf(TerminalTerm::Quantity quantity) {
+  constexpr int kPlaces[] = {0, 2, 0, 1};
+  return kPlaces[static_cast<int>(quantity)];
+}
+
+// scale (q - target), costs, with q the position or velocity of a node (2 rows), or the angle or angular velocity of a
+// rotation (1).
+template <int kSize>
+struct Target {
   TerminalTerm::Quantity quantity;
   Vec2d target;
-  double scale;
-  static constexpr int kRows = 2;
+  double scale, radius = 1;  // by which a rotation is multiplied
+  static constexpr int kRows = kSize;
   template <typename T>
   bool operator()(const T* x, T* rows) const {
-    const T* q = quantity == TerminalTerm::Quantity::kPosition ? x : x + 2;
-    for (int j = 0; j < 2; ++j) rows[j] = scale * (q[j] - target[j]);
+    const T* q = x + PlaceOf(quantity);
+    for (int j = 0; j < kSize; ++j) rows[j] = scale * (q[j] / radius - target[j]);
     return true;
   }
 };
@@ -300,8 +263,7 @@ struct GoalRows {
 
   template <typename T>
   bool operator()(T const* const* blocks, T* rows) const {
-    constexpr int kFirst[] = {0, 2, 0, 1};  // by quantity
-    const T* q = blocks[0] + kFirst[static_cast<int>(quantity)];
+    const T* q = blocks[0] + PlaceOf(quantity);
     for (int j = 0; j < 2; ++j) {
       if (IsGiven(j)) *rows++ = q[j] / radius - region.min[j];
     }

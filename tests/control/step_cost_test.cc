@@ -118,8 +118,8 @@ TEST_P(StepCostOf, HasItsFreeFlightOverAnyLength) {
   for (const bool pushed : {true, false}) {
     const std::vector<double> force = pushed ? std::vector{1.3, -0.6} : std::vector{0.0, 0.0};
     simulator->Step(x, force, next);
-    const std::optional push = pushed ? std::optional(ModelStep::Push{0.5, 0.3, 1e-9}) : std::nullopt;
-    const ModelStep cost(*simulator, {2, kCount}, push);
+    const std::optional push = pushed ? std::optional(Push{0.5, 0.3, 1e-9}) : std::nullopt;
+    const ModelStep<2> cost(*simulator, {2, kCount}, push);
     std::vector<const double*> blocks{x.data(), &begin, &end, next.data()};
     if (pushed) blocks.insert(blocks.begin() + 1, force.data());
     std::vector<double> rows(cost.num_residuals());

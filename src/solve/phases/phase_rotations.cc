@@ -85,6 +85,7 @@ bool PhaseRotations::IsFree(int body) const {
 
 void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, double least,
                            AugmentedLagrangian* problem) {
+  const Coordinates<double, 1> no_gravity(0.0);
   for (const Step& step : steps_) {
     const std::vector<double*> blocks = {
         At(step.from), &turns[step.torque], &times[step.span.begin], &times[step.span.end], At(step.to)};
@@ -92,15 +93,15 @@ void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, dou
     const double inverse_mass = InverseMass(step.body), effort = scene_.objective.effort;
     std::unique_ptr<ceres::CostFunction> cost;
     if (flight_ != nullptr) {
-      cost = std::make_unique<ModelTurn>(*flight_, place, ModelStep::Push{inverse_mass, effort, least});
+      cost = std::make_unique<ModelStep<1>>(*flight_, place, Push{inverse_mass, effort, least});
     } else {
-      cost = Sized<2, 1, 1, 1, 2>(TurnedStep{place, inverse_mass, effort, least});
+      cost = Sized<2, 1, 1, 1, 2>(PushedStep<1>{place, no_gravity, inverse_mass, effort, least});
     }
-    problem->Add(std::move(cost), {.equalities = TurnedStep::kEqualities}, blocks);
+    problem->Add(std::move(cost), {.equalities = PushedStep<1>::kEqualities}, blocks);
   }
   for (const Turn& turn : turns_) {
-    problem->Add(Sized<2, 1, 1, 2>(Turning{}),
-                 {.equalities = Turning::kRows},
+    problem->Add(Sized<2, 1, 1, 2>(CoastingStep<1>{{}, no_gravity}),
+                 {.equalities = CoastingStep<1>::kRows},
                  {At(turn.from), &times[turn.begin], &times[turn.end], At(turn.to)});
   }
   for (const TerminalTerm& term : scene_.objective.terminal) {
@@ -113,7 +114,7 @@ void PhaseRotations::AddTo(std::span<double> times, std::span<double> turns, dou
           .equalities = goal.num_equalities(), .inequalities = goal.num_inequalities(), .are_goals = true};
       problem->Add(Dynamic(goal, roles.equalities + roles.inequalities, std::array{int{kSpin}}), roles, {last});
     } else {
-      problem->Add(Sized<2>(RotationTarget{term.quantity, term.target[0], std::sqrt(term.weight), radius}), {}, {last});
+      problem->Add(Sized<2>(Target<1>{term.quantity, term.target, std::sqrt(term.weight), radius}), {}, {last});
     }
   }
   ceres::Problem& unknowns = problem->problem();

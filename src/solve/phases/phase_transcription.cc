@@ -210,20 +210,20 @@ void PhaseTranscription::AddSteps() {
       for (int k = 0; k < steps; ++k) {
         const StepOfPhase step{k, steps};
         std::vector<double*> blocks = {NodeAt(track[k]), Begin(j), End(j), NodeAt(track[k + 1])};
-        std::optional<ModelStep::Push> push;
+        std::optional<Push> push;
         if (place_[i] >= 0) {
           push = {1 / scene_.bodies[i].mass, scene_.objective.effort, least};
           blocks.insert(blocks.begin() + 1, ForceOn(i, static_cast<int>(j), k));
         }
         std::unique_ptr<ceres::CostFunction> cost;
         if (flight_ != nullptr) {
-          cost = std::make_unique<ModelStep>(*flight_, step, push);
+          cost = std::make_unique<ModelStep<2>>(*flight_, step, push);
         } else if (push) {
-          cost = Sized<4, 2, 1, 1, 4>(PushedStep{step, scene_.gravity, push->inverse_mass, push->effort, least});
+          cost = Sized<4, 2, 1, 1, 4>(PushedStep<2>{step, scene_.gravity, push->inverse_mass, push->effort, least});
         } else {
-          cost = Sized<4, 1, 1, 4>(CoastingStep{step, scene_.gravity});
+          cost = Sized<4, 1, 1, 4>(CoastingStep<2>{step, scene_.gravity});
         }
-        problem_.Add(std::move(cost), {.equalities = PushedStep::kEqualities}, blocks);
+        problem_.Add(std::move(cost), {.equalities = PushedStep<2>::kEqualities}, blocks);
       }
     }
   }
@@ -313,7 +313,7 @@ void PhaseTranscription::AddBounds() {
     const int c = static_cast<int>(k) % scene_.num_controlled();
     if (!control.max.empty()) {
       problem_.Add(
-          Sized<2>(ComponentBound{control.max[c]}), {.inequalities = 4, .are_bounds = true}, {forces_[k].data()});
+          Sized<2>(ComponentBound<2>{control.max[c]}), {.inequalities = 4, .are_bounds = true}, {forces_[k].data()});
     }
     if (!control.max_norm.empty()) {
       problem_.Add(
@@ -323,7 +323,7 @@ void PhaseTranscription::AddBounds() {
   for (size_t k = 0; scene_.optimize == Optimize::kControl && k < turns_.size(); ++k) {
     const double most = MostTurn(scene_, static_cast<int>(k) % scene_.num_turned());
     if (std::isfinite(most))
-      problem_.Add(Sized<1>(TurnBound{most}), {.inequalities = 2, .are_bounds = true}, {&turns_[k]});
+      problem_.Add(Sized<1>(ComponentBound<1>{most}), {.inequalities = 2, .are_bounds = true}, {&turns_[k]});
   }
 }
 
@@ -336,7 +336,7 @@ void PhaseTranscription::AddTerms() {
     problem_.Add(Dynamic(goal, roles.equalities + roles.inequalities, std::array{4}), roles, {NodeAt(node)});
   };
   const auto aim = [&](const auto& term, int node) {
-    problem_.Add(Sized<4>(NodeTarget{term.quantity, term.target, std::sqrt(term.weight)}), {}, {NodeAt(node)});
+    problem_.Add(Sized<4>(Target<2>{term.quantity, term.target, std::sqrt(term.weight)}), {}, {NodeAt(node)});
   };
   for (const TerminalTerm& term : scene_.objective.terminal) {
     if (scene_.bodies[term.body].fixed || term.IsOfSpin()) continue;
