@@ -12,6 +12,7 @@
 #include "solve/phases/phase_attempt.h"
 #include "solve/phases/phase_transcription.h"
 #include "solve/phases/sequence_mending.h"
+#include "solve/solve_chain.h"
 
 namespace saltus {
 namespace {
@@ -154,23 +155,18 @@ SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& opt
   PhaseRun run_to_targets("ceres_phases", targets, options, run.guess());
   if (auto refused = run_to_targets.WhyNotStart()) return *refused;
   const SolveReport first = MendBySteps(&run_to_targets, targets);
+  SolveChain chain(options);
+  chain.Add(first);
   Trial start = run.guess();
   if (first.final_violation <= kFeasible) {
     start = {first.control, first.durations, {}, {}, first.initial_state};
     run.Simulate(&start);
   }
-  SolverOptions rest = options;
-  rest.iterations = std::max(0, options.iterations - first.iterations);
-  if (options.callback) {
-    rest.callback = [&](int iteration, double loss) { return options.callback(first.iterations + iteration, loss); };
-  }
+  const SolverOptions rest = chain.Next();
   SolveReport report = SolveFrom(request, rest, Algorithm::kLeastSquares, std::move(start));
-  report.losses.insert(report.losses.begin(), first.losses.begin(), first.losses.end() - 1);
-  report.initial_loss = first.initial_loss;
+  chain.Add(report);
+  report = chain.Finish(std::move(report));
   report.initial_violation = run.ViolationOf(run.guess());
-  report.iterations += first.iterations;
-  report.evaluations += first.evaluations;
-  report.seconds += first.seconds;
   return report;
 }
 
