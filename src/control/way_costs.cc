@@ -67,14 +67,11 @@ class ExactWayCosts final : public WayCosts {
     const CostateSweep::Result found =
         sweep_->Sweep({}, [&](int k, const ImpactJump& jump, double gain) { return sweep_->Late(k, jump, gain); });
     std::fill(control.begin(), control.end(), 0.0);
-    double by_scale = -found.clock;
-    for (size_t i = 0; i < sweep_->segments().size(); ++i) {
-      const Flight::Piece& piece = sweep_->segments()[i].piece;
-      by_scale += found.hamiltonian[i] + piece.start * found.drift[i] + found.drift_moment[i];
-      if (!control.empty()) sweep_->AddByControl(piece.interval, found.push[i], found.turn[i], control);
+    for (size_t i = 0; i < sweep_->segments().size() && !control.empty(); ++i) {
+      sweep_->AddByControl(sweep_->segments()[i].interval, found.push[i], found.turn[i], control);
     }
     Put(found.start, initial);
-    if (duration != nullptr) *duration = by_scale / scene_.duration;
+    if (duration != nullptr) *duration = found.by_duration;
   }
 
   int num_residuals() const override { return num_residuals_; }
@@ -106,7 +103,7 @@ class ExactWayCosts final : public WayCosts {
               sweep_->DerivativesOfPoint(row.segment, row.offset, row.body, of_position, row.axis, row.scale, forces());
           double by_duration = row.by_duration;
           if (!row.scales) {  // its time does not move: less what it would have gained
-            const Flight::Piece& piece = sweep_->segments()[row.segment].piece;
+            const Flight::Piece& piece = sweep_->segments()[row.segment];
             const Vec2d v = piece.at_start.v[row.body] + row.offset * piece.acceleration[row.body];
             const Vec2d rate = of_position ? v : piece.acceleration[row.body];
             by_duration -= row.scale * rate[row.axis] * (piece.start + row.offset) / scene_.duration;
@@ -133,7 +130,7 @@ class ExactWayCosts final : public WayCosts {
   }
 
   Vec2d At(int segment, double offset, int body, Quantity quantity) const {
-    const Flight::Piece& piece = sweep_->segments()[segment].piece;
+    const Flight::Piece& piece = sweep_->segments()[segment];
     const Vec2d v = piece.at_start.v[body] + offset * piece.acceleration[body];
     if (quantity == Quantity::kVelocity) return v;
     return piece.at_start.p[body] + 0.5 * offset * (piece.at_start.v[body] + v);
@@ -156,7 +153,7 @@ class ExactWayCosts final : public WayCosts {
     for (const TerminalTerm& term : scene_.objective.terminal) {
       const Vec2d& q = term.quantity == Quantity::kPosition ? flight_->end().p[term.body] : flight_->end().v[term.body];
       const Row row{.segment = last,
-                    .offset = sweep_->segments()[last].piece.duration,
+                    .offset = sweep_->segments()[last].duration,
                     .body = term.body,
                     .quantity = term.quantity,
                     .scale = std::sqrt(term.weight)};
@@ -169,17 +166,17 @@ class ExactWayCosts final : public WayCosts {
               .quantity = term.quantity,
               .scale = std::sqrt(term.weight),
               .scales = false};
-      row.offset = sweep_->segments()[row.segment].piece.duration;
+      row.offset = sweep_->segments()[row.segment].duration;
       both_axes(row, At(row.segment, row.offset, term.body, term.quantity) - term.target, Vec2d(0, 0), on_row);
     }
     for (const RunningTerm& term : scene_.objective.running) {
       for (int first = 0, step = 0; step < num_steps_; ++step) {
         int end = first;
-        while (end <= last && sweep_->segments()[end].piece.interval == step) ++end;
+        while (end <= last && sweep_->segments()[end].interval == step) ++end;
         std::vector<Row> rows;
         double integral = 0;
         for (int i = first; i < end; ++i) {
-          const Flight::Piece& piece = sweep_->segments()[i].piece;
+          const Flight::Piece& piece = sweep_->segments()[i];
           for (size_t g = 0; g < kGaussNodes.size(); ++g) {
             const double s = kGaussNodes[g] * piece.duration, t = piece.start + s;
             Row row{.segment = i,

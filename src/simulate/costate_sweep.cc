@@ -107,15 +107,14 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
   }
   std::sort(cuts.begin(), cuts.end());
   std::vector<int> first;  // segment of each piece
-  for (size_t i = 0; i < flight.pieces().size(); ++i) {
+  for (const Flight::Piece& whole : flight.pieces()) {
     first.push_back(static_cast<int>(segments_.size()));
-    const Flight::Piece& whole = flight.pieces()[i];
     const double margin = kNodeMargin * whole.duration;
     Flight::Piece part = whole;
     const double end = whole.start + whole.duration;
     const auto add = [&](double to) {
       part.duration = to - part.start;
-      segments_.push_back({part, static_cast<int>(i)});
+      segments_.push_back(part);
       part.at_start = whole.After(to - whole.start);
       part.start = to;
     };
@@ -127,7 +126,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
   first.push_back(static_cast<int>(segments_.size()));
   for (const Flight::Hit& hit : flight.hits()) segment_after_.push_back(first[hit.next_piece]);
   for (const ViaTerm& term : scene.objective.via) {
-    const auto starts = [&](const Segment& s) { return s.piece.start < term.time - kNodeMargin * s.piece.duration; };
+    const auto starts = [&](const Flight::Piece& s) { return s.start < term.time - kNodeMargin * s.duration; };
     const auto after = std::partition_point(segments_.begin(), segments_.end(), starts);
     via_after_.push_back(std::max(1, static_cast<int>(after - segments_.begin())));
   }
@@ -135,12 +134,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
 
 double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
   const int next = std::min<int>(segment_after_[k], static_cast<int>(segments_.size()) - 1);
-  return jump.MultiplierAt(segments_[next].piece, flight_.hits()[k].impact.speed, gain);
-}
-
-double CostateSweep::Early(int k, const ImpactJump& jump, double gain) const {
-  const int last = std::max(segment_after_[k] - 1, 0);
-  return jump.MultiplierAt(segments_[last].piece, flight_.hits()[k].impact.speed, gain);
+  return jump.MultiplierAt(segments_[next], flight_.hits()[k].impact.speed, gain);
 }
 
 void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms,
@@ -176,40 +170,29 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, Runnin
   }
 }
 
-CostateSweep::Balance CostateSweep::BalanceOf(const Flight::Piece& piece, double h, RunningTerms terms,
-                                              const std::vector<Costate<double>>& end) const {
-  Balance balance;
-  double at_end = 0;
+double CostateSweep::StretchOf(const Flight::Piece& piece, double h, RunningTerms terms,
+                               const std::vector<Costate<double>>& end) const {
+  double at_end = 0, drift = 0;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
-    const double kinetic = end[i].position.dot(piece.After(i, h).v);
-    const double push = end[i].velocity.dot(piece.acceleration[i]);
-    at_end += kinetic + push;
-    balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push));
+    at_end += end[i].position.dot(piece.After(i, h).v) + end[i].velocity.dot(piece.acceleration[i]);
     if (end[i].angle == 0 && piece.turning.empty()) continue;
     const double rate = piece.TurningOf(i);
-    const double turning = end[i].angle * (piece.at_start.spin[i] + h * rate) + end[i].angular_velocity * rate;
-    at_end += turning;
-    balance.largest = std::max(balance.largest, std::abs(kinetic) + std::abs(push) + std::abs(turning));
+    at_end += end[i].angle * (piece.at_start.spin[i] + h * rate) + end[i].angular_velocity * rate;
   }
   for (const RunningTerm& term : terms) {
     const Vec2d rate = TargetRate(term, piece);
-    const Vec2d miss = MissOf(term, piece, h);
-    at_end += term.weight * miss.squaredNorm();
-    balance.largest = std::max(balance.largest, term.weight * miss.squaredNorm());
+    at_end += term.weight * MissOf(term, piece, h).squaredNorm();
     for (size_t g = 0; g < kGaussNodes.size(); ++g) {
       const double s = kGaussNodes[g] * h;
-      const double by = -2 * term.weight * kGaussWeights[g] * h * MissOf(term, piece, s).dot(rate);
-      balance.drift += by;
-      balance.drift_moment += s * by;
+      drift -= 2 * term.weight * kGaussWeights[g] * h * MissOf(term, piece, s).dot(rate);
     }
   }
-  balance.hamiltonian = h * at_end - balance.drift_moment;
-  return balance;
+  return h * at_end + piece.start * drift;
 }
 
-double CostateSweep::CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
-                                 std::vector<Costate<double>>* now) const {
+void CostateSweep::CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
+                               std::vector<Costate<double>>* now) const {
   const Flight::Hit& hit = flight_.hits()[k];
   const std::array<int, 2> body = {hit.contact.a, hit.contact.plane ? -1 : hit.contact.b};
   std::array<Costate<double>, 2> after;
@@ -234,7 +217,6 @@ double CostateSweep::CrossImpact(int k, RunningTerms terms, const MultiplierOf& 
     costate = jump.before[side];
     costate.position += (side == 0 ? nu : -nu) * hit.impact.normal;
   }
-  return nu;
 }
 
 void CostateSweep::CrossVia(size_t index, const Vec2d& derivative, std::vector<Costate<double>>* now,
@@ -243,18 +225,18 @@ void CostateSweep::CrossVia(size_t index, const Vec2d& derivative, std::vector<C
   const bool of_position = term.quantity == Quantity::kPosition;
   const Vec2d rate =
       of_position ? flight_.Before(term.time).v[term.body] : AccelerationBefore(via_after_[index])[term.body];
-  result->clock += term.time * derivative.dot(rate);
+  result->by_duration -= term.time * derivative.dot(rate) / scene_.duration;
   Part(&(*now)[term.body], term.quantity) += derivative;
 }
 
-std::vector<Costate<double>> CostateSweep::AtEnd(const Source& source) const {
+std::vector<Costate<double>> CostateSweep::AtEnd(std::span<const ConstraintRow> constraints) const {
   std::vector<Costate<double>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     costates.push_back({scene_.duration, Vec2d(0, 0), Vec2d(0, 0)});
-    if (source.objective && !scene_.bodies[i].fixed) costates.back() = FinalCostate(scene_, flight_.end(), i);
+    if (!scene_.bodies[i].fixed) costates.back() = FinalCostate(scene_, flight_.end(), i);
   }
-  for (const ConstraintRow& row : source.constraints) {
-    if (row.IsAtEnd()) AddRow(row, &costates);
+  for (const ConstraintRow& row : constraints) {
+    if (row.via < 0) AddRow(row, &costates);
   }
   return costates;
 }
@@ -268,16 +250,13 @@ void CostateSweep::AddRow(const ConstraintRow& row, std::vector<Costate<double>>
   }
 }
 
-CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierOf& multiplier) const {
+CostateSweep::Result CostateSweep::Sweep(std::span<const ConstraintRow> constraints,
+                                         const MultiplierOf& multiplier) const {
   Result result;
-  std::vector<Costate<double>> now = AtEnd(source);
+  std::vector<Costate<double>> now = AtEnd(constraints);
   const int count = static_cast<int>(segments_.size());
   result.push.assign(count, std::vector<Vec2d>(scene_.num_controlled(), Vec2d(0, 0)));
   result.turn.assign(count, std::vector<double>(scene_.num_turned(), 0.0));
-  result.hamiltonian.resize(count);
-  result.drift.resize(count);
-  result.drift_moment.resize(count);
-  result.multipliers.resize(flight_.hits().size());
   result.after_impact.resize(flight_.hits().size());
   const auto note = [&] {
     for (const Costate<double>& costate : now) {
@@ -291,41 +270,30 @@ CostateSweep::Result CostateSweep::Sweep(const Source& source, const MultiplierO
       result.largest_velocity = std::max(result.largest_velocity, std::abs(costate.angular_velocity) / radius);
     }
   };
-  const RunningTerms terms = source.objective ? RunningTerms(scene_.objective.running) : RunningTerms();
+  const RunningTerms terms = scene_.objective.running;
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   for (int i = count;; --i) {
     note();
-    const auto add_limits = [&](bool before) {
-      for (const ConstraintRow& row : source.constraints) {
-        if (row.segment == i && row.before == before) AddRow(row, &now);
-      }
-    };
-    add_limits(/*before=*/false);
     for (; hit >= 0 && segment_after_[hit] == i; --hit) {
       result.after_impact[hit] = now;
-      result.multipliers[hit] = CrossImpact(hit, terms, multiplier, &now);
+      CrossImpact(hit, terms, multiplier, &now);
       note();
     }
-    add_limits(/*before=*/true);
     for (size_t v = scene_.objective.via.size(); v-- > 0;) {
       const ViaTerm& term = scene_.objective.via[v];
       if (via_after_[v] != i) continue;
-      for (const ConstraintRow& row : source.constraints) {
+      for (const ConstraintRow& row : constraints) {
         if (row.via == static_cast<int>(v)) CrossVia(v, row.multiplier * row.normal, &now, &result);
       }
-      if (!term.hard && source.objective) {
+      if (!term.hard) {
         const DiscStates x = flight_.Before(term.time);
         const Vec2d& q = term.quantity == Quantity::kPosition ? x.p[term.body] : x.v[term.body];
         CrossVia(v, 2 * term.weight * (q - term.target), &now, &result);
       }
     }
     if (i == 0) break;
-    const Flight::Piece& piece = segments_[i - 1].piece;
-    const Balance balance = BalanceOf(piece, piece.duration, terms, now);
-    result.hamiltonian[i - 1] = balance.hamiltonian;
-    result.drift[i - 1] = balance.drift;
-    result.drift_moment[i - 1] = balance.drift_moment;
-    result.largest_hamiltonian = std::max(result.largest_hamiltonian, balance.largest);
+    const Flight::Piece& piece = segments_[i - 1];
+    result.by_duration += StretchOf(piece, piece.duration, terms, now) / scene_.duration;
     CrossFlight(piece, piece.duration, terms, &now, &result.push[i - 1], &result.turn[i - 1]);
   }
   note();
@@ -350,7 +318,7 @@ CostateSweep::Derivatives CostateSweep::DerivativesOfPoint(int segment, double o
                                                            int axis, double scale, std::span<double> gradient) const {
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
   if (!scene_.bodies[body].fixed) (of_position ? now[body].position : now[body].velocity)[axis] = scale;
-  const bool at_end = segment + 1 == static_cast<int>(segments_.size()) && offset >= segments_[segment].piece.duration;
+  const bool at_end = segment + 1 == static_cast<int>(segments_.size()) && offset >= segments_[segment].duration;
   for (int k = static_cast<int>(flight_.hits().size()) - 1; at_end && k >= 0 && segment_after_[k] > segment; --k) {
     CrossImpact(
         k, {}, [&](int, const ImpactJump& jump, double gain) { return Late(k, jump, gain); }, &now);
@@ -363,7 +331,7 @@ CostateSweep::Derivatives CostateSweep::DerivativesOfIntegral(const RunningTerm&
   RunningTerm scaled = term;
   scaled.weight *= scale;
   std::vector<Costate<double>> now(scene_.num_bodies(), {0.0, Vec2d(0, 0), Vec2d(0, 0)});
-  return PullBack(end - 1, segments_[end - 1].piece.duration, {&scaled, 1}, first, std::move(now), gradient);
+  return PullBack(end - 1, segments_[end - 1].duration, {&scaled, 1}, first, std::move(now), gradient);
 }
 
 CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, RunningTerms terms, int first,
@@ -375,11 +343,10 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   while (hit >= 0 && segment_after_[hit] > segment) --hit;
   for (int i = segment; i >= 0; --i) {
-    const Flight::Piece& piece = segments_[i].piece;
+    const Flight::Piece& piece = segments_[i];
     const double length = i == segment ? offset : piece.duration;
     const RunningTerms here = i >= first ? terms : RunningTerms();
-    const Balance balance = BalanceOf(piece, length, here, now);
-    result.by_duration += balance.hamiltonian + piece.start * balance.drift + balance.drift_moment;
+    result.by_duration += StretchOf(piece, length, here, now) / scene_.duration;
     std::fill(push.begin(), push.end(), Vec2d(0, 0));
     std::fill(turn.begin(), turn.end(), 0.0);
     CrossFlight(piece, length, here, &now, &push, &turn);
@@ -387,7 +354,6 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
     for (; hit >= 0 && segment_after_[hit] == i; --hit)
       CrossImpact(hit, i > first ? terms : RunningTerms(), late, &now);
   }
-  result.by_duration /= scene_.duration;
   result.start = std::move(now);
   return result;
 }

@@ -73,15 +73,8 @@ struct ConstraintRow {
   int body = 0;
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
   Vec2d normal = Vec2d::Zero();  // of an angle or angular velocity the first entry
-  bool inequality = false;       // the multiplier is >= 0
-  double bend = 0;               // of a limit of the speed, whose normal is bend * v
-  // Its time: that of a waypoint, if `via` >= 0; or that at which a segment begins, if `segment` >= 0, before or after
-  // the impacts there; or the final time.
-  int via = -1, segment = -1;
-  bool before = false;
+  int via = -1;                  // the waypoint; -1: the final time
   double multiplier = 1;
-
-  bool IsAtEnd() const { return via < 0 && segment < 0; }
 };
 
 // Returns the rows of the terminal terms and then of the waypoints of a scene that are hard and have no region.
@@ -111,43 +104,27 @@ class CostateSweep {
   // The scene and the flight must outlive the object; scene.duration is that of the flight.
   CostateSweep(const Scene& scene, const Flight& flight);
 
-  // A segment: a part of a piece between instants at which a target turns or a via term acts.
-  struct Segment {
-    Flight::Piece piece;
-    int original = 0;  // the piece that it is a part of
-  };
-  const std::vector<Segment>& segments() const { return segments_; }
-  // Returns the segment that starts at an impact; segments().size() if that is at the final time.
-  int SegmentAfter(int hit) const { return segment_after_[hit]; }
-  // The number of via terms, and the segment that starts at the time of one of them.
-  int num_via() const { return static_cast<int>(via_after_.size()); }
+  // Returns the segments: parts of pieces between instants at which a target turns or a via term acts.
+  const std::vector<Flight::Piece>& segments() const { return segments_; }
+  // Returns the segment that starts at the time of a via term.
   int SegmentAfterVia(int term) const { return via_after_[term]; }
   // Returns the multiplier of impact k; `gain` as in ImpactJump.
   using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
-  // The multiplier with which the Hamiltonian does not jump if the force after (before) the impact acts on both sides
-  // of it: that of the derivative by a motion whose impact on a node is late (early).
+  // The multiplier with which the Hamiltonian does not jump if the force after the impact acts on both sides of it:
+  // that of the derivative by a motion whose impact on a node is late.
   double Late(int k, const ImpactJump& jump, double gain) const;
-  double Early(int k, const ImpactJump& jump, double gain) const;
 
-  // The function that the costates are derivatives of.
-  struct Source {
-    bool objective = true;                            // terms that are not hard
-    std::span<const ConstraintRow> constraints = {};  // times their multipliers
-  };
   struct Result {
     std::vector<Costate<double>> start;    // of each disc, at time 0
     std::vector<std::vector<Vec2d>> push;  // of each segment and pushed disc: the integral of lambda_v
     std::vector<std::vector<double>>
-        turn;  // of each segment and turned disc: that of the costate of its angular velocity
-    // For each segment: the integral of the Hamiltonian without the effort, of its partial derivative by time, and of
-    // this derivative times the time since the segment began.
-    std::vector<double> hamiltonian, drift, drift_moment;
-    std::vector<double> multipliers;  // of impacts
-    double clock = 0;                 // sum of (derivative of a via term by its time) * time
-    double largest_position = 0, largest_velocity = 0, largest_hamiltonian = 0;
+        turn;                // of each segment and turned disc: that of the costate of its angular velocity
+    double by_duration = 0;  // if all control intervals scale with the final time, and waypoints keep theirs
+    double largest_position = 0, largest_velocity = 0;
     std::vector<std::vector<Costate<double>>> after_impact;  // of each impact: of each disc
   };
-  Result Sweep(const Source& source, const MultiplierOf& multiplier) const;
+  // Carries back the derivatives of the terms that are not hard, and of the constraints times their multipliers.
+  Result Sweep(std::span<const ConstraintRow> constraints, const MultiplierOf& multiplier) const;
 
   // Adds to `gradient`, of the shape of a control, the derivatives by the forces and torques of an interval that follow
   // from `push` and `turn` of one of its segments.
@@ -168,33 +145,28 @@ class CostateSweep {
                                     std::span<double> gradient) const;
 
  private:
-  // Integrals over a segment of the Hamiltonian and of its partial derivative by time (see Result).
-  struct Balance {
-    double hamiltonian = 0, drift = 0, drift_moment = 0;
-    double largest = 0;  // magnitude of a part of the Hamiltonian
-  };
-
   // Carries all costates back from `length` after the start of a segment to its start. Adds the integral of lambda_v of
   // each controlled disc to `push`, and that of the costate of the angular velocity of each disc with a torque to
   // `turn`.
   void CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms, std::vector<Costate<double>>* now,
                    std::vector<Vec2d>* push, std::vector<double>* turn) const;
-  Balance BalanceOf(const Flight::Piece& piece, double length, RunningTerms terms,
-                    const std::vector<Costate<double>>& end) const;
-  double CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier,
-                     std::vector<Costate<double>>* now) const;
+  // Returns the derivative by the factor that scales all times, with what the first `length` of a segment contributes:
+  // the integral of the Hamiltonian without the effort, and of its partial derivative by time times the time.
+  double StretchOf(const Flight::Piece& piece, double length, RunningTerms terms,
+                   const std::vector<Costate<double>>& end) const;
+  void CrossImpact(int k, RunningTerms terms, const MultiplierOf& multiplier, std::vector<Costate<double>>* now) const;
   void CrossVia(size_t term, const Vec2d& derivative, std::vector<Costate<double>>* now, Result* result) const;
   // Pulls costates back from `offset` after the start of a segment to time 0; `terms` count from segment `first` on.
   Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
                        std::span<double> gradient) const;
-  std::vector<Costate<double>> AtEnd(const Source& source) const;
+  std::vector<Costate<double>> AtEnd(std::span<const ConstraintRow> constraints) const;
   static void AddRow(const ConstraintRow& row, std::vector<Costate<double>>* now);
-  const OfDiscs<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].piece.acceleration; }
+  const OfDiscs<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].acceleration; }
 
   const Scene& scene_;
   const Flight& flight_;
   std::vector<int> place_;  // by body: among the pushed ones, or -1
-  std::vector<Segment> segments_;
+  std::vector<Flight::Piece> segments_;
   std::vector<int> segment_after_;
   std::vector<int> via_after_;  // of each via term: the segment that starts at its time
 };

@@ -324,9 +324,7 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
     multipliers.push_back(impact.multiplier);
   }
   const CostateSweep::Result costates =
-      CostateSweep(whole, flight).Sweep({.constraints = rows}, [&](int k, const ImpactJump&, double) {
-        return multipliers[k];
-      });
+      CostateSweep(whole, flight).Sweep(rows, [&](int k, const ImpactJump&, double) { return multipliers[k]; });
 
   const std::optional<FreeDuration>& free = scene.objective.duration;
   const bool moving_end =
