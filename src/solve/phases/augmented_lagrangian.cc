@@ -82,6 +82,14 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    if (jacobians != nullptr && IsInactive(parameters, residuals)) {
+      std::fill_n(residuals, num_residuals(), 0.0);
+      for (size_t block = 0; block < parameter_block_sizes().size(); ++block) {
+        if (jacobians[block] == nullptr) continue;
+        std::fill_n(jacobians[block], num_residuals() * parameter_block_sizes()[block], 0.0);
+      }
+      return true;
+    }
     if (!function_->Evaluate(parameters, residuals, jacobians) || !IsFinite(residuals, jacobians)) return false;
     if (roles_.are_curved) AddCurvature(parameters[0], residuals, jacobians == nullptr ? nullptr : jacobians[0]);
     for (int i = 0; i < roles_.values; ++i) {
@@ -160,6 +168,16 @@ class AugmentedLagrangian::Weighted final : public ceres::CostFunction {
     return row < roles_.equalities || roles_.are_goals ? weights_->equality : weights_->inequality;
   }
   double CostOf(int row, double value) const { return row < num_constraints() + roles_.values ? value : value * value; }
+
+  // Whether all rows are inequalities that hold, whose Jacobian counts nothing and may cost much. Overwrites `rows`.
+  bool IsInactive(double const* const* parameters, double* rows) const {
+    if (roles_.inequalities < function_->num_residuals()) return false;
+    if (!function_->Evaluate(parameters, rows, nullptr)) return false;
+    for (int row = 0; row < roles_.inequalities; ++row) {
+      if (!std::isfinite(rows[row]) || rows[row] + multipliers_[row] / WeightOf(row) > 0) return false;
+    }
+    return true;
+  }
 
   // Writes rows of zero whose Jacobian is the root of the positive part of the Hessian of the rows times their
   // multipliers, by differences of their gradient.

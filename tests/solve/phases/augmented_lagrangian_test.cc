@@ -1,8 +1,10 @@
 #include "solve/phases/augmented_lagrangian.h"
 
 #include <ceres/autodiff_cost_function.h>
+#include <ceres/sized_cost_function.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
 
@@ -100,6 +102,37 @@ TEST(AugmentedLagrangianTest, CurvatureOfAnInequalityMakesStepsThoseOfNewton) {
   EXPECT_NEAR(x[1], 1 / std::sqrt(5), 1e-8);
   EXPECT_NEAR(curved.cost, std::pow(std::sqrt(5) - 1, 2), 1e-8);
   EXPECT_LT(curved.iterations, 0.7 * flat.iterations);
+}
+
+// x_0 <= most; counts its Jacobians.
+class Below final : public ceres::SizedCostFunction<1, 2> {
+ public:
+  Below(double most, int* jacobians) : most_(most), jacobians_(*jacobians) {}
+  bool Evaluate(double const* const* x, double* rows, double** jacobians) const override {
+    rows[0] = x[0][0] - most_;
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    ++jacobians_;
+    jacobians[0][0] = 1;
+    jacobians[0][1] = 0;
+    return true;
+  }
+
+ private:
+  double most_;
+  int& jacobians_;
+};
+
+TEST(AugmentedLagrangianTest, InequalitiesThatHoldTakeNoJacobians) {
+  for (const double most : {3.0, 1.0}) {
+    double x[] = {0.3, 0.9};
+    int jacobians = 0;
+    AugmentedLagrangian lagrangian;
+    lagrangian.Add(std::make_unique<Below>(most, &jacobians), {.inequalities = 1}, {x});
+    lagrangian.Add(std::make_unique<ceres::AutoDiffCostFunction<DistanceToPoint, 2, 2>>(new DistanceToPoint), {}, {x});
+    EXPECT_TRUE(lagrangian.Minimize({}).converged);
+    EXPECT_NEAR(x[0], std::min(most, 2.0), 1e-8);
+    EXPECT_EQ(jacobians > 0, most < 2);
+  }
 }
 
 }  // namespace
