@@ -36,7 +36,8 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               ends without an optimum; solvers by shooting where phases do not apply. Where none ends
 //                               with an optimum, they go on from the best end. The reason and SolveReport::solver name
 //                               the solver that was used.
-//   mode_search                 ceres_phases along neighbouring sequences of events, from several starts. Options:
+//   mode_search                 ceres_phases along neighbouring sequences of events, from several starts; from
+//                               the guess ipopt too, if ceres_phases finds no optimum there. Options:
 //                               iterations (solves), search_options, threads, callback, status and stop. An event of a
 //                               sequence in SolveReport::optima is {mode, guard}, or {mode, -1} of a control jump.
 SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options);

@@ -8,7 +8,9 @@
 #include "saltus/solve/hybrid_solver.h"
 #include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
+#include "solve/phases/interior_point.h"
 #include "solve/search/sequence_search.h"
+#include "solve/solve_chain.h"
 
 namespace saltus {
 namespace {
@@ -114,6 +116,14 @@ class HybridSearch {
       if (!search_start.is_guess) run.set_one_of_many(most_loss);
       if (auto refused = run.WhyNotStart()) return *refused;
       SolveReport report = MendHybrid(&run);
+      // The start of the user is worth a solve with second derivatives, where one without them finds no optimum.
+      const bool ended =
+          report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
+      if (search_start.is_guess && !ended && HasInteriorPoint()) {
+        HybridPhaseRun other("mode_search", at, own, from, search_start.sequence);
+        other.set_algorithm(AugmentedLagrangian::Algorithm::kInteriorPoint);
+        if (SolveReport second = MendHybrid(&other); EndsBetter(second, report)) report = std::move(second);
+      }
       finding.trial = {report.control, report.durations, report.initial_state, report.parameters, {}};
       run.Simulate(&finding.trial);
       return report;

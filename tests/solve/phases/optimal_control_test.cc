@@ -186,8 +186,9 @@ HybridProblem RocketProblem(int intervals) {
   return problem;
 }
 
-void ExpectOptimum(const HybridProblem& problem, double optimum, double digits, const std::string& name) {
-  const SolveReport report = Solve("auto", problem, {.iterations = 3000});
+void ExpectOptimum(const HybridProblem& problem, double optimum, double digits, const std::string& name,
+                   std::string_view solver = "auto") {
+  const SolveReport report = Solve(solver, problem, {.iterations = 3000, .search_options = {.starts = 1}});
   ASSERT_EQ(report.termination, Termination::kConverged) << name << ": " << report.reason;
   EXPECT_NEAR(report.final_loss, optimum, digits) << name;
   EXPECT_LE(report.final_violation, kFeasible) << name;
@@ -210,6 +211,13 @@ TEST(OptimalControl, ReachesTheOptimaOfTextbooksFromPlainGuesses) {
     ExpectOptimum(RobotArmProblem(intervals), coarse ? 9.14363 : 9.14135, 5e-6, "robot arm" + at);
     ExpectOptimum(RocketProblem(intervals), coarse ? -1.012829 : -1.012837, 5e-7, "rocket" + at);
   }
+}
+
+// Along the sequence of the guess ceres_phases misses the constraints.
+TEST(OptimalControl, AModeSearchSolvesFromTheGuessWithSecondDerivativesToo) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  EXPECT_NE(Solve("ceres_phases", BrachistochroneProblem(20), {}).termination, Termination::kConverged);
+  ExpectOptimum(BrachistochroneProblem(20), 0.82446, 5e-6, "chute", "mode_search");
 }
 
 TEST(OptimalControl, FindsAValueThatIsNoSquareWithoutBounds) {
