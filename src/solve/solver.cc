@@ -312,8 +312,7 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
     problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
   }
   problem.guess.parameters = parameters;
-  SolveReport report = Solve(solver == "ceres_event" ? "ceres_phases" : solver, problem, options);
-  report.solver = solver;
+  SolveReport report = Solve(solver, problem, options);
   report.contact = request.contact.name();
   if (report.parameters.empty()) report.parameters = DesignOf(scene);
   report.initial_state.resize(std::min<size_t>(report.initial_state.size(), InitialSize(scene)));
@@ -351,18 +350,24 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     if (start != nullptr) own.guess = ControlGuess{start->control, start->durations};
     return own;
   };
+  // A search over sequences is one of the scene, which is far faster.
+  const std::string_view as_hybrid = entry.name == "ipopt" ? "ipopt" : "ceres_phases";
   std::vector<double> parameters = DesignOf(request.scene);
-  SolveReport best = SolveAsHybrid(entry.name, request, solve_from(nullptr), parameters);
+  SolveReport best = SolveAsHybrid(as_hybrid, request, solve_from(nullptr), parameters);
   add(best);
+  std::vector<LocalOptimum> optima;
+  std::optional<Searched> searched;
   for (int turn = 0; turn < kMostTurns && !interrupted; ++turn) {
     SolveRequest given{WithDesign(request.scene, parameters), request.contact};
     given.scene.design.clear();
     if (!entry.why_not(given).empty()) break;
     SolveReport found = entry.solve(given, solve_from(turn == 0 ? nullptr : &best));
     add(found);
+    optima = found.optima;
+    searched = found.searched;
     const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
     if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
-    SolveReport next = SolveAsHybrid(entry.name, request, solve_from(&found), parameters);
+    SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);
     if (found.termination == Termination::kConverged) {
       found.termination = Termination::kNoProgress;
@@ -375,6 +380,9 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     parameters = best.parameters;
   }
   best = chain.Finish(std::move(best));
+  best.solver = entry.name;
+  best.optima = std::move(optima);
+  best.searched = searched;
   if (interrupted) best.termination = Termination::kInterrupted;
   return best;
 }

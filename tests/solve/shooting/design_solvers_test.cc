@@ -334,6 +334,8 @@ TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   EXPECT_EQ(report.solver, "mode_search");
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LT(report.final_loss, 0.8889);
+  ASSERT_TRUE(report.searched);
+  EXPECT_GT(report.searched->sequences, 1);
 }
 
 // The certificate of a wall that is moved knows where it stands between its bounds.
