@@ -4,6 +4,7 @@
 #include <chrono>
 #include <limits>
 #include <map>
+#include <memory>
 #include <utility>
 
 #include "global/relaxation.h"
@@ -17,6 +18,7 @@ using global::BoxBound;
 using global::ImpactBox;
 using global::kLargestTau;
 using global::kMostParameters;
+using global::Multipliers;
 using global::Relaxation;
 
 constexpr int kQuarters = 4;
@@ -24,15 +26,17 @@ constexpr double kNear = 1.05;  // of the known loss: open boxes with a bound be
 constexpr double kTight = 0.1;  // of the known loss: if their bound is as near to that at the middle
 constexpr double kSmall = 0.1;  // of the whole range: or if they are smaller in all parameters
 constexpr std::size_t kBoxesPerCheck = 256;
+constexpr std::size_t kBytesOfMultipliers = 1024;  // about
 
 struct Node {
   ImpactBox box;
   double lower = 0, own = 0, at_middle = 0;  // own: the bound of this box; `lower` may be that of one around it
   int split = -1;
+  std::shared_ptr<const Multipliers> multipliers;  // of this box; those of its halves are no worse
 };
 
 std::size_t BytesOf(const Node& node) {
-  return sizeof(Node) + node.box.sequence.size() * (sizeof(Candidate) + sizeof(int)) +
+  return sizeof(Node) + kBytesOfMultipliers + node.box.sequence.size() * (sizeof(Candidate) + sizeof(int)) +
          2 * sizeof(double) * node.box.low.size() + 64;
 }
 
@@ -257,8 +261,8 @@ class BranchAndBound {
     Node lower = node, upper = node;
     lower.box.high[j] = middle;
     upper.box.low[j] = middle;
-    Bound(std::move(lower));
-    Bound(std::move(upper));
+    Bound(std::move(lower), node.multipliers.get());
+    Bound(std::move(upper), node.multipliers.get());
   }
 
   // Cuts off the part of a box that is not in the order of time. Returns false if nothing remains.
@@ -278,16 +282,18 @@ class BranchAndBound {
     return true;
   }
 
-  void Bound(Node node) {
+  // `known` has the multipliers of a box around this one, or is null.
+  void Bound(Node node, const Multipliers* known = nullptr) {
     if (!Order(&node.box)) return;
     ++out_.boxes;
-    BoxBound bound = relaxation_.Bound(node.box, out_.upper);
+    BoxBound bound = relaxation_.Bound(node.box, out_.upper, known);
     node.box.low = std::move(bound.low);
     node.box.high = std::move(bound.high);
     node.lower = std::max(node.lower, bound.lower);
     node.own = bound.lower;
     node.at_middle = bound.at_middle;
     node.split = bound.split;
+    node.multipliers = std::move(bound.multipliers);
     if (node.lower >= out_.upper) {
       Count(node, &excluded_);
     } else {

@@ -1,5 +1,7 @@
 #include "global/relaxation.h"
 
+#include <ceres/jet.h>
+
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <algorithm>
@@ -10,6 +12,7 @@
 #include <utility>
 
 #include "global/interval.h"
+#include "global/taylor_model.h"
 #include "saltus/scene/materials.h"
 
 namespace saltus::global {
@@ -21,10 +24,18 @@ constexpr int kBoundedRounds = 30;  // where forces are bounded
 constexpr int kSideRounds = 3;
 constexpr int kWorstRounds = 3;
 constexpr int kSpreadRounds = 2;
-constexpr int kCautiousRounds = 40;
 constexpr int kRobustRounds = 12;
+constexpr int kLowestPoints = 3;  // where a dual function is least, for which multipliers are improved
+constexpr double kBlunt = 4;      // sharpness of the first smooth minimum, times the known loss
+constexpr double kSharper = 2;    // its factor after a full step
+constexpr double kBlunter = 0.5;  // its factor after a smaller step
+constexpr double kAmple = 1.5;    // of the known loss: multipliers need no larger dual function at points
+constexpr double kSmallestStep = 0.05;
+constexpr double kLeastPart = 1e-9;
+constexpr double kSlow = 0.01;             // of the known loss: a full step that gains less is the last one
 constexpr int kRobustWeights = 4;          // rounds after which weights are improved
 constexpr int kCornersOf = 3;              // parameters: boxes of more have too many corners
+constexpr int kMostParts = 32;             // into which a box is divided to enclose a dual function
 constexpr double kPoor = 0.9;              // of the dual function at the worst point: a lower bound gets more work
 constexpr double kEnough = 2;              // of the known loss: a box needs no larger bound at its worst point
 constexpr double kNarrow = 0.3;            // of the widest parameter: a box is not divided in narrower ones
@@ -607,29 +618,35 @@ int ImpactBox::EndOfRepetition(int i) const {
   return impacts;
 }
 
+struct Multipliers {
+  std::vector<Side> sides;
+  Weights weights;
+  Eigen::VectorXd values;
+};
+
 class Relaxation::Impl {
  public:
   explicit Impl(const Scene& scene) : plain_(scene), rounded_(MakeRounded(scene)) {}
 
-  BoxBound Bound(const ImpactBox& box, double upper) const {
+  BoxBound Bound(const ImpactBox& box, double upper, const Multipliers* known) const {
     switch (box.num_parameters()) {
       case 0:
       case 1:
-        return BoundOf<1>(box, upper);
+        return BoundOf<1>(box, upper, known);
       case 2:
-        return BoundOf<2>(box, upper);
+        return BoundOf<2>(box, upper, known);
       case 3:
-        return BoundOf<3>(box, upper);
+        return BoundOf<3>(box, upper, known);
       case 4:
-        return BoundOf<4>(box, upper);
+        return BoundOf<4>(box, upper, known);
       case 5:
       case 6:
-        return BoundOf<6>(box, upper);
+        return BoundOf<6>(box, upper, known);
       case 7:
       case 8:
-        return BoundOf<8>(box, upper);
+        return BoundOf<8>(box, upper, known);
       default:
-        return BoundOf<kMostParameters>(box, upper);
+        return BoundOf<kMostParameters>(box, upper, known);
     }
   }
 
@@ -641,7 +658,7 @@ class Relaxation::Impl {
   [[gnu::noinline]] static Numbers<Interval> RoundedNumbers(const Scene& scene) { return Numbers<Interval>(scene); }
 
   // Multipliers as affine functions of the parameters' differences from the middle.
-  struct Multipliers {
+  struct AffineMultipliers {
     Vector at_middle;
     std::vector<Vector> slopes;  // by parameter; none if they are constant
   };
@@ -709,12 +726,7 @@ class Relaxation::Impl {
     const int rounds = !weighted ? 0 : bounded ? kBoundedRounds : kWeightRounds;
     const auto maximize = [&] {
       solution->quadratic = QuadraticAt(box, solution->layout, point, solution->weights);
-      solution->z = Maximize(solution->quadratic,
-                             solution->layout,
-                             solution->weights,
-                             box.open,
-                             &solution->free,
-                             Vector::Zero(solution->layout.size));
+      solution->z = Maximize(solution->quadratic, solution->layout, solution->weights, box.open, &solution->free);
     };
     for (int side_round = 0;; ++side_round) {
       maximize();
@@ -734,18 +746,18 @@ class Relaxation::Impl {
   template <int N>
   Solution Worst(const ImpactBox& box, const std::vector<Side>& sides, const std::vector<double>& middle,
                  const Solution& at_middle, double upper) const {
-    using S = Jet<double, N>;
+    using S = ceres::Jet<double, N>;
     std::vector<double> low = box.low, high = box.high, point = middle;
     Solution worst = at_middle, now = at_middle;
     for (int k = 0; k < kWorstRounds && worst.value >= upper; ++k) {
       std::vector<S> theta(point.begin(), point.end()), z(now.z.begin(), now.z.end());
-      for (size_t j = 0; j < point.size(); ++j) theta[j].slope[j] = 1;
+      for (size_t j = 0; j < point.size(); ++j) theta[j].v[j] = 1;
       S dual;
       AddDualFunction<double>(plain_, box, now.layout, theta.data(), z.data(), S(), now.weights, &dual);
       bool moves = false;
       for (size_t j = 0; j < point.size(); ++j) {
-        (dual.slope[j] > 0 ? high : low)[j] = point[j];
-        const double next = k > 0 ? 0.5 * (low[j] + high[j]) : dual.slope[j] > 0 ? low[j] : high[j];
+        (dual.v[j] > 0 ? high : low)[j] = point[j];
+        const double next = k > 0 ? 0.5 * (low[j] + high[j]) : dual.v[j] > 0 ? low[j] : high[j];
         moves = moves || next != point[j];
         point[j] = next;
       }
@@ -758,12 +770,28 @@ class Relaxation::Impl {
   }
 
   template <int N>
-  BoxBound BoundOf(const ImpactBox& box, double upper) const {
+  BoxBound BoundOf(const ImpactBox& box, double upper, const Multipliers* known) const {
     const int parameters = box.num_parameters();
     std::vector<double> middle(parameters);
     for (int j = 0; j < parameters; ++j)
       middle[j] = std::clamp(0.5 * (box.low[j] + box.high[j]), box.low[j], box.high[j]);
 
+    BoxBound bound;
+    bound.lower = -std::numeric_limits<double>::infinity();
+    bound.low = box.low;
+    bound.high = box.high;
+    std::vector<double> lowest = middle;
+    const auto enclose = [&](const Layout& layout, const AffineMultipliers& multipliers, const Weights& weights) {
+      const double before = bound.lower;
+      Enclose<N>(box, layout, middle, multipliers, weights, upper, &bound, &lowest);
+      if (bound.lower > before) {
+        bound.multipliers = std::make_shared<Multipliers>(Multipliers{layout.sides, weights, multipliers.at_middle});
+      }
+    };
+    if (known != nullptr) {
+      enclose(Layout(static_cast<int>(plain_.terms.size()), box, known->sides), {known->values, {}}, known->weights);
+      if (bound.lower >= upper) return bound;
+    }
     Solution at_middle{Layout(static_cast<int>(plain_.terms.size()), box)};
     Weights& weights = at_middle.weights;
     weights.parts.assign(box.sequence.size(), {{{0.3, 0.3, 0.3}, {0.3, 0.3, 0.3}}});
@@ -774,15 +802,11 @@ class Relaxation::Impl {
     Solve(box, sides, middle, &at_middle);
     const Solution worst = Worst<N>(box, sides, middle, at_middle, upper);
 
-    BoxBound bound;
     bound.at_middle = at_middle.value;
-    bound.lower = -std::numeric_limits<double>::infinity();
-    bound.low = box.low;
-    bound.high = box.high;
-    const std::vector<std::vector<double>> points = PointsOf(box, middle);
-    const auto keep = [&](const Solution& solution, const Multipliers& multipliers) {
-      const Weights scaled = Spread(box, solution.layout, points, multipliers.at_middle, solution.weights);
-      Enclose<N>(box, solution.layout, middle, multipliers, scaled, upper, &bound);
+    std::vector<std::vector<double>> points = PointsOf(box, middle);
+    const auto keep = [&](const Solution& solution, const AffineMultipliers& multipliers) {
+      enclose(
+          solution.layout, multipliers, Spread(box, solution.layout, points, multipliers.at_middle, solution.weights));
     };
     std::vector<Quadratic> of_middle;  // by parameter, when needed
     const auto derivatives = [&]() -> const std::vector<Quadratic>& {
@@ -797,11 +821,15 @@ class Relaxation::Impl {
            Following(at_middle.quadratic, at_middle.layout, at_middle.free, at_middle.z, derivatives(), box));
     }
     const double poor = std::min(upper, kPoor * worst.value);
-    if (bound.lower < poor)
-      keep(at_middle, {Cautious(at_middle.quadratic, at_middle.layout, at_middle.weights, box, derivatives()), {}});
     if (bound.lower < poor) {
-      const Solution robust = Robust(box, points, at_middle, enough);
-      if (robust.value > bound.lower) keep(robust, {robust.z, {}});
+      Solution robust = at_middle;
+      robust.z.setZero();  // the dual function is about zero in the whole box
+      for (int k = 0; k < kLowestPoints && bound.lower < poor; ++k) {
+        if (k > 0) points.push_back(lowest);
+        robust = Robust(box, points, robust, upper);
+        if (robust.value <= bound.lower) break;
+        keep(robust, {robust.z, {}});
+      }
     }
     Balance(box, &bound);
     for (int j = 0; j < parameters; ++j) {  // no motion is in both parts that two of the bounds leave
@@ -852,7 +880,7 @@ class Relaxation::Impl {
   bool AddViolated(const std::vector<Side>& sides, const ImpactBox& box, const std::vector<double>& middle,
                    const Vector& z, const Weights& weights, Layout* layout) const {
     constexpr int kAtOnce = 8;
-    using S = Jet<double, kAtOnce>;
+    using S = ceres::Jet<double, kAtOnce>;
     std::vector<Side> next = layout->sides;
     for (size_t first = 0; first < sides.size(); first += kAtOnce) {
       std::vector<Side> now = layout->sides;
@@ -860,13 +888,13 @@ class Relaxation::Impl {
       const Layout all(layout->terms, box, now);
       std::vector<S> theta(middle.begin(), middle.end()), values(all.size);
       for (int i = 0; i < layout->size; ++i) values[i] = S(z[i]);
-      for (int i = layout->size; i < all.size; ++i) values[i].slope[i - layout->size] = 1;
+      for (int i = layout->size; i < all.size; ++i) values[i].v[i - layout->size] = 1;
       S dual;
       AddDualFunction<double>(plain_, box, all, theta.data(), values.data(), S(), weights, &dual);
       for (int i = layout->size; i < all.size; ++i) {
         const Side& side = now[i - layout->first_side];
         const double most = kViolated * std::abs(plain_.touches[side.touch].distance);
-        if (dual.slope[i - layout->size] > most && std::find(next.begin(), next.end(), side) == next.end() &&
+        if (dual.v[i - layout->size] > most && std::find(next.begin(), next.end(), side) == next.end() &&
             all.first_side + static_cast<int>(next.size()) < kMostMultipliers) {
           next.push_back(side);
         }
@@ -976,8 +1004,8 @@ class Relaxation::Impl {
   }
 
   // The maximum over the multipliers in floating point, by an active set of the approaches.
-  Vector Maximize(const Quadratic& q, const Layout& layout, const Weights& weights, bool open, std::vector<char>* free,
-                  const Vector& penalty) const {
+  Vector Maximize(const Quadratic& q, const Layout& layout, const Weights& weights, bool open,
+                  std::vector<char>* free) const {
     const int m = layout.size;
     free->assign(m, true);
     for (int i = 0; i < layout.terms; ++i) {
@@ -986,7 +1014,7 @@ class Relaxation::Impl {
     for (const int i : layout.not_negative) (*free)[i] = false;
     Vector z = Vector::Zero(m);
     for (int round = 0; round < 3 * m + 3; ++round) {
-      z = SolveFree(q, *free, q.linear, penalty);
+      z = SolveFree(q, *free, q.linear);
       int worst = -1;
       for (const int i : layout.not_negative) {
         if (z[i] < 0 && (worst < 0 || z[i] < z[worst])) worst = i;
@@ -996,7 +1024,7 @@ class Relaxation::Impl {
         z[worst] = 0;
         continue;
       }
-      const Vector gradient = q.linear - q.curvature * z - penalty.cwiseProduct(z);
+      const Vector gradient = q.linear - q.curvature * z;
       for (const int i : layout.not_negative) {
         if (!(*free)[i] && gradient[i] > 1e-9 * (1 + std::abs(q.linear[i])) &&
             (worst < 0 || gradient[i] > gradient[worst]))
@@ -1009,15 +1037,14 @@ class Relaxation::Impl {
     return z;
   }
 
-  static Vector SolveFree(const Quadratic& q, const std::vector<char>& free, const Vector& side,
-                          const Vector& penalty) {
+  static Vector SolveFree(const Quadratic& q, const std::vector<char>& free, const Vector& side) {
     const int m = static_cast<int>(side.size());
     Matrix matrix = q.curvature;
     Vector right = side;
     // Small weights make some curvatures very large, by which the others are not to be regularized.
     const double least = std::max(1e-300, 1e-6 * matrix.diagonal().maxCoeff());
     for (int i = 0; i < m; ++i) {
-      matrix(i, i) += kRegularization * std::max(matrix(i, i), least) + penalty[i];
+      matrix(i, i) += kRegularization * std::max(matrix(i, i), least);
       if (free[i]) continue;
       matrix.row(i).setZero();
       matrix.col(i).setZero();
@@ -1043,26 +1070,16 @@ class Relaxation::Impl {
     return derivatives;
   }
 
-  // Returns how far each component of the dual function's gradient at z changes from the middle of the box to its ends.
-  static Vector SpreadOfGradient(const std::vector<Quadratic>& derivatives, const Vector& z, const ImpactBox& box) {
-    Vector spread = Vector::Zero(z.size());
-    for (size_t j = 0; j < derivatives.size(); ++j) {
-      const Vector drift = derivatives[j].linear - derivatives[j].curvature * z;
-      spread += 0.5 * (box.high[j] - box.low[j]) * drift.cwiseAbs();
-    }
-    return spread;
-  }
-
   // Returns the best multipliers, which follow the parameters. Those of approaches and sides that would become negative
   // in the box stay, and the others follow as is best then.
-  static Multipliers Following(const Quadratic& q, const Layout& layout, std::vector<char> free, const Vector& z,
-                               const std::vector<Quadratic>& derivatives, const ImpactBox& box) {
-    Multipliers out{z, {}};
+  static AffineMultipliers Following(const Quadratic& q, const Layout& layout, std::vector<char> free, const Vector& z,
+                                     const std::vector<Quadratic>& derivatives, const ImpactBox& box) {
+    AffineMultipliers out{z, {}};
     for (bool changed = true; changed;) {
       changed = false;
       out.slopes.clear();
       for (const Quadratic& by : derivatives) {
-        out.slopes.push_back(SolveFree(q, free, by.linear - by.curvature * z, Vector::Zero(layout.size)));
+        out.slopes.push_back(SolveFree(q, free, by.linear - by.curvature * z));
       }
       for (const int i : layout.not_negative) {
         double spread = 0;
@@ -1079,157 +1096,137 @@ class Relaxation::Impl {
   }
 
   // Returns the solution whose multipliers and weights are about best for the least value of the dual function at some
-  // points of the box: the maximum of the average for those shares of the points for which it is least.
+  // points of the box: Newton's method maximises a smooth minimum, which becomes sharper.
   Solution Robust(const ImpactBox& box, const std::vector<std::vector<double>>& points, Solution start,
-                  double enough) const {
+                  double upper) const {
     Solution best = start, now = start;
     best.value = -std::numeric_limits<double>::infinity();
-    std::vector<double> shares(points.size(), 1.0 / static_cast<double>(points.size()));
+    std::vector<double> shares(points.size());
     std::vector<Quadratic> at(points.size(), Quadratic(0));
+    double sharpness = kBlunt / upper;
+    // Returns the smooth minimum at z, and computes the least value and the shares of the points in the gradient.
+    const auto smooth = [&](const Vector& z, double* least) {
+      for (size_t p = 0; p < points.size(); ++p) shares[p] = at[p].At(z);
+      *least = *std::min_element(shares.begin(), shares.end());
+      double sum = 0;
+      for (double& share : shares) sum += share = std::exp(-sharpness * (share - *least));
+      for (double& share : shares) share /= sum;
+      return *least - std::log(sum) / sharpness;
+    };
     for (int k = 0; k < kRobustRounds; ++k) {
       if (k % kRobustWeights == 0) {
         if (k > 0) Improve(box, now.layout, points, now.z, &now.weights, &shares);
         for (size_t p = 0; p < points.size(); ++p) at[p] = QuadraticAt(box, now.layout, points[p], now.weights);
       }
+      const double before = smooth(now.z, &now.value);
+      if (now.value > best.value) best = now;
+      if (best.value > kAmple * upper) break;
+      Vector mean = Vector::Zero(now.layout.size);
       now.quadratic = Quadratic(now.layout.size);
       for (size_t p = 0; p < points.size(); ++p) {
-        now.quadratic.constant += shares[p] * at[p].constant;
-        now.quadratic.linear += shares[p] * at[p].linear;
-        now.quadratic.curvature += shares[p] * at[p].curvature;
+        const Vector gradient = at[p].linear - at[p].curvature * now.z;
+        mean += shares[p] * gradient;
+        now.quadratic.curvature += shares[p] * (at[p].curvature + sharpness * gradient * gradient.transpose());
       }
-      now.z = Maximize(now.quadratic, now.layout, now.weights, box.open, &now.free, Vector::Zero(now.layout.size));
-      std::vector<double> values;
-      for (const Quadratic& quadratic : at) values.push_back(quadratic.At(now.z));
-      const auto [least, most] = std::minmax_element(values.begin(), values.end());
-      now.value = *least;
-      if (now.value > best.value) best = now;
-      if (best.value > enough || !(*most > *least)) break;
-      double sum = 0;
-      const double scale = 1 / (*most - *least), lowest = *least;
-      for (size_t p = 0; p < points.size(); ++p) {
-        sum += shares[p] = std::max(1e-6, shares[p]) * std::exp(-scale * (values[p] - lowest));
-      }
-      for (double& share : shares) share /= sum;
+      now.quadratic.curvature -= sharpness * mean * mean.transpose();
+      now.quadratic.linear = mean + now.quadratic.curvature * now.z;
+      const Vector step = Maximize(now.quadratic, now.layout, now.weights, box.open, &now.free) - now.z;
+      double part = 1, after = smooth(now.z + step, &now.value);
+      for (; part > kSmallestStep && !(after > before); part *= 0.5)
+        after = smooth(now.z + 0.5 * part * step, &now.value);
+      const bool full = part == 1;
+      while (after > kAmple * upper && part > kLeastPart &&
+             smooth(now.z + 0.5 * part * step, &now.value) > kAmple * upper)
+        part *= 0.5;
+      if (after > before) now.z += part * step;
+      if (full && after < before + kSlow * upper) break;
+      sharpness *= full ? kSharper : kBlunter;
     }
     return best;
   }
 
-  // Returns constant multipliers that are smaller where the gradient changes much in the box: about the best of
-  // dual - sum of |z_i| spread_i, by iterated quadratic penalties. Where a small box hardly meets the conditions of an
-  // impact, its multipliers begin many times too large and shrink by a factor in each round.
-  Vector Cautious(const Quadratic& q, const Layout& layout, const Weights& weights, const ImpactBox& box,
-                  const std::vector<Quadratic>& derivatives) const {
-    std::vector<char> free;
-    Vector penalty = 1e-2 * q.curvature.diagonal();
-    Vector z = Maximize(q, layout, weights, box.open, &free, penalty), best = z;
-    double most = -std::numeric_limits<double>::infinity();
-    for (int k = 0; k < kCautiousRounds; ++k) {
-      const Vector spread = SpreadOfGradient(derivatives, z, box);
-      const double value = q.At(z) - spread.dot(z.cwiseAbs());
-      const bool better = value > most + 0.01 * std::abs(most);
-      if (value > most) {
-        most = value;
-        best = z;
-      }
-      if (k >= 4 && !better && most >= 0) break;
-      const double least = 1e-6 * (1e-300 + z.cwiseAbs().maxCoeff());
-      for (int i = 0; i < layout.size; ++i) penalty[i] = spread[i] / std::max(std::abs(z[i]), least);
-      z = Maximize(q, layout, weights, box.open, &free, penalty);
-    }
-    return best;
-  }
-
-  // Raises the rigorous bound over the box, and cuts off parts of the box where it is above `upper`.
+  // Raises the rigorous bound over the box, and cuts off parts of the box where it is above `upper`. `lowest` becomes a
+  // point where the dual function is about least.
   template <int N>
   void Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
-               const Multipliers& multipliers, const Weights& weights, double upper, BoxBound* bound) const {
+               const AffineMultipliers& multipliers, const Weights& weights, double upper, BoxBound* bound,
+               std::vector<double>* lowest) const {
     const RoundUpward rounding;
-    EncloseRounded<N>(box, layout, middle, multipliers, weights, upper, bound);
+    EncloseRounded<N>(box, layout, middle, multipliers, weights, upper, bound, lowest);
   }
 
   // Called while the processor rounds upward. A function of its own, so that no operation is moved out of that time.
   template <int N>
   [[gnu::noinline]] void EncloseRounded(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
-                                        const Multipliers& multipliers, const Weights& weights, double upper,
-                                        BoxBound* bound) const {
-    using S = Jet<Interval, N>;
+                                        const AffineMultipliers& multipliers, const Weights& weights, double upper,
+                                        BoxBound* bound, std::vector<double>* lowest) const {
+    using S = TaylorModel<N>;
     const int parameters = box.num_parameters();
-    bool valid = true;  // whether the multipliers of approaches and sides are not negative
-    const auto dual_in = [&](const std::vector<Interval>& range) {
-      std::vector<S> theta(N), z(layout.size);
-      for (int j = 0; j < parameters; ++j) {
-        theta[j] = S(range[j]);
-        theta[j].slope[j] = Interval(1.0);
+    std::vector<S> theta(N), z;
+    for (int j = 0; j < parameters; ++j) theta[j] = S::Parameter(j, box.low[j], box.high[j]);
+    for (int i = 0; i < layout.size; ++i) {
+      z.emplace_back(Interval(multipliers.at_middle[i]));
+      for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
+        const double slope = multipliers.slopes[j][i];
+        if (slope != 0) z[i] += Interval(slope) * (theta[j] - S(Interval(middle[j])));
       }
-      for (int i = 0; i < layout.size; ++i) {
-        z[i] = S(Interval(multipliers.at_middle[i]));
-        for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
-          const Interval slope(multipliers.slopes[j][i]);
-          z[i].value += slope * (range[j] - Interval(middle[j]));
-          z[i].slope[j] = slope;
-        }
+    }
+    for (const int i : layout.not_negative) {  // z is at least twice its value at the middle, less the largest one
+      if (z[i].Largest() > 2 * z[i].value) return;
+    }
+    S dual;
+    AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &dual);
+    if (!(dual.error < std::numeric_limits<double>::infinity())) return;
+
+    std::vector<Wait<N>> order;  // those of consecutive impacts that may be negative in the box
+    for (size_t i = 1; i < box.sequence.size(); ++i) {
+      const int before = box.TimeIndex(static_cast<int>(i) - 1), at = box.TimeIndex(static_cast<int>(i));
+      if (box.high[before] > box.low[at]) order.push_back({before, at, theta[at] - theta[before]});
+    }
+    // The part with the least bound is halved, until no part is left or this was done often enough.
+    const auto is_worse = [](const BoxPart<N>& a, const BoxPart<N>& b) { return a.least > b.least; };
+    std::vector<BoxPart<N>> parts;
+    const auto keep = [&](BoxPart<N> part) {
+      for (const auto& wait : order) {
+        if (wait.In(part).upper() < 0) return;
       }
-      for (const int i : layout.not_negative) valid = valid && z[i].value.lower() >= 0;
-      S dual;
-      AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &dual);
-      return dual;
+      BoundPart(dual, order, &part);
+      parts.push_back(part);
+      std::push_heap(parts.begin(), parts.end(), is_worse);
     };
-    std::vector<Interval> range(parameters);
-    for (int j = 0; j < parameters; ++j) range[j] = Interval(box.low[j], box.high[j]);
-    const S whole = dual_in(range);
-    if (!valid) return;
-    // Where the dual function is monotonic in a parameter it is least at one end.
-    S dual = whole;
-    for (bool narrowed = true; narrowed;) {
-      narrowed = false;
-      for (int j = 0; j < parameters; ++j) {
-        if (!(range[j].lower() < range[j].upper())) continue;
-        if (dual.slope[j].lower() >= 0) {
-          range[j] = Interval(box.low[j]);
-        } else if (dual.slope[j].upper() <= 0) {
-          range[j] = Interval(box.high[j]);
-        } else {
-          continue;
-        }
-        narrowed = true;
-      }
-      if (narrowed) dual = dual_in(range);
+    BoxPart<N> whole;
+    whole.low.fill(-1);
+    whole.high.fill(1);
+    BoundPart(dual, order, &whole);
+    parts.push_back(whole);
+    for (int k = 1; k < kMostParts && !parts.empty() && parts.front().least < upper; ++k) {
+      std::pop_heap(parts.begin(), parts.end(), is_worse);
+      BoxPart<N> low = parts.back(), high = low;
+      parts.pop_back();
+      low.high[low.widest] = high.low[low.widest] = 0.5 * (low.low[low.widest] + low.high[low.widest]);
+      keep(low);
+      keep(high);
     }
-    // The mean-value form around that centre for which its lower end is greatest (Baumann 1988).
-    std::vector<double> point(parameters);
-    for (int j = 0; j < parameters; ++j) {
-      const double low = range[j].lower(), high = range[j].upper();
-      const double down = -dual.slope[j].lower(), up = dual.slope[j].upper();
-      point[j] = low < high ? std::clamp(low + (high - low) * (down / (down + up)), low, high) : low;
-    }
-    Interval changes(0.0);
-    for (int j = 0; j < parameters; ++j) {
-      const Interval centre(point[j]);
-      changes += dual.slope[j] * (range[j] - centre);
-      range[j] = centre;
-    }
-    const double lower = std::max(dual.value.lower(), (dual_in(range).value + changes).lower());
-    int split = -1;
-    double largest = 0;
-    for (int j = 0; j < parameters; ++j) {
-      const double change = boost::numeric::norm(whole.slope[j]) * (box.high[j] - box.low[j]);
-      if (!(change >= largest) || !(box.low[j] < box.high[j])) continue;
-      largest = change;
-      split = j;
-    }
-    // No motion of a loss below `upper` is where the least slope has raised the dual function by what is missing.
-    const Interval missing = Interval(upper) - Interval(lower);
+    const double lower = parts.empty() ? upper : parts.front().least;
     for (int j = 0; j < parameters && lower < upper; ++j) {
-      const Interval& slope = whole.slope[j];
-      if (slope.lower() > 0) {
-        const Interval end = Interval(box.low[j]) + missing / Interval(slope.lower());
-        bound->high[j] = std::min(bound->high[j], end.upper());
-      } else if (slope.upper() < 0) {
-        const Interval end = Interval(box.high[j]) + missing / Interval(slope.upper());
-        bound->low[j] = std::max(bound->low[j], end.lower());
+      double least = box.high[j], most = box.low[j];  // of motions of a loss below `upper`
+      for (const BoxPart<N>& part : parts) {
+        if (part.least >= upper) continue;
+        const Interval ends =
+            Interval(theta[j].value) + Interval(theta[j].slope[j]) * Interval(part.low[j], part.high[j]);
+        least = std::min(least, ends.lower());
+        most = std::max(most, ends.upper());
       }
+      bound->low[j] = std::max(bound->low[j], least);
+      bound->high[j] = std::min(bound->high[j], most);
     }
-    if (lower > bound->lower || bound->split < 0) bound->split = split;
+    *lowest = middle;
+    for (int j = 0; j < parameters && !parts.empty(); ++j) {
+      const BoxPart<N>& part = parts.front();
+      (*lowest)[j] = theta[j].value + 0.5 * theta[j].slope[j] * (part.low[j] + part.high[j]);
+    }
+    KeepInOrder(box, lowest);
+    if (parameters > 0 && (lower > bound->lower || bound->split < 0)) bound->split = whole.widest;
     bound->lower = std::max(bound->lower, lower);
   }
 
@@ -1240,6 +1237,8 @@ class Relaxation::Impl {
 Relaxation::Relaxation(const Scene& scene) : impl_(std::make_unique<Impl>(scene)) {}
 Relaxation::~Relaxation() = default;
 
-BoxBound Relaxation::Bound(const ImpactBox& box, double upper) const { return impl_->Bound(box, upper); }
+BoxBound Relaxation::Bound(const ImpactBox& box, double upper, const Multipliers* known) const {
+  return impl_->Bound(box, upper, known);
+}
 
 }  // namespace saltus::global

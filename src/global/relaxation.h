@@ -44,11 +44,14 @@ struct ImpactBox {
 inline constexpr double kLargestTau = 0.4142135623730952;  // above tan(pi / 8)
 inline constexpr int kMostParameters = 12;
 
+struct Multipliers;  // of a dual function, with the conditions that it has
+
 struct BoxBound {
   double lower = 0;      // rigorous: no motion in the box has a smaller loss, unless it is above the upper bound given
   double at_middle = 0;  // in floating point: the bound at the middle of the box
   std::vector<double> low, high;  // the part of the box that motions with a loss below the upper bound given may be in
   int split = -1;                 // the parameter in which the box should be halved; -1 if there is none
+  std::shared_ptr<const Multipliers> multipliers;  // those of the greatest bound; null if there is none
 };
 
 class Relaxation {
@@ -57,8 +60,9 @@ class Relaxation {
   explicit Relaxation(const Scene& scene);
   ~Relaxation();
 
-  // `upper` is the loss of a known motion: those of larger loss need not be bounded.
-  BoxBound Bound(const ImpactBox& box, double upper) const;
+  // `upper` is the loss of a known motion: those of larger loss need not be bounded. If `known` is not null, it has the
+  // multipliers of a box that differs from this one in its parameters only: they are tried before others are computed.
+  BoxBound Bound(const ImpactBox& box, double upper, const Multipliers* known = nullptr) const;
 
  private:
   class Impl;

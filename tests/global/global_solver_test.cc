@@ -55,7 +55,7 @@ TEST(GlobalSolver, ProvesItInMillimetres) {
 }
 
 TEST(GlobalSolver, ReportsTheGapThatItsLimitLeaves) {
-  const SolveReport report = Solve("global", {ProblemScene("two_balls"), "event"}, Limited(5e4));
+  const SolveReport report = Solve("global", {ProblemScene("two_balls"), "event"}, Limited(1e4));
   EXPECT_EQ(report.termination, Termination::kIterationLimit);
   EXPECT_THAT(report.reason, HasSubstr("no control has a loss below"));
   EXPECT_THAT(report.reason, HasSubstr("left: striker-target"));
