@@ -366,6 +366,7 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     optima = found.optima;
     searched = found.searched;
     const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
+    if (found.losses.empty() && best.losses.empty()) return found;  // whose reason is that of a scene
     if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
     SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);

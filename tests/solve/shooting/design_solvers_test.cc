@@ -327,6 +327,20 @@ TEST(DesignSolvers, EndWithTheBestControlOfTheirParameters) {
   EXPECT_LE(report.final_loss, solved.final_loss * (1 + 1e-9));
 }
 
+// A guess whose impacts accumulate is refused as it is with given parameters.
+TEST(DesignSolvers, RefuseAGuessAsWithGivenParameters) {
+  Scene scene = ControlProblem(14);
+  scene.steps = 60;
+  Scene designed = scene;
+  const double mass = scene.bodies.back().mass;
+  designed.design = {{{.kind = SceneParameter::Kind::kMass, .body = scene.num_bodies() - 1}, 0.5 * mass, 2 * mass}};
+  const SolveReport given = Solve("ceres_phases", {scene, "event"}, {});
+  const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
+  EXPECT_EQ(given.termination, Termination::kNotApplicable);
+  EXPECT_EQ(report.termination, Termination::kNotApplicable);
+  EXPECT_EQ(report.reason, given.reason);
+}
+
 // With the given post the ball is best sent past it; with a better one, against it.
 TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   const Scene scene = ProblemScene("post_shot");
