@@ -40,6 +40,7 @@ using Kind = FreeVariable::Kind;
 using Eigen::VectorXd;
 
 constexpr double kAtBound = 1e-6;       // of a bound's range, or an inequality's violation that counts as active
+constexpr double kSameTouch = 1e-6;     // of the duration: a touch and a grazing of a guard at the same time
 constexpr double kAtNode = 1e-6;        // of an interval: an event so near to its end is at it
 constexpr double kSameTime = 1e-14;     // of the duration
 constexpr double kBeside = 1e-13;       // of the duration: from an event to the end of an interval beside it
@@ -367,6 +368,11 @@ class HybridConditions {
       return HoldsAlways()->name + " holds always, and is evaluated up to the event within a control interval alone";
     }
     for (const HybridGrazing& grazing : simulator().grazings()) {
+      const bool is_touch = std::ranges::any_of(touches_, [&](const GuardTouch& touch) {
+        return touch.mode == grazing.mode && touch.guard == grazing.guard &&
+               std::abs(touch.time - grazing.time) <= kSameTouch * input_.duration;
+      });
+      if (is_touch) continue;
       return "guard '" + system_.GuardName(grazing.mode, grazing.guard) +
              "' grazes zero at t = " + std::to_string(grazing.time) +
              "; the conditions are those of events that cross it";

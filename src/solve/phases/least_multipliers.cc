@@ -7,14 +7,15 @@
 namespace saltus {
 namespace {
 
-constexpr int kMostRows = 256;             // that share a variable or a copy of one
-constexpr double kRegularization = 1e-12;  // of the diagonal: rows may depend on each other
+constexpr int kFewRows = 32, kManyRows = 256;  // that share a variable or a copy of one
+constexpr double kDependent = 1e-7;            // of the diagonal: the pivot of a row that depends on others
+constexpr double kRegularization = 1e-12;      // of the diagonal: rows may depend on each other
 
 using SparseRows = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 
 // Returns the rows over all copies, with the rows that hold copies equal after those of `constraints`. Sets `gradient`
 // to the gradient by the copies.
-SparseRows SplitSharedVariables(const SparseRows& constraints, Eigen::VectorXd* gradient) {
+SparseRows SplitSharedVariables(const SparseRows& constraints, int most_rows, Eigen::VectorXd* gradient) {
   std::vector<int> rows_of(constraints.cols(), 0);
   for (Eigen::Index row = 0; row < constraints.rows(); ++row) {
     for (SparseRows::InnerIterator entry(constraints, row); entry; ++entry) ++rows_of[entry.col()];
@@ -28,7 +29,7 @@ SparseRows SplitSharedVariables(const SparseRows& constraints, Eigen::VectorXd* 
   std::vector<Eigen::Triplet<double>> entries;
   Eigen::Index columns = 0, rows = constraints.rows();
   for (const int count : rows_of) {
-    const int copies = std::max(1, (count + kMostRows - 1) / kMostRows);
+    const int copies = std::max(1, (count + most_rows - 1) / most_rows);
     const double scale = std::sqrt(copies);
     for (int copy = 1; copy < copies; ++copy, ++rows) {
       entries.emplace_back(rows, columns + copy - 1, scale);
@@ -40,7 +41,7 @@ SparseRows SplitSharedVariables(const SparseRows& constraints, Eigen::VectorXd* 
   for (Eigen::Index row = 0; row < constraints.rows(); ++row) {
     for (SparseRows::InnerIterator entry(constraints, row); entry; ++entry) {
       Variable& variable = variables[entry.col()];
-      entries.emplace_back(row, variable.first_copy + variable.seen++ / kMostRows, variable.scale * entry.value());
+      entries.emplace_back(row, variable.first_copy + variable.seen++ / most_rows, variable.scale * entry.value());
     }
   }
   Eigen::VectorXd of_copies = Eigen::VectorXd::Zero(columns);
@@ -55,15 +56,22 @@ SparseRows SplitSharedVariables(const SparseRows& constraints, Eigen::VectorXd* 
 
 }  // namespace
 
+// The factors of many small copies are sparse. Where rows depend on others, they would not be accurate.
 Eigen::VectorXd LeastMultipliers(const SparseRows& constraints, const Eigen::VectorXd& gradient) {
-  Eigen::VectorXd of_copies = gradient;
-  const SparseRows rows = SplitSharedVariables(constraints, &of_copies);
-  Eigen::SparseMatrix<double> normal = rows * rows.transpose();
-  for (Eigen::Index i = 0; i < normal.rows(); ++i) normal.coeffRef(i, i) *= 1 + kRegularization;
-  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
-  if (factors.info() != Eigen::Success) return {};
-  const Eigen::VectorXd multipliers = -factors.solve(rows * of_copies);
-  return multipliers.allFinite() ? multipliers.head(constraints.rows()) : Eigen::VectorXd();
+  for (const int most_rows : {kFewRows, kManyRows}) {
+    Eigen::VectorXd of_copies = gradient;
+    const SparseRows rows = SplitSharedVariables(constraints, most_rows, &of_copies);
+    Eigen::SparseMatrix<double> normal = rows * rows.transpose();
+    for (Eigen::Index i = 0; i < normal.rows(); ++i) normal.coeffRef(i, i) *= 1 + kRegularization;
+    const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> factors(normal);
+    if (factors.info() != Eigen::Success) return {};
+    const Eigen::VectorXd diagonal = factors.permutationP() * normal.diagonal();
+    const bool dependent = (factors.vectorD().array() < kDependent * diagonal.array()).any();
+    if (dependent && most_rows == kFewRows) continue;
+    const Eigen::VectorXd multipliers = -factors.solve(rows * of_copies);
+    return multipliers.allFinite() ? multipliers.head(constraints.rows()) : Eigen::VectorXd();
+  }
+  return {};
 }
 
 Eigen::VectorXd RowsAfterStep(const SparseRows& jacobian, const Eigen::VectorXd& rows) {
