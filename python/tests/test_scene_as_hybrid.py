@@ -158,3 +158,17 @@ def test_an_impact_at_the_final_time_beside_running_costs_has_a_certificate():
     for size in (1e-1, 1e-2, 1e-3):
         changes = size * np.random.default_rng(0).normal(size=(60, control.size))
         assert batch.loss(control + changes).min() > run.loss
+
+
+def test_interior_points_take_waypoints_of_two_discs():
+    """The event of a waypoint changes no state of the discs, which are parts of the problem."""
+    scene = saltus.Scene(
+        name="via", duration=1.0, steps=16, optimize="control", control={"bodies": ["a"], "initial": [[4, 0.3]]},
+        bodies=[{"name": "a", "radius": 0.1, "mass": 1.0, "position": [-1, 0]},
+                {"name": "b", "radius": 0.15, "mass": 0.8, "position": [-0.3, 0.05]}],
+        objective={"terminal": [{"body": "b", "quantity": "position", "target": [0.15, 0.25], "weight": 30}], "effort": 0.02,
+                   "via": [{"body": "a", "time": 0.25, "quantity": "position", "target": [-0.9, 0.1], "weight": 2}]})
+    problem = saltus.hybrid_problem(scene)
+    inside, phases = saltus.solve(problem, solver="ipopt"), saltus.solve(problem, solver="ceres_phases")
+    assert inside.termination == phases.termination == "converged"
+    assert inside.loss == pytest.approx(phases.loss, abs=1e-8)

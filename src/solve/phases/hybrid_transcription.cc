@@ -812,6 +812,7 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
             TimeOf{}),
         {.equalities = 1},
         with_control);
+    if (parts.empty()) continue;  // the event is at a given time and changes no state
     const std::vector<double*> after = NodesAt(parts, j + 1, 0);
     blocks.insert(blocks.end(), after.begin(), after.end());
     auto reset = std::make_unique<ResetRows>(functions_,
