@@ -2,7 +2,8 @@
 
 #include <cmath>
 #include <cstdint>
-#include <numeric>
+
+#include "base/statistics.h"
 
 namespace saltus::python {
 namespace {
@@ -49,17 +50,6 @@ py::ssize_t SizeOf(const Shape& shape) {
   return size;
 }
 
-bool AllFinite(std::span<const double> numbers) {
-  constexpr size_t kLanes = 8;  // several sums, so that they need not wait for each other
-  double sums[kLanes] = {};     // x - x is 0, or not a number
-  size_t i = 0;
-  for (; i + kLanes <= numbers.size(); i += kLanes) {
-    for (size_t lane = 0; lane < kLanes; ++lane) sums[lane] += numbers[i + lane] - numbers[i + lane];
-  }
-  for (; i < numbers.size(); ++i) sums[0] += numbers[i] - numbers[i];
-  return std::accumulate(sums, sums + kLanes, 0.0) == 0;
-}
-
 void CheckFinite(const Array& array, const std::string& name) {
   const std::span<const double> numbers = View(array);
   if (AllFinite(numbers)) return;
@@ -75,7 +65,8 @@ Array ReadArray(const py::handle& value, const std::string& name, const Shape& s
     throw py::value_error(
         name +
         ": found the control of a run on intervals of different lengths, expected equal ones; where a "
-        "plan or durations are taken, pass plan=run or durations=run.durations");
+        "plan or durations are taken, pass plan=run or durations=run.durations; for equal intervals pass np.array of "
+        "it");
   }
   const Array read = ReadNumbers(value, name, shape);
   CheckFinite(read, name);

@@ -26,8 +26,7 @@ py::ssize_t SizeOf(const Shape& shape);
 Array ReadArray(const py::handle& value, const std::string& name, const Shape& shape);
 // Reads numbers, finite or not, for callers that check by themselves.
 Array ReadNumbers(const py::handle& value, const std::string& name, const Shape& shape);
-bool AllFinite(std::span<const double> numbers);
-// ValueError that names the first that is not.
+// ValueError that names the first number that is not finite.
 void CheckFinite(const Array& array, const std::string& name);
 
 // `out`, to be written to, or a new array if it is None. TypeError unless it is an array of doubles in row-major order;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/statistics.h"
 #include "convert.h"
 #include "motion.h"
 #include "programs/json_output.h"

@@ -49,13 +49,15 @@ def _with_torques(value: Any) -> Any:
 
 class Control(np.ndarray):
     """The control of a run whose intervals are not equally long, or whose duration was free: an array with the lengths of
-    its intervals as ``durations``, s. What takes a control on equal intervals refuses it. Arrays that are computed from it
-    have no durations."""
+    its intervals as ``durations``, s. What takes a control on equal intervals refuses it. Copies and arrays that are computed
+    from it have its durations if they have as many intervals; ``np.array(control)`` is an array without them."""
 
     durations: Floats | None
 
     def __array_finalize__(self, of: Any) -> None:
-        self.durations = None
+        durations = getattr(of, "durations", None)
+        is_whole = durations is not None and self.shape[:1] == (len(durations),)
+        self.durations = durations if is_whole else None
 
     def __reduce__(self) -> Any:
         return on_intervals, (np.array(self), self.durations)

@@ -61,8 +61,12 @@ def test_controls_on_other_intervals_are_refused(hockey):
     errors = 1e-18 * np.eye(8)
     runs = saltus.noisy_runs(two_balls, errors, plan=phases, samples=2)
     assert_allclose(runs.mean, np.ravel(phases.exact_final_state), atol=1e-8)
-    # Arrays that are computed from it are plain.
-    assert (2 * phases.control).durations is None
+    # Copies and sums are on the same intervals; parts are not, and an array that is asked for is plain.
+    for same in (phases.control.copy(), phases.control[:], phases.control + 0.1, 2 * phases.control):
+        with pytest.raises(ValueError, match="different lengths.*np.array"):
+            saltus.rollout(two_balls, control=same)
+    assert phases.control[:3].durations is None and phases.control[0].durations is None
+    assert not hasattr(np.array(phases.control), "durations")
 
 
 def test_start_from_a_run(hockey):

@@ -849,8 +849,9 @@ std::string WhyNoHybridProblem(const Scene& scene) {
   const bool limited = std::ranges::any_of(scene.objective.limits,
                                            [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; });
   if (limited && !scene.forces.empty()) {
-    return "limits of the speed that hold always beside drag or springs, which may be exceeded within an interval "
-           "(give at: end)";
+    return "limits of the speed that hold always, which may be exceeded within an interval beside drag or springs "
+           "(give "
+           "at: end)";
   }
   // The state has these discs where the scene has them.
   for (const auto& [parameter, min, max] : scene.design) {
