@@ -3,7 +3,6 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
-#include <map>
 #include <string>
 #include <vector>
 
@@ -13,7 +12,6 @@
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/scene/scene_file.h"
-#include "saltus/scene/scene_parameter.h"
 #include "scene/path_motion.h"
 
 namespace saltus::python {
@@ -102,18 +100,8 @@ Scene StartingAt(Scene scene, const py::object& position, const py::object& velo
   return scene;
 }
 
-// The scene with the values of its parameters that are optimized, by name.
-Scene WithParameters(const Scene& scene, const std::map<std::string, double>& values) {
-  std::vector<double> ordered;
-  for (const DesignParameter& free : scene.design) {
-    const auto value = values.find(NameOf(free.parameter, scene));
-    if (value == values.end()) throw py::value_error("parameters: found no " + NameOf(free.parameter, scene));
-    ordered.push_back(value->second);
-  }
-  return WithDesign(scene, ordered);
-}
-
-// The scene with what a run has found of the initial state, where that is free. `json` has keys of saltus_solve --json.
+// The scene with the parameters that a run has found, and the initial state, where that is free. `json` has keys of
+// saltus_solve --json.
 Scene StartingFromRun(Scene scene, const std::string& json) {
   try {
     StartFrom("run", ParseSolution("run", json, scene), &scene);
@@ -160,7 +148,6 @@ void BindScene(py::module_* module) {
       .def_property_readonly("angle", [](const Scene& scene) { return NumbersOf(scene, &Body::angle); })
       .def_property_readonly("angular_velocity",
                              [](const Scene& scene) { return NumbersOf(scene, &Body::angular_velocity); });
-  module->def("with_design", &WithParameters, py::arg("scene"), py::arg("parameters"));
   module->def("starting_from_run", &StartingFromRun, py::arg("scene"), py::arg("json"));
   module->def("starting_at",
               &StartingAt,

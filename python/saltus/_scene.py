@@ -141,9 +141,7 @@ def of_run(scene: _saltus.Scene, run: Mapping[str, Any]) -> tuple[_saltus.Scene,
     """Returns the scene with the initial state and the parameters of a run, its control, and the lengths of its intervals."""
     if "control" not in run:
         raise ValueError(f"run: found none with a solution: {run.get('reason', '')}")
-    if run.get("parameters"):
-        scene = _saltus.with_design(scene, run["parameters"])
-    keys = ("control", "durations", "position", "velocity", "angular_velocity")
+    keys = ("control", "durations", "position", "velocity", "angular_velocity", "parameters")
     scene = _saltus.starting_from_run(scene, json.dumps({key: run[key] for key in keys if key in run}, default=_plain))
     control = number_array(run["control"])
     intervals = len(control) or scene.steps

@@ -223,7 +223,7 @@ class IntegratedScene final : public Simulator {
         out->force[pushed_.control.bodies[c]] += Vec2d(pushed.control[k + 2 * c], pushed.control[k + 2 * c + 1]);
       }
     }
-    for (const auto& [parameter, min, max] : scene_.design) {
+    for (const auto& [parameter, min, max, moved] : scene_.design) {
       const bool position = parameter.kind == SceneParameter::Kind::kPosition;
       const double at_start = position ? gradient.initial[4 * parameter.body + parameter.component] : NAN;
       out->design.push_back(ByParameter(scene_, parameter, *out).value_or(at_start));

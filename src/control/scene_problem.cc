@@ -854,7 +854,7 @@ std::string WhyNoHybridProblem(const Scene& scene) {
            "at: end)";
   }
   // The state has these discs where the scene has them.
-  for (const auto& [parameter, min, max] : scene.design) {
+  for (const auto& [parameter, min, max, moved] : scene.design) {
     const auto is_of = [&](const auto& term) { return term.body == parameter.body; };
     const Objective& objective = scene.objective;
     const bool held = std::ranges::any_of(scene.forces, [&](const StateForce& force) {

@@ -165,7 +165,7 @@ std::optional<Motion> MotionOf(const Scene& scene, const std::vector<double>& in
 // beyond which the loss would fall. A stationary verdict falls if it is too large.
 void AddParameter(const Scene& scene, size_t i, double derivative, double size, Certificate* certificate) {
   const SceneParameter& parameter = scene.design[i].parameter;
-  ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(parameter, scene)};
+  ParameterCertificate entry{parameter, NameOf(parameter, scene), ValueOf(scene.design[i], scene)};
   entry.derivative = derivative;
   const ParameterRange range = RangeOf(scene.design[i]);
   const bool held = (entry.value <= range.min && derivative > 0) || (entry.value >= range.max && derivative < 0);

@@ -1,6 +1,7 @@
 // JSON and NPZ files that users hand to the programs.
 #pragma once
 
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -38,22 +39,27 @@ class InputReader {
 
 // A control or a solution from a file, of saltus or of another solver.
 struct SavedSolution {
-  std::vector<double> control;        // K x C x 2, N, for any K; empty if there is none
-  std::vector<double> durations;      // s, of the K intervals; empty: equally long
-  std::vector<double> initial_state;  // B x 4; empty if the file does not have it
+  std::vector<double> control;               // K x C x 2, N, for any K; empty if there is none
+  std::vector<double> durations;             // s, of the K intervals; empty: equally long
+  std::vector<double> initial_state;         // B x 4; empty if the file does not have it
+  std::map<std::string, double> parameters;  // values of design parameters, by their names
 };
 
 // Reads JSON (a run of saltus_solve --json, a document with one run, or an object with the keys "control", "durations",
-// "position" and "velocity", all optional) or NPZ ("control" of K x C x 2 or, of one disc, K x 2 numbers, "durations"
-// of K, "initial_state" of B x 4). Other keys are not looked at. Throws InputError, which begins with `flag`, if sizes
-// are not those of the scene.
+// "position", "velocity" and "parameters", all optional) or NPZ ("control" of K x C x 2 or, of one disc, K x 2 numbers,
+// "durations" of K, "initial_state" of B x 4, "parameter_names" and "parameters"). Other keys are not looked at. Throws
+// InputError, which begins with `flag`, if sizes are not those of the scene.
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene);
 
 // Parses JSON that is not in a file; messages begin with `name`.
 SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene);
 
-// Takes over the velocities or positions that the scene leaves free. Throws InputError if the others are not those of
-// the scene: then it is a solution of another problem.
+// Takes over the values of the scene's design parameters; those that the solution does not have stay. Throws InputError
+// if one is beyond its bounds.
+void TakeParameters(const std::string& flag, const SavedSolution& solution, Scene* scene);
+
+// Takes over these, and the velocities or positions that the scene leaves free. Throws InputError if the others are not
+// those of the scene: then it is a solution of another problem.
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene);
 
 // Reads a gradient from a JSON file, to be audited beside those of the contact models. Keys: position, velocity,

@@ -327,7 +327,7 @@ void ReadStart(Request* request) {
   if (path.empty()) return;
   Scene* scene = &request->scene;
   const SavedSolution solution = ReadSolution(flag, path, *scene);
-  if (warm) StartFrom(flag, solution, scene);
+  (warm ? StartFrom : TakeParameters)(flag, solution, scene);
   const bool needed = !warm || scene->optimize == Optimize::kControl;
   if (solution.control.empty()) {
     if (needed) throw InputError(flag + ": " + path + ": expected a control");

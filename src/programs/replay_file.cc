@@ -139,11 +139,30 @@ class ReplayReader : InputReader {
     if (!document.is_object()) Fail("the document", "an object");
     if (!given_) ReadDrawn(document);
     const auto runs = document.find("runs");
-    if (runs == document.end()) return ReadRun(document, "");
+    if (runs == document.end()) {
+      TakeParametersOf(document, "");
+      return ReadRun(document, "");
+    }
     if (!runs->is_array()) Fail("runs", "a list");
     for (size_t i = 0; i < runs->size(); ++i) {
       if (!(*runs)[i].is_object()) Fail("runs[" + std::to_string(i) + "]", "an object");
+      TakeParametersOf((*runs)[i], "runs[" + std::to_string(i) + "].");
       ReadRun((*runs)[i], "runs[" + std::to_string(i) + "].");
+    }
+  }
+
+  // Draws a given scene with the parameters that a run has found. A document has the discs and walls of its first run.
+  void TakeParametersOf(const Json& run, const std::string& place) {
+    const auto found = run.find("parameters");
+    if (found == run.end() || !run.contains("states")) return;
+    if (parameters_.is_null() && given_) {
+      const Json solution = {{"parameters", *found}};
+      TakeParameters(where(), ParseSolution(where(), solution.dump(), scene()), &scene());
+    }
+    if (parameters_.is_null()) parameters_ = *found;
+    if (parameters_ != *found) {
+      Fail(place + "parameters",
+           "those of the runs before it, as discs and walls are drawn once; solve each by itself");
     }
   }
 
@@ -295,7 +314,11 @@ class ReplayReader : InputReader {
     const StatusOr<NpzArrays> read = ReadNpz(where());
     if (!read.ok()) throw InputError(read.status().message());
     const NpzArrays& arrays = *read;
-    if (!given_) ReadArrayBodies(arrays);
+    if (!given_) {
+      ReadArrayBodies(arrays);
+    } else if (arrays.contains("parameters")) {
+      TakeParameters(where(), ReadSolution("--scene", where(), scene()), &scene());
+    }
     const std::vector<std::string> contact = Texts(arrays, "contact"), solver = Texts(arrays, "solver");
     const std::string model = contact.empty() ? "" : contact[0];
     std::string label = model.empty() ? "states" : model;
@@ -397,6 +420,7 @@ class ReplayReader : InputReader {
 
   bool given_;
   bool has_control_ = false;  // the file has the whole scene
+  Json parameters_;           // of the runs that are drawn; null if there are none
   Replay replay_;
 };
 

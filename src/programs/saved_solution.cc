@@ -2,10 +2,12 @@
 #include <cmath>
 
 #include "base/file.h"
+#include "base/number_text.h"
 #include "output/npz.h"
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/control/control_rows.h"
+#include "saltus/scene/scene_parameter.h"
 #include "saltus/simulate/simulator.h"
 
 namespace saltus {
@@ -103,11 +105,18 @@ class SolutionReader : InputReader {
       }
       CheckDurations();
     }
+    if (const auto parameters = run.find("parameters"); parameters != run.end()) {
+      if (!parameters->is_object()) Fail("parameters", "an object of numbers by their names");
+      for (const auto& [name, value] : parameters->items()) {
+        if (!value.is_number()) Fail("parameters." + name, "a finite number");
+        solution_.parameters[name] = value.get<double>();
+      }
+    }
     for (const auto& [key, offset] : {std::pair("position", 0), std::pair("velocity", 2)}) {
       const auto found = run.find(key);
       if (found == run.end()) continue;
       const std::vector<double> numbers = Vectors(*found, key, scene_.num_bodies());
-      if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
+      BeginState();
       for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[i / 2 * 4 + offset + i % 2] = numbers[i];
     }
     const auto spins = run.find("angular_velocity");
@@ -118,9 +127,17 @@ class SolutionReader : InputReader {
     SetAngularVelocities(spins->get<std::vector<double>>());
   }
 
+  // Sets the initial state, if there is none, to that of the scene with the parameters of the file.
+  void BeginState() {
+    if (!solution_.initial_state.empty()) return;
+    Scene scene = scene_;
+    TakeParameters(where(), solution_, &scene);
+    solution_.initial_state = InitialState(scene);
+  }
+
   // Sets entry 1 of each rotation of `initial_state`, which begins as the scene's.
   void SetAngularVelocities(const std::vector<double>& numbers) {
-    if (solution_.initial_state.empty()) solution_.initial_state = InitialState(scene_);
+    BeginState();
     const size_t moves = 4 * scene_.bodies.size();
     for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[moves + kSpin * i + 1] = numbers[i];
   }
@@ -149,6 +166,13 @@ class SolutionReader : InputReader {
       const std::vector<double> numbers = Numbers(initial->second, "initial_state");
       solution_.initial_state = InitialState(scene_);
       std::ranges::copy(numbers, solution_.initial_state.begin());
+    }
+    const auto names = arrays->find("parameter_names"), values = arrays->find("parameters");
+    if (names != arrays->end() && values != arrays->end()) {
+      const auto* texts = std::get_if<std::vector<std::string>>(&names->second.data);
+      const std::vector<double> numbers = Numbers(values->second, "parameters");
+      if (texts == nullptr || texts->size() != numbers.size()) Fail("parameter_names", "one name for each parameter");
+      for (size_t i = 0; i < numbers.size(); ++i) solution_.parameters[(*texts)[i]] = numbers[i];
     }
     const auto rotation = arrays->find("initial_rotation");
     if (rotation == arrays->end() || !scene_.Spins()) return;
@@ -194,7 +218,23 @@ SavedSolution ParseSolution(const std::string& name, const std::string& json, co
   return SolutionReader(name, "", scene).Read(json);
 }
 
+void TakeParameters(const std::string& flag, const SavedSolution& solution, Scene* scene) {
+  std::vector<double> values = DesignOf(*scene);
+  for (size_t i = 0; i < values.size(); ++i) {
+    const std::string name = NameOf(scene->design[i].parameter, *scene);
+    const auto saved = solution.parameters.find(name);
+    if (saved == solution.parameters.end()) continue;
+    const ParameterRange range = RangeOf(scene->design[i]);
+    values[i] = std::clamp(saved->second, range.min, range.max);
+    if (std::abs(saved->second - values[i]) <= kSameStart * (1 + std::abs(values[i]))) continue;
+    throw InputError(flag + ": parameters." + name + ": found " + ToText(saved->second) + ", expected a value from " +
+                     ToText(range.min) + " to " + ToText(range.max) + ", which the scene allows");
+  }
+  *scene = WithDesign(*scene, values);
+}
+
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene) {
+  TakeParameters(flag, solution, scene);
   if (solution.initial_state.empty()) return;
   for (int i = 0; i < scene->num_bodies(); ++i) {
     Body& body = scene->bodies[i];

@@ -260,6 +260,13 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   add("exact_", motions.exact);
 }
 
+// Returns the scene that is drawn: with the parameters of the first of these runs that has any.
+Scene DrawnScene(const Request& request, const SolvedRuns& solved) {
+  const auto has = [](const SolvedRun& run) { return !run.report.parameters.empty(); };
+  const auto found = std::ranges::find_if(solved.runs, has);
+  return found == solved.runs.end() ? request.scene : WithDesign(request.scene, found->report.parameters);
+}
+
 // Adds what is needed to draw states: discs and planes, and pockets and walls that end, if there are any.
 void AddDrawn(const Scene& scene, Json* document) {
   VisitDrawn(scene, [&]<typename T>(const char* key, const char*, const std::vector<T>& things) {
@@ -553,7 +560,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
   Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}};
   Reserve(8, &document);
   document["runs"] = std::move(list);
-  if (request.states) AddDrawn(request.scene, &document);
+  if (request.states) AddDrawn(DrawnScene(request, solved), &document);
   if (solved.interrupted) document["interrupted"] = true;
   return document;
 }

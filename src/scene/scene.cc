@@ -630,7 +630,7 @@ class Rules {
     using Kind = SceneParameter::Kind;
     const Key key{"optimize"};
     for (std::size_t i = 0; i < scene_.design.size() && !error_; ++i) {
-      const auto& [parameter, min, max] = scene_.design[i];
+      const auto& [parameter, min, max, moved] = scene_.design[i];
       const Kind kind = parameter.kind;
       Expect(kind >= Kind{} && kind <= Kind::kSegmentAngle && kind != Kind::kForce && kind != Kind::kLaw,
              key,

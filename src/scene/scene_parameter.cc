@@ -121,7 +121,7 @@ Vec2d Turned(const Vec2d& vector, double angle) {
 
 bool IsAngle(Kind kind) { return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle; }
 
-// Moves or turns a wall.
+// Moves or turns a wall; nothing moves by zero.
 void MoveWall(const SceneParameter& parameter, double by, Scene* scene) {
   if (by == 0) return;
   if (parameter.kind == Kind::kPlaneOffset || parameter.kind == Kind::kPlaneAngle) {
@@ -298,9 +298,13 @@ ParameterRange RangeOf(const DesignParameter& design) {
   return range;
 }
 
+double ValueOf(const DesignParameter& design, const Scene& scene) {
+  return IsOfWall(design.parameter.kind) ? design.moved : ValueOf(design.parameter, scene);
+}
+
 std::vector<double> DesignOf(const Scene& scene) {
   std::vector<double> values;
-  for (const DesignParameter& design : scene.design) values.push_back(ValueOf(design.parameter, scene));
+  for (const DesignParameter& design : scene.design) values.push_back(ValueOf(design, scene));
   return values;
 }
 
@@ -308,17 +312,15 @@ Scene WithDesign(const Scene& scene, std::span<const double> values) {
   if (values.empty()) return scene;
   CHECK_EQ(values.size(), scene.design.size());
   Scene designed = scene;
+  for (const DesignParameter& design : scene.design) {
+    if (!IsAngle(design.parameter.kind)) MoveWall(design.parameter, -design.moved, &designed);
+  }
   for (const bool angles : {true, false}) {
     for (std::size_t i = 0; i < values.size(); ++i) {
-      const SceneParameter& parameter = scene.design[i].parameter;
-      if (IsAngle(parameter.kind) == angles) SetValue(parameter, values[i], &designed);
+      const auto& [parameter, min, max, moved] = scene.design[i];
+      if (IsAngle(parameter.kind) == angles) SetValue(parameter, angles ? values[i] - moved : values[i], &designed);
+      if (IsOfWall(parameter.kind)) designed.design[i].moved = values[i];
     }
-  }
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    DesignParameter& design = designed.design[i];
-    if (!IsOfWall(design.parameter.kind)) continue;
-    if (design.min) *design.min -= values[i];
-    if (design.max) *design.max -= values[i];
   }
   return designed;
 }

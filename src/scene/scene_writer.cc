@@ -332,8 +332,8 @@ void WriteOptimize(YAML::Emitter* out, const Scene& scene) {
   for (const DesignParameter& design : scene.design) {
     *out << YAML::Flow << YAML::BeginMap;
     WriteField(out, "parameter", NameOf(design.parameter, scene));
-    if (design.min) WriteField(out, "min", *design.min);
-    if (design.max) WriteField(out, "max", *design.max);
+    if (design.min) WriteField(out, "min", *design.min - design.moved);
+    if (design.max) WriteField(out, "max", *design.max - design.moved);
     *out << YAML::EndMap;
   }
   *out << YAML::EndSeq;

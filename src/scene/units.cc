@@ -348,6 +348,7 @@ Scene InUnits(const Scene& scene, const Units& units) {
     for (std::optional<double>* bound : {&design.min, &design.max}) {
       if (*bound) *bound = ConvertParameter(design.parameter, **bound, scene.units, units);
     }
+    if (design.moved != 0) design.moved = ConvertParameter(design.parameter, design.moved, scene.units, units);
   }
   return out;
 }

@@ -102,7 +102,7 @@ class ForcedSimulator final : public Simulator {
         out.control[i] += out.factor * out.addend[i];
       }
     }
-    for (const auto& [parameter, min, max] : scene_.design) {
+    for (const auto& [parameter, min, max, moved] : scene_.design) {
       if (out.parameters == nullptr) break;
       const bool position = parameter.kind == SceneParameter::Kind::kPosition;
       const double at_start = position ? after[parameter.body * body_size() + parameter.component] : NAN;

@@ -134,6 +134,7 @@ CheckedRun SimulateAndCheck(const SolveRequest& request, const std::optional<Con
   if (!report.reason.empty()) return run;
   const auto begin = std::chrono::steady_clock::now();
   report.initial_state = InitialState(scene);
+  report.parameters = DesignOf(scene);
   report.control = guess ? guess->control : InitialControl(scene, scene.steps);
   if (guess) report.durations = guess->durations;
   CheckExactly(scene, stop, &run);

@@ -165,6 +165,67 @@ TEST(SolutionStates, AVelocityIsAWarmStartToo) {
   EXPECT_EQ(second["final_loss"], whole["final_loss"]);
 }
 
+// The parameters that a run has found are a part of its solution.
+TEST(SolutionStates, ParametersAreAWarmStartToo) {
+  const std::string path = TempFileWith("thrown.yaml", R"(name: thrown
+duration: 1
+steps: 4
+bodies: [{name: ball, radius: 0.1, mass: 1, position: [-1, 0], velocity: [3, 0]}]
+planes: [{name: wall, point: [0.5, 0], normal: [-1, 0]}]
+contact: {restitution: 0.9}
+control: {bodies: [ball], initial: [[0, 0]]}
+objective: {terminal: [{body: ball, quantity: position, target: [-0.9, 0.2], weight: 30}], effort: 0.02}
+optimize: [control, {parameter: offset.wall, min: -0.2, max: 0.3}, {parameter: restitution, min: 0.5, max: 0.95}]
+)");
+  const std::string flags = "--contact=event --scene=" + path, folder = TempFile("thrown");
+  const json found = Solve(flags + " --solver=ceres_phases --output_dir=" + folder)["runs"][0];
+  ASSERT_GT(std::abs(found["parameters"]["offset.wall"].get<double>()), 1e-3) << found["parameters"];
+  const std::string json_file = Write("thrown.json", found), npz_file = folder + "/thrown_event_ceres_phases.npz";
+  for (const std::string& start : {"--control=" + json_file, "--warm_start=" + json_file, "--warm_start=" + npz_file}) {
+    const json simulated = Solve(flags + " --solver=none " + start)["runs"][0];
+    EXPECT_NEAR(simulated["exact_loss"].get<double>(), found["exact_loss"].get<double>(), 1e-9) << start;
+    EXPECT_EQ(simulated["parameters"], found["parameters"]) << start;
+  }
+  // The wall is drawn where it was found.
+  const json drawn = Solve(flags + " --solver=none --states --control=" + json_file);
+  const double at = 0.5 - found["parameters"]["offset.wall"].get<double>();  // along [-1, 0]
+  EXPECT_NEAR(drawn["planes"][0]["point"][0].get<double>(), at, 1e-12);
+  const std::string drawn_file = Write("drawn.json", drawn);
+  for (const std::string& file : {drawn_file, drawn_file + " --scene=" + path, npz_file + " --scene=" + path}) {
+    const Outcome page = RunProgram("saltus_replay " + file + " --output=" + folder + "/replay.html");
+    ASSERT_EQ(page.exit_code, 0) << page.errors;
+    EXPECT_THAT(ContentsOf(folder + "/replay.html"), HasSubstr(drawn["planes"][0]["point"].dump())) << file;
+  }
+  json two = drawn;
+  two["runs"].push_back(drawn["runs"][0]);
+  two["runs"][1]["parameters"]["offset.wall"] = 0;
+  const Outcome mixed = RunProgram("saltus_replay " + Write("two.json", two) + " --output=" + folder + "/two.html");
+  EXPECT_EQ(mixed.exit_code, 2);
+  EXPECT_THAT(mixed.errors, HasSubstr("runs[1].parameters"));
+  const json again = Solve(flags + " --solver=ceres_phases --warm_start=" + npz_file)["runs"][0];
+  EXPECT_NEAR(again["initial_loss"].get<double>(), found["final_loss"].get<double>(), 1e-9);
+  const double offset = found["parameters"]["offset.wall"];
+  EXPECT_NEAR(again["parameters"]["offset.wall"].get<double>(), offset, 1e-5);  // from the wall of the scene
+  const std::string beyond = Write("beyond.json", {{"parameters", {{"restitution", 0.96}}}});
+  const Outcome refused = RunProgram("saltus_solve --progress=none --solver=gd --warm_start=" + beyond + " " + flags);
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.errors, HasSubstr("parameters.restitution: found 0.96, expected a value from 0.5 to 0.95"));
+  std::filesystem::remove_all(folder);
+}
+
+// The position of a fixed disc is not the scene's, where it is a parameter that was found.
+TEST(SolutionStates, AFoundPositionIsAWarmStartToo) {
+  const std::string flags = "--contact=event" + SceneFlag("post_shot"), folder = TempFile("post");
+  const json found = Solve("--solver=ceres_phases --output_dir=" + folder + " " + flags)["runs"][0];
+  ASSERT_NE(found["parameters"]["position.post.y"], 0);
+  for (const std::string& file : {Write("post.json", found), folder + "/post_shot_event_ceres_phases.npz"}) {
+    const json again = Solve("--solver=none --warm_start=" + file + " " + flags)["runs"][0];
+    EXPECT_NEAR(again["exact_loss"].get<double>(), found["exact_loss"].get<double>(), 1e-9) << file;
+    EXPECT_EQ(again["parameters"], found["parameters"]) << file;
+  }
+  std::filesystem::remove_all(folder);
+}
+
 TEST(SolutionStates, WrongFilesAreRefusedByPlace) {
   const std::string scene = SceneFlag("two_balls");
   const json row = json::array({json::array({1, 2})});

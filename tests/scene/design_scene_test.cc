@@ -136,6 +136,23 @@ TEST(DesignScene, WallsAreTurnedAndMoved) {
   EXPECT_EQ(WithDesign(scene, {}), scene);
 }
 
+// A wall that has been moved is moved again from its first place, and its value counts from there.
+TEST(DesignScene, ValuesOfWallsCountFromTheirFirstPlace) {
+  const Scene scene = SceneWith("[{parameter: offset.ground, min: -1, max: 2}, angle.ground, angle.gate]");
+  const std::vector<double> first = {0.5, 0.75, -0.25}, second = {-0.25, 0.5, 1};
+  const Scene once = WithDesign(scene, second), twice = WithDesign(WithDesign(scene, first), second);
+  EXPECT_EQ(DesignOf(twice), second);
+  EXPECT_FALSE(Validate(twice));
+  EXPECT_NEAR((twice.planes[0].point - once.planes[0].point).norm(), 0, 1e-15);
+  EXPECT_NEAR((twice.planes[0].normal - once.planes[0].normal).norm(), 0, 1e-15);
+  EXPECT_NEAR((twice.segments[0].to - once.segments[0].to).norm(), 0, 1e-15);
+  EXPECT_EQ(RangeOf(twice.design[0]).max, 2);
+  // A file has the wall where it is.
+  const auto read = ParseScene(WriteScene(once), "test.yaml");
+  EXPECT_EQ(DesignOf(std::get<Scene>(read)), std::vector<double>(3));
+  EXPECT_EQ(RangeOf(std::get<Scene>(read).design[0]).min, -0.75);
+}
+
 TEST(DesignScene, UnitsConvertValuesAndBounds) {
   std::string text = kAll;
   text.erase(text.find("position.post.a, "), 17);

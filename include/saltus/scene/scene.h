@@ -372,6 +372,7 @@ struct SceneParameter {
 struct DesignParameter {
   SceneParameter parameter;
   std::optional<double> min = std::nullopt, max = std::nullopt;  // in the parameter's unit; min < max
+  double moved = 0;  // the offset or angle of a wall, which the scene has already
 
   bool operator==(const DesignParameter&) const = default;
 };

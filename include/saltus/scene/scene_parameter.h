@@ -49,6 +49,8 @@ struct ParameterRange {
 };
 ParameterRange RangeOf(const DesignParameter& design);
 
+// Returns the value of a design parameter. That of a wall counts from where the wall was in the scene of the file.
+double ValueOf(const DesignParameter& design, const Scene& scene);
 // Returns the values of Scene::design in the scene, in its order.
 std::vector<double> DesignOf(const Scene& scene);
 // Returns the scene with these values, one for each of Scene::design, or none, which leaves the scene as it is. Walls
