@@ -204,6 +204,7 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
   }
   std::vector<SceneConstraint> constraints;
   HybridProblem problem = HybridProblemOf(scene, &constraints);
+  HybridProblem with_parameters = problem;
   problem.free.parameters.clear();  // whose derivatives are judged with the multipliers of the other conditions
   problem.free.parameters_min.clear();
   problem.free.parameters_max.clear();
@@ -229,6 +230,15 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
   for (size_t i = 0; i < by_parameters.size(); ++i) {
     AddParameter(scene, i, by_parameters[i].value, by_parameters[i].size, &certificate);
   }
+  if (certificate.curvature && !scene.design.empty() && !options.always_curvature) {
+    // A minimum has a positive curvature along the parameters too.
+    options.multipliers = nullptr;
+    options.parameters = nullptr;
+    options.least_parameter = 1;  // in natural units
+    Certificate wider = CertifyConditions(with_parameters, input, options);
+    certificate.curvature = std::move(wider.curvature);
+    if (certificate.IsStationary() && wider.IsStationary()) certificate.reason = std::move(wider.reason);
+  }
   if (!certificate.curvature) return certificate;
   // The condition of Legendre and Clebsch: where H_uu is zero, the second variation is not positive definite.
   if (scene.objective.effort == 0) {
@@ -239,7 +249,8 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
     return certificate;
   }
   std::vector<double>& direction = certificate.curvature->direction;
-  direction.resize(control.size());  // without the final time
+  direction.resize(control.size());  // without the final time and the parameters
+  if (!scene.design.empty()) return certificate;
   double square = 0;
   for (size_t i = 0; i < direction.size(); ++i) {
     square += motion.lengths[i / scene.control_width()] * direction[i] * direction[i];
@@ -460,7 +471,9 @@ using enum Certificate::Verdict;
 // Says what a stationary control means: the loss does not change to first order.
 std::string MeaningOfStationary(const Certificate& certificate) {
   if (certificate.initial) return "to first order no change of what is optimized lowers the loss";
-  const std::string which = certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control";
+  const std::string which =
+      std::string(certificate.verdict == kStationaryOnGrid ? "forces on these intervals" : "the control") +
+      (certificate.parameters.empty() ? "" : " and the parameters");
   if (!certificate.curvature) {
     return "to first order no change of " + which + " lowers the loss; its curvature was not looked at";
   }

@@ -1041,7 +1041,8 @@ class HybridConditions {
   }
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return sizes_.control[variable.index % width()];
-    return std::abs(variable.In(input_));
+    const double least = variable.kind == Kind::kParameter ? options_.least_parameter : 0;
+    return std::max(std::abs(variable.In(input_)), least);
   }
 
   // Returns the derivative of a time in a phase by the unknowns.
@@ -1236,6 +1237,7 @@ class HybridConditions {
       size = std::max(size, std::abs(input_.control[i]));
     }
     sizes_.parameters = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
+    sizes_.parameters = sizes_.parameters.cwiseMax(options_.least_parameter);
     // The changes of a motion without its events, and their largest sizes by mode.
     std::vector<Eigen::MatrixXd> largest;
     for (const VectorXd& sizes : sizes_.state) largest.push_back(Eigen::MatrixXd::Zero(sizes.size(), width()));

@@ -41,6 +41,7 @@ struct ConditionsOptions {
   // Whether there is a curvature where the conditions do not hold, too: with the intervals as they are, and events at
   // their ends held there.
   bool always_curvature = false;
+  double least_parameter = 0;  // the size of parameters that are smaller, for second derivatives by them
 };
 
 // Certifies as Certify() does, without a look at kinks. Precondition: WhatIsWrongWith(input, problem.system) is empty,

@@ -121,7 +121,11 @@ std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) 
   }
   if (!IsExact(request)) return found + ", which this solver changes under the contact model event only";
   if (scene.optimize != Optimize::kControl) {
-    return found + " without a control; gd, ceres_lbfgs and ceres_lm take parameters alone";
+    return found + " without a control" +
+           (scene.objective.duration
+                ? ", and the duration is free: no solver takes both; give a duration, or optimize the "
+                  "control too"
+                : "; gd, ceres_lbfgs and ceres_lm take parameters alone");
   }
   if (!request.terms.empty()) {
     return found + " beside user-defined cost terms, which are taken with given parameters only";
@@ -406,8 +410,17 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, SolveRep
     Certificate kinks = CertifyKinks(scene, report->control, report->durations);
     if (kinks.verdict != Certificate::Verdict::kNotApplicable) certificate = std::move(kinks);
   }
-  for (size_t i = 0; i < certificate.parameters.size(); ++i) {  // of walls it has those from where they stand
-    certificate.parameters[i].value = report->parameters[i];
+  const bool flat = certificate.curvature && certificate.curvature->kind == Curvature::Kind::kFlat;
+  std::string without;
+  for (const ParameterCertificate& entry : certificate.parameters) {
+    const bool has_slope = std::abs(entry.derivative) > kCertificateTolerance;
+    if (has_slope || entry.parameter.kind == SceneParameter::Kind::kGravity) continue;
+    without += (without.empty() ? "" : ", ") + entry.name;
+  }
+  if (flat && certificate.impacts.empty() && !without.empty()) {
+    report->reason += (report->reason.empty() ? "" : "; ") +
+                      std::string("nothing touches, and the loss does not depend on ") + without +
+                      ": try another initial guess";
   }
   JudgeByCertificate(report);
 }

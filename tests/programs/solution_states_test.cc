@@ -226,6 +226,51 @@ TEST(SolutionStates, AFoundPositionIsAWarmStartToo) {
   std::filesystem::remove_all(folder);
 }
 
+// A disc strikes a peg head-on. By symmetry the derivative by the height of the peg vanishes, and the loss is largest
+// there: a peg that is higher or lower takes less of the speed that the disc should have at the end.
+TEST(SolutionStates, AMaximumAlongAParameterIsNoMinimum) {
+  const std::string path = TempFileWith("head_on.yaml", R"(name: head_on
+duration: 1
+steps: 8
+bodies:
+  - {name: ball, radius: 0.1, mass: 1, position: [-0.5, 0], velocity: [2, 0]}
+  - {name: peg, radius: 0.2, fixed: true, position: [0.5, 0]}
+contact: {restitution: 0.9}
+control: {bodies: [ball], initial: [[0, 0]]}
+objective: {terminal: [{body: ball, quantity: velocity, target: [1, 0]}], effort: 50}
+optimize: [control, {parameter: position.peg.y, min: -0.25, max: 0.25}]
+)");
+  const json run = Solve("--contact=event --solver=ceres_phases --scene=" + path)["runs"][0];
+  const bool leaves = std::abs(run["parameters"]["position.peg.y"].get<double>()) > 0.1;
+  EXPECT_TRUE(leaves || run["certificate"]["in_words"] == "saddle") << run["certificate"];
+  EXPECT_TRUE(leaves || run["termination"] == "no_progress") << run["termination"];
+}
+
+// The loss of a motion that touches nothing does not depend on where the post is.
+TEST(SolutionStates, ParametersWithoutMeaningAreNamed) {
+  const json run = Solve("--contact=event --solver=ceres_lm" + SceneFlag("post_shot"))["runs"][0];
+  ASSERT_TRUE(run["events"].empty()) << run["events"];
+  EXPECT_THAT(run["reason"].get<std::string>(), HasSubstr("the loss does not depend on position.post.x"));
+}
+
+TEST(SolutionStates, ParametersAloneBesideAFreeDurationAreRefused) {
+  const std::string path = TempFileWith("launched.yaml", R"(name: launched
+duration: 1
+steps: 16
+bodies:
+  - {name: a, radius: 0.1, mass: 1, position: [-1, 0], velocity: [1, 0]}
+  - {name: b, radius: 0.15, mass: 0.8, position: [-0.3, 0.05]}
+free: [a]
+objective:
+  terminal: [{body: b, quantity: position, target: [0.15, 0.25]}]
+  duration: {free: true, min: 0.5, max: 2}
+optimize: [velocity, mass.b]
+)");
+  const Outcome refused = RunProgram("saltus_solve --progress=none --contact=event --solver=auto --scene=" + path);
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.errors, HasSubstr("the duration is free: no solver takes both"));
+}
+
 TEST(SolutionStates, WrongFilesAreRefusedByPlace) {
   const std::string scene = SceneFlag("two_balls");
   const json row = json::array({json::array({1, 2})});
