@@ -671,11 +671,17 @@ class Rules {
           return found() + " beside " + NameOf(other, scene_) + ", expected one of them";
         });
       }
+      const ParameterRange widest = RangeOf({parameter});
       for (const std::optional<double>& bound : {min, max}) {
         if (bound) Number(key, *bound, in_.any);
+        const bool beyond = bound && (*bound + kSmallestPositive < widest.min || *bound > widest.max);
+        Expect(!beyond, key, [&] {
+          return found() + " with the bound " + ToText(*bound) + ", expected one from " + ToText(widest.min) + " to " +
+                 ToText(widest.max);
+        });
       }
       const ParameterRange range = RangeOf(scene_.design[i]);
-      const double value = ValueOf(parameter, scene_);
+      const double value = ValueOf(scene_.design[i], scene_);
       Expect(range.min < range.max, key, [&] {
         return found() + " between " + ToText(range.min) + " and " + ToText(range.max) + ", expected min < max";
       });
