@@ -98,7 +98,7 @@ bool Integrates(const Scene& scene, SceneParameters parameters) {
 std::vector<double> WaypointTimes(const Scene& scene, bool integrates) {
   std::set<double> times;
   for (const ViaTerm& term : scene.objective.via) times.insert(term.time);
-  constexpr double kBeforeEnd = 1 - 1e-9;  // intervals add up to the duration but for rounding
+  constexpr double kBeforeEnd = 1 - 1e-9;  // the sum of the intervals is the duration within rounding
   const double end = scene.objective.duration ? std::numeric_limits<double>::infinity() : kBeforeEnd * scene.duration;
   const auto add = [&](const std::vector<double>& turns) {
     for (const double turn : turns) {
