@@ -240,10 +240,12 @@ control: {bodies: [ball], initial: [[0, 0]]}
 objective: {terminal: [{body: ball, quantity: velocity, target: [1, 0]}], effort: 50}
 optimize: [control, {parameter: position.peg.y, min: -0.25, max: 0.25}]
 )");
-  const json run = Solve("--contact=event --solver=ceres_phases --scene=" + path)["runs"][0];
-  const bool leaves = std::abs(run["parameters"]["position.peg.y"].get<double>()) > 0.1;
-  EXPECT_TRUE(leaves || run["certificate"]["in_words"] == "saddle") << run["certificate"];
-  EXPECT_TRUE(leaves || run["termination"] == "no_progress") << run["termination"];
+  for (const std::string solver : {"ceres_phases", "ceres_event", "ceres_lm"}) {
+    const json run = Solve("--contact=event --solver=" + solver + " --scene=" + path)["runs"][0];
+    if (std::abs(run["parameters"]["position.peg.y"].get<double>()) > 0.1) continue;  // it has left the maximum
+    EXPECT_THAT(run["certificate"]["in_words"].get<std::string>(), testing::StartsWith("saddle")) << solver;
+    EXPECT_EQ(run["termination"], "no_progress") << solver;
+  }
 }
 
 // The loss of a motion that touches nothing does not depend on where the post is.
