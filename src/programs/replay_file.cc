@@ -56,8 +56,8 @@ class ReplayReader : InputReader {
   }
 
  private:
-  Scene& scene() { return replay_.scene; }
-  const Scene& scene() const { return replay_.scene; }
+  Scene& scene() { return own_ ? *own_ : replay_.scene; }
+  const Scene& scene() const { return own_ ? *own_ : replay_.scene; }
   size_t num_discs() const { return scene().bodies.size(); }
 
   double NumberIn(const Json& value, const std::string& key) const {
@@ -95,7 +95,7 @@ class ReplayReader : InputReader {
     PrescribedMotion& path = motion->emplace();
     for (const Json& time : value["times"]) path.times.push_back(NumberIn(time, key));
     Read(value["positions"], key, &path.positions);
-    if (!path.times.empty()) replay_.scene.duration = std::min(replay_.scene.duration, path.times.back());
+    if (!path.times.empty()) scene().duration = std::min(scene().duration, path.times.back());
   }
 
   void CheckRadius(const Body& disc, const std::string& key) const {
@@ -139,30 +139,28 @@ class ReplayReader : InputReader {
     if (!document.is_object()) Fail("the document", "an object");
     if (!given_) ReadDrawn(document);
     const auto runs = document.find("runs");
-    if (runs == document.end()) {
-      TakeParametersOf(document, "");
-      return ReadRun(document, "");
-    }
+    if (runs == document.end()) return ReadRun(document, "");
     if (!runs->is_array()) Fail("runs", "a list");
     for (size_t i = 0; i < runs->size(); ++i) {
       if (!(*runs)[i].is_object()) Fail("runs[" + std::to_string(i) + "]", "an object");
-      TakeParametersOf((*runs)[i], "runs[" + std::to_string(i) + "].");
+      TakeOwnScene((*runs)[i]);
       ReadRun((*runs)[i], "runs[" + std::to_string(i) + "].");
     }
   }
 
-  // Draws a given scene with the parameters that a run has found. A document has the discs and walls of its first run.
-  void TakeParametersOf(const Json& run, const std::string& place) {
-    const auto found = run.find("parameters");
-    if (found == run.end() || !run.contains("states")) return;
-    if (parameters_.is_null() && given_) {
-      const Json solution = {{"parameters", *found}};
-      TakeParameters(where(), ParseSolution(where(), solution.dump(), scene()), &scene());
-    }
-    if (parameters_.is_null()) parameters_ = *found;
-    if (parameters_ != *found) {
-      Fail(place + "parameters",
-           "those of the runs before it, as discs and walls are drawn once; solve each by itself");
+  // Takes the scene of a run whose parameters have moved discs or walls: what the run says of them or, where a scene is
+  // given, this scene with the parameters.
+  void TakeOwnScene(const Json& run) {
+    own_.reset();
+    if (!run.contains("states") || !run.contains("parameters")) return;
+    if (given_) {
+      const Json solution = {{"parameters", run["parameters"]}};
+      Scene moved = replay_.scene;
+      TakeParameters(where(), ParseSolution(where(), solution.dump(), moved), &moved);
+      own_ = std::move(moved);
+    } else if (run.contains("bodies")) {
+      own_.emplace();
+      ReadDrawn(run);
     }
   }
 
@@ -415,13 +413,14 @@ class ReplayReader : InputReader {
     if (!std::ranges::all_of(motion.times, finite)) Fail(place + "times", "finite numbers");
     if (!std::ranges::is_sorted(motion.times)) Fail(place + "times", "times that do not fall");
     std::ranges::stable_sort(motion.touches, {}, &TouchSpan::begin);
+    drawn.scene = own_;
     replay_.motions.push_back(std::move(drawn));
   }
 
   bool given_;
   bool has_control_ = false;  // the file has the whole scene
-  Json parameters_;           // of the runs that are drawn; null if there are none
   Replay replay_;
+  std::optional<Scene> own_;  // of the run that is read, if parameters have moved its discs or walls
 };
 
 std::string StemOf(const std::string& path) { return std::filesystem::path(path).stem().string(); }
@@ -464,18 +463,18 @@ void Thin(size_t most_rows, ReplayMotion* drawn) {
                    " state";
 }
 
-// The motions in some files, whose discs must be the same. Bodies and planes are those of `scene`, if one is given, or
-// else what the first file says of them. Throws InputError with file and key.
+// Returns the motions in some files, whose discs must have the same names. Each is drawn with its own discs and walls,
+// or with those of `scene`, if one is given. Throws InputError with file and key.
 Replay ReadReplay(const std::vector<std::string>& paths, const std::optional<Scene>& scene) {
   Replay replay;
   for (const std::string& path : paths) {
     Replay file = ReadReplayFile(path, scene);
     if (replay.scene.bodies.empty()) replay.scene = file.scene;
-    const auto same = [](const Body& l, const Body& r) { return l.name == r.name && l.radius == r.radius; };
-    if (!std::ranges::equal(replay.scene.bodies, file.scene.bodies, same)) {
+    if (!std::ranges::equal(replay.scene.bodies, file.scene.bodies, {}, &Body::name, &Body::name)) {
       throw InputError(path + ": its discs are not those of " + paths[0]);
     }
     for (ReplayMotion& drawn : file.motions) {
+      if (!drawn.scene && !replay.motions.empty()) drawn.scene = file.scene;
       if (paths.size() > 1) drawn.label = StemOf(path) + ": " + drawn.label;
       replay.motions.push_back(std::move(drawn));
     }

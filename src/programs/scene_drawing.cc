@@ -253,6 +253,11 @@ Json WallsToJson(const Scene& scene) {
   return walls;
 }
 
+// Returns what is drawn of a scene beside its motions.
+Json PlaceToJson(const Scene& scene) {
+  return {{"discs", DiscsToJson(scene)}, {"walls", WallsToJson(scene)}, {"outlines", OutlinesOf(scene)}};
+}
+
 }  // namespace
 
 ReplayMotion::ReplayMotion(Motion drawn, MotionInput from, std::string name, std::string_view style_of_model)
@@ -275,11 +280,9 @@ MotionOptions ReplayOptions(const Scene& scene, std::size_t motions) {
 Json ReplayToJson(const Replay& replay) {
   const Scene& scene = replay.scene;
   CHECK(!scene.bodies.empty() && !replay.motions.empty());
-  Json data = {{"discs", DiscsToJson(scene)},
-               {"walls", WallsToJson(scene)},
-               {"outlines", OutlinesOf(scene)},
-               {"targets", Json::array()},
-               {"motions", Json::array()}};
+  const Json place = PlaceToJson(scene);
+  Json data = place;
+  data.update({{"targets", Json::array()}, {"motions", Json::array()}});
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;
     data["targets"].push_back(term.target);
@@ -288,7 +291,11 @@ Json ReplayToJson(const Replay& replay) {
   double speed = 0;
   for (const ReplayMotion& drawn : replay.motions) speed = std::max(speed, Largest(drawn.motion.states, 2, 4));
   for (const ReplayMotion& drawn : replay.motions) {
-    data["motions"].push_back(MotionToJson(scene, drawn, size, speed));
+    Json& motion = data["motions"].emplace_back(MotionToJson(scene, drawn, size, speed));
+    if (!drawn.scene) continue;
+    CHECK_EQ(drawn.scene->bodies.size(), scene.bodies.size());
+    const Json own = PlaceToJson(*drawn.scene);
+    if (own != place) motion.update(own);
   }
   return data;
 }

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -80,9 +81,10 @@ struct ReplayMotion {
   std::string colour;
   Dash dash = Dash::kSolid;
   std::vector<ReplaySpread> spreads = {};
+  std::optional<Scene> scene = {};  // whose discs and walls are drawn with this motion, if not those of the replay
 };
 
-// The discs, walls and targets of a scene, and motions of these discs.
+// The discs, walls and targets of a scene, and motions of these discs, or of as many others with the same names.
 struct Replay {
   Scene scene;
   std::vector<ReplayMotion> motions = {};

@@ -241,32 +241,6 @@ void WriteSolution(const Request& request, const SolvedRun& run) {
   throw std::bad_alloc();
 }
 
-// Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
-// "exact_states". Where states do not fit into --memory_limit they are left out, and stderr says so.
-void AddStates(const Request& request, const SolvedRun& run, Json* item) {
-  const size_t bodies = request.scene.bodies.size();
-  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
-  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
-  if (!request.states) return;
-  const Motions motions = MotionsOf(request, run);
-  Reserve(6, item);
-  const auto add = [&](const std::string& prefix, const Motion& motion) {
-    if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
-    (*item)[prefix + "times"] = motion.times;
-    (*item)[prefix + "states"] = StatesToJson(motion, bodies);
-    (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
-  };
-  add("", motions.own);
-  add("exact_", motions.exact);
-}
-
-// Returns the scene that is drawn: with the parameters of the first of these runs that has any.
-Scene DrawnScene(const Request& request, const SolvedRuns& solved) {
-  const auto has = [](const SolvedRun& run) { return !run.report.parameters.empty(); };
-  const auto found = std::ranges::find_if(solved.runs, has);
-  return found == solved.runs.end() ? request.scene : WithDesign(request.scene, found->report.parameters);
-}
-
 // Adds what is needed to draw states: discs and planes, and pockets and walls that end, if there are any.
 void AddDrawn(const Scene& scene, Json* document) {
   VisitDrawn(scene, [&]<typename T>(const char* key, const char*, const std::vector<T>& things) {
@@ -287,6 +261,27 @@ void AddDrawn(const Scene& scene, Json* document) {
       });
     }
   });
+}
+
+// Adds "final_state" and "exact_final_state", and if --states asks for it "times", "states", "exact_times" and
+// "exact_states", and discs and walls that parameters have moved. Where states do not fit into --memory_limit they are
+// left out, and stderr says so.
+void AddStates(const Request& request, const SolvedRun& run, Json* item) {
+  const size_t bodies = request.scene.bodies.size();
+  if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
+  if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
+  if (!request.states) return;
+  if (!run.report.parameters.empty()) AddDrawn(WithDesign(request.scene, run.report.parameters), item);
+  const Motions motions = MotionsOf(request, run);
+  Reserve(6, item);
+  const auto add = [&](const std::string& prefix, const Motion& motion) {
+    if (!motion.failure.empty() || InterruptGuard::GraceIsOver()) return;
+    (*item)[prefix + "times"] = motion.times;
+    (*item)[prefix + "states"] = StatesToJson(motion, bodies);
+    (*item)[prefix + "touches"] = TouchesToJson(motion, request.scene);
+  };
+  add("", motions.own);
+  add("exact_", motions.exact);
 }
 
 // "contact solver", or the contact model alone where nothing was solved.
@@ -410,6 +405,7 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
+    if (run.parameters != runs[0]->report.parameters) drawn.scene = WithDesign(request.scene, run.parameters);
     if (runs[i]->feedback && (exact || IsExact(run.contact)))
       drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
   };
@@ -560,7 +556,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
   Json document = {{"scene", request.scene.name}, {"steps", request.scene.steps}};
   Reserve(8, &document);
   document["runs"] = std::move(list);
-  if (request.states) AddDrawn(DrawnScene(request, solved), &document);
+  if (request.states) AddDrawn(request.scene, &document);
   if (solved.interrupted) document["interrupted"] = true;
   return document;
 }

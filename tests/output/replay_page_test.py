@@ -324,6 +324,32 @@ class Replays(Pages):
         self.assertIn(STRANGE, self.js("return document.querySelector('.replay canvas').getAttribute('aria-label')"))
         self.assertEqual(self.js("return document.querySelectorAll('.replay b').length"), 1)  # "Figure 1."
 
+    # Where a run has its own walls, they are drawn in its colour: next to those of the first, or alone if the first is hidden.
+    def test_each_motion_has_its_own_walls(self):
+        states = {"times": [0, 1], "states": [[[0, 2, 0, 0]], [[0, 1.5, 0, 0]]]}
+        floor = lambda height: [{"name": "floor", "point": [0, height], "normal": [0, 1]}]  # noqa: E731
+        wall, bodies = {"name": "side", "point": [-2, 0], "normal": [1, 0]}, [{"name": "ball", "radius": 0.3}]
+        runs = [{"contact": "event", **states}, {"contact": "lcp", "parameters": {"offset.floor": 1}, "bodies": bodies,
+                                                "planes": [*floor(1), wall], **states}]
+        page = os.path.join(self.folder, "walls.html")
+        document = {"bodies": bodies, "planes": [*floor(0), wall], "runs": runs}
+        run("saltus_replay", self.write("walls.json", json.dumps(document)), f"--output={page}")
+        self.open(page)
+        colour_at = """
+            const {view} = saltusReplays[0], ratio = window.devicePixelRatio || 1, copy = document.createElement('canvas');
+            Object.assign(copy, {width: view.canvas.width, height: view.canvas.height});
+            const context = copy.getContext('2d', {willReadFrequently: true});
+            context.drawImage(view.canvas, 0, 0);
+            return [...context.getImageData(ratio * view.toX(arguments[0]), ratio * view.toY(arguments[1]), 1, 1).data];"""
+        self.js("Object.assign(saltusReplays[0].options, {paths: false, trails: false}); saltusReplays[0].redraw()")
+        ground, own = self.js(colour_at, 1, -0.1), self.js(colour_at, 1, 1)
+        self.assertNotIn(own, [ground, [0, 0, 0, 0]])
+        self.assertNotEqual(self.js(colour_at, -2, 0.5), own)  # both have the wall at the side
+        self.assertEqual(self.js(colour_at, 1, 0.5), [0, 0, 0, 0])
+        self.js("saltusReplays[0].motions[0].visible = false; saltusReplays[0].redraw()")
+        self.assertEqual(self.js(colour_at, 1, 0.5), ground)
+        self.assert_quiet()
+
     # A million numbers of discs that collide at random times stay under 4 MB; and what is read is what was written.
     def test_data_are_compact_and_kept(self):
         seed, discs, rows = 12345, 50, 5000

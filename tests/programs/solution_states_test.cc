@@ -13,6 +13,7 @@ namespace saltus {
 namespace {
 
 using nlohmann::json;
+using testing::AllOf;
 using testing::HasSubstr;
 
 json Solve(const std::string& flags) {
@@ -189,19 +190,25 @@ optimize: [control, {parameter: offset.wall, min: -0.2, max: 0.3}, {parameter: r
   // The wall is drawn where it was found.
   const json drawn = Solve(flags + " --solver=none --states --control=" + json_file);
   const double at = 0.5 - found["parameters"]["offset.wall"].get<double>();  // along [-1, 0]
-  EXPECT_NEAR(drawn["planes"][0]["point"][0].get<double>(), at, 1e-12);
+  const json moved = drawn["runs"][0]["planes"][0]["point"];
+  EXPECT_NEAR(moved[0].get<double>(), at, 1e-12);
   const std::string drawn_file = Write("drawn.json", drawn);
   for (const std::string& file : {drawn_file, drawn_file + " --scene=" + path, npz_file + " --scene=" + path}) {
     const Outcome page = RunProgram("saltus_replay " + file + " --output=" + folder + "/replay.html");
     ASSERT_EQ(page.exit_code, 0) << page.errors;
-    EXPECT_THAT(ContentsOf(folder + "/replay.html"), HasSubstr(drawn["planes"][0]["point"].dump())) << file;
+    EXPECT_THAT(ContentsOf(folder + "/replay.html"), HasSubstr(moved.dump())) << file;
   }
+  // Each of several runs is drawn with its own wall.
   json two = drawn;
   two["runs"].push_back(drawn["runs"][0]);
-  two["runs"][1]["parameters"]["offset.wall"] = 0;
-  const Outcome mixed = RunProgram("saltus_replay " + Write("two.json", two) + " --output=" + folder + "/two.html");
-  EXPECT_EQ(mixed.exit_code, 2);
-  EXPECT_THAT(mixed.errors, HasSubstr("runs[1].parameters"));
+  two["runs"][1]["parameters"]["offset.wall"] = 0.25;
+  two["runs"][1]["planes"][0]["point"] = {0.25, 0};
+  const std::string both = Write("two.json", two), of_scene = both + " --scene=" + path;
+  for (const std::string& files : {both, of_scene, drawn_file + " " + both}) {
+    const Outcome page = RunProgram("saltus_replay " + files + " --output=" + folder + "/two.html");
+    ASSERT_EQ(page.exit_code, 0) << page.errors;
+    EXPECT_THAT(ContentsOf(folder + "/two.html"), AllOf(HasSubstr(moved.dump()), HasSubstr("[0.25,0.0]"))) << files;
+  }
   const json again = Solve(flags + " --solver=ceres_phases --warm_start=" + npz_file)["runs"][0];
   EXPECT_NEAR(again["initial_loss"].get<double>(), found["final_loss"].get<double>(), 1e-9);
   const double offset = found["parameters"]["offset.wall"];

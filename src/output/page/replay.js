@@ -71,7 +71,7 @@ class Replay extends Player {
     super();
     const {discs, walls, outlines, targets} = data;
     Object.assign(this, {place, discs, walls, outlines, targets});
-    this.motions = data.motions.map((motion) => new Motion(motion, this.discs));
+    this.motions = data.motions.map((motion) => new Motion(motion, data));
     const most = (value) => Math.max(0, ...this.motions.map(value));
     this.fastest = most((motion) => motion.fastest);
     this.strongest = most((motion) => motion.strongest);

@@ -16,15 +16,19 @@ function unpack({data, quanta}, rows, columns) {
   return numbers;
 }
 
-// One motion of a replay: where its discs are at any time, what touches, which forces act.
+// One motion of a replay: where its discs are at any time, what touches, which forces act. Its discs and walls are the objects of
+// the replay itself, but for those that differ.
 class Motion {
-  constructor(data, discs) {
+  constructor(data, {discs, walls, outlines}) {
+    const place = {discs, walls, outlines}, same = (l, r) => JSON.stringify(l) === JSON.stringify(r);
+    for (const [list, shared] of Object.entries(place)) {
+      this[list] = data[list]?.map((item, i) => (same(item, shared[i]) ? shared[i] : item)) ?? shared;
+    }
     this.label = data.label;
     this.remark = data.remark;
     this.colour = data.colour;
     this.dash = data.dash;
     this.arcs = data.arcs;
-    this.discs = discs;
     this.times = data.times;
     this.states = unpack(data.states, this.times.length, 4 * discs.length);
     this.quanta = data.states.quanta;  // of x, y, v_x and v_y

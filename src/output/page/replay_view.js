@@ -16,7 +16,7 @@ class View {
   }
 
   // All that discs, walls that end, targets and the visible motions reach, and planes that are no farther from these than their size.
-  boundsOf({discs, motions, targets, outlines, walls}) {
+  boundsOf({motions, targets}) {
     const box = {left: Infinity, right: -Infinity, bottom: Infinity, top: -Infinity};
     const add = (x, y, r) => {
       box.left = Math.min(box.left, x - r);
@@ -24,16 +24,16 @@ class View {
       box.bottom = Math.min(box.bottom, y - r);
       box.top = Math.max(box.top, y + r);
     };
-    for (const {states} of motions) {
+    for (const {states, discs, outlines} of motions) {
+      for (const {points} of outlines) points.forEach(([x, y]) => add(x, y, 0));
       for (let i = 0, disc = 0; i < states.length; i += 4, disc = (disc + 1) % discs.length) {
         if (Number.isFinite(states[i] + states[i + 1])) add(states[i], states[i + 1], discs[disc].radius);
       }
     }
     for (const target of targets) add(target[0], target[1], 0);
-    for (const {points} of outlines) points.forEach(([x, y]) => add(x, y, 0));
     if (!(box.right >= box.left)) return {left: -1, right: 1, bottom: -1, top: 1};
     const middle = [(box.left + box.right) / 2, (box.bottom + box.top) / 2], reach = Math.max(box.right - box.left, box.top - box.bottom);
-    for (const wall of walls.filter(({kind}) => kind === 'half-plane')) {
+    for (const wall of this.walls.filter(({kind}) => kind === 'half-plane')) {
       const [px, py] = this.contactWith(wall, ...middle);
       if (Math.hypot(px - middle[0], py - middle[1]) <= 1.5 * reach) add(px, py, 0);
     }
@@ -90,7 +90,12 @@ class View {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    this.drawWalls(context, x, y, w, h);
+    const [first = this.replay, ...others] = cell.motions;
+    this.drawWalls(context, first, [x, y, w, h], FAINT, GROUND);
+    for (const {walls, outlines, colour} of others) {
+      const moved = {walls: walls.filter((wall, i) => wall !== first.walls[i]), outlines: outlines.filter((line, i) => line !== first.outlines[i])};
+      this.drawWalls(context, moved, [x, y, w, h], colour);
+    }
     this.drawTargets(context);
     if (this.replay.discs.length > MANY_DISCS) this.drawManyDiscs(context, cell.motions, time);
     cell.motions.forEach((motion, i) => this.drawMotion(context, motion, time, options, i === 0));
@@ -117,52 +122,55 @@ class View {
     context.fillText(words, x, y);
   }
 
+  // All walls: motions may have different ones.
+  get walls() {
+    return [...new Set(this.replay.motions.flatMap(({walls}) => walls))];
+  }
+
   // Puts walls that have a prescribed motion where they are at that time.
   placeWalls(time) {
-    for (const wall of this.replay.walls.filter(({motion}) => motion)) {
+    for (const wall of this.walls.filter(({motion}) => motion)) {
       const {times, points} = wall.motion, next = Math.max(1, times.findIndex((t, i) => t >= time || i === times.length - 1));
       const [from, to] = [points[next - 1], points[next]], part = (time - times[next - 1]) / (times[next] - times[next - 1]);
       wall.point = [0, 1].map((j) => from[j] + part * (to[j] - from[j]));
     }
   }
 
-  drawWalls(context, x, y, w, h) {
-    this.drawOutlines(context, x, y, w, h);
-    for (const wall of this.replay.walls) {
+  // Draws walls in a cell [x, y, width, height]: lines, and what is solid if `ground` is its colour.
+  drawWalls(context, {walls, outlines}, cell, line, ground = null) {
+    context.strokeStyle = line;
+    context.fillStyle = ground ?? 'transparent';
+    context.lineWidth = 1.5;
+    this.drawOutlines(context, outlines, cell);
+    for (const wall of walls) {
       if (wall.kind !== 'half-plane') continue;
-      const far = 4 * (w + h) / this.scale, [nx, ny] = wall.normal;
+      const far = 4 * (cell[2] + cell[3]) / this.scale, [nx, ny] = wall.normal;
       const centre = this.nearestTo(wall);
       const corner = (along, depth) => [centre[0] - ny * along - nx * depth, centre[1] + nx * along - ny * depth];
       const corners = [corner(-far, 0), corner(far, 0), corner(far, far), corner(-far, far)];
       context.beginPath();
       corners.forEach(([px, py]) => context.lineTo(this.toX(px), this.toY(py)));
       context.closePath();
-      context.fillStyle = GROUND;
       context.fill();
       context.beginPath();
       context.moveTo(this.toX(corners[0][0]), this.toY(corners[0][1]));
       context.lineTo(this.toX(corners[1][0]), this.toY(corners[1][1]));
-      context.strokeStyle = FAINT;
-      context.lineWidth = 1.5;
       context.stroke();
     }
   }
 
   // What is solid outside of a line first: it would cover all else.
-  drawOutlines(context, x, y, w, h) {
-    context.fillStyle = GROUND;
+  drawOutlines(context, outlines, cell) {
     for (const solid of ['outside', 'inside']) {
-      for (const outline of this.replay.outlines.filter((one) => one.solid === solid)) {
+      for (const outline of outlines.filter((one) => one.solid === solid)) {
         context.beginPath();
-        if (solid === 'outside') context.rect(x, y, w, h);
+        if (solid === 'outside') context.rect(...cell);
         this.trace(context, outline);
         context.fill('evenodd');
       }
     }
     context.beginPath();
-    for (const outline of this.replay.outlines) this.trace(context, outline);
-    context.strokeStyle = FAINT;
-    context.lineWidth = 1.5;
+    for (const outline of outlines) this.trace(context, outline);
     context.stroke();
   }
 
@@ -213,7 +221,7 @@ class View {
     if (motion.angles) this.drawSpokes(context, motion, x, time);
     if (options.spreads) motion.spreads.forEach((spread, i) => this.drawSpread(context, motion, spread, i, x, time));
     if (options.touches) this.drawTouches(context, motion, x, time, options);
-    const {discs, fastest, strongest} = this.replay;
+    const {fastest, strongest} = this.replay, {discs} = motion;
     const arrow = (i, unit, ax, ay) => [x[4 * i], x[4 * i + 1], unit * ax, unit * ay];
     if (options.velocities) {
       const unit = ARROW * this.extent / (fastest || 1), moving = discs.map((_, i) => i).filter((i) => !discs[i].fixed);
@@ -222,7 +230,7 @@ class View {
     if (options.forces) {
       const unit = ARROW * this.extent / (strongest || 1);
       this.drawArrows(context, motion.forcesAt(time).map(([i, fx, fy]) => arrow(i, unit, fx, fy)), FORCE);
-      this.drawTorques(context, motion.torquesAt(time), x);
+      this.drawTorques(context, motion, motion.torquesAt(time), x);
     }
     if (options.names && first && discs.length <= MANY_DISCS) {
       discs.forEach((disc, i) => {
@@ -233,8 +241,9 @@ class View {
 
   // Discs that are too many for a path each, those that are fixed below the others.
   drawManyDiscs(context, motions, time) {
-    const {discs} = this.replay, ratio = context.getTransform().a, x = this.scratch;
+    const ratio = context.getTransform().a, x = this.scratch;
     motions.forEach((motion, i) => {
+      const {discs} = motion;
       motion.stateAt(time, x);
       for (const fixed of [true, false]) {
         discs.forEach((disc, j) => {
@@ -278,7 +287,7 @@ class View {
 
   // The discs of a motion; those that are fixed grey. Ghosts are outlines.
   drawDiscs(context, motion, x, first) {
-    this.replay.discs.forEach((disc, i) => {
+    motion.discs.forEach((disc, i) => {
       if (!Number.isFinite(x[4 * i])) return;
       context.beginPath();
       context.arc(this.toX(x[4 * i]), this.toY(x[4 * i + 1]), Math.max(this.scale * disc.radius, 1), 0, 2 * Math.PI);
@@ -289,7 +298,7 @@ class View {
   // From the centre of each disc to the point of its rim that began to the right.
   drawSpokes(context, motion, x, time) {
     context.lineWidth = 2;
-    this.replay.discs.forEach((disc, i) => {
+    motion.discs.forEach((disc, i) => {
       if (disc.fixed) return;
       context.beginPath();
       const angle = motion.angleAt(time, i), px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
@@ -304,7 +313,7 @@ class View {
   drawSpread(context, motion, spread, index, x, time) {
     const unit = this.scale * this.replay.enlarged;
     context.beginPath();
-    this.replay.discs.forEach((disc, i) => {
+    motion.discs.forEach((disc, i) => {
       const {a, b, angle} = motion.ellipseAt(spread, time, i);
       if (!(a > 0)) return;
       const px = this.toX(x[4 * i]), py = this.toY(x[4 * i + 1]);
@@ -323,7 +332,7 @@ class View {
 
   // Where discs are up to a point of their paths and, if that is not the last, now; of many discs only lately.
   drawPaths(context, motion, last, opacity, lineWidth) {
-    const discs = this.replay.discs, width = 4 * discs.length, {times, states} = motion.path;
+    const {discs} = motion, width = 4 * discs.length, {times, states} = motion.path;
     const begin = discs.length > MANY_DISCS ? Math.max(0, last - 24) : 0;
     const every = Math.max(1, Math.ceil((last - begin) / 1000));
     context.globalAlpha = opacity;
@@ -354,7 +363,7 @@ class View {
       if (ages[age].length === 0) continue;
       context.globalAlpha = 1 - 0.8 * age / AGES;
       context.beginPath();
-      for (const touch of ages[age]) this.traceRing(context, touch, x);
+      for (const touch of ages[age]) this.traceRing(context, motion, touch, x);
       context.strokeStyle = IMPULSE;
       context.lineWidth = 2.5;
       context.stroke();
@@ -363,8 +372,8 @@ class View {
     context.globalAlpha = 1;
   }
 
-  traceRing(context, {a, b, wall, age}, x) {
-    const {discs, walls} = this.replay, ax = x[4 * a], ay = x[4 * a + 1];
+  traceRing(context, {discs, walls}, {a, b, wall, age}, x) {
+    const ax = x[4 * a], ay = x[4 * a + 1];
     let px, py;
     if (wall) {
       [px, py] = this.contactWith(walls[b], ax, ay);
@@ -385,11 +394,11 @@ class View {
   }
 
   // Arcs around discs, from the right and as long as the torque is large, with a head where they point.
-  drawTorques(context, torques, x) {
+  drawTorques(context, {discs}, torques, x) {
     context.strokeStyle = context.fillStyle = FORCE;
     context.lineWidth = 2;
     for (const [i, torque] of torques) {
-      const angle = 1.5 * Math.PI * torque / this.replay.twisted, radius = this.scale * this.replay.discs[i].radius + 4;
+      const angle = 1.5 * Math.PI * torque / this.replay.twisted, radius = this.scale * discs[i].radius + 4;
       const left = this.toX(x[4 * i]), top = this.toY(x[4 * i + 1]), side = Math.sign(torque);
       context.beginPath();
       context.arc(left, top, radius, 0, -angle, torque > 0);
