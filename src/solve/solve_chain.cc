@@ -52,8 +52,22 @@ SolveReport SolveChain::Finish(SolveReport report) const {
 
 namespace {
 
-constexpr double kLower = 1e-9;   // relative: losses that differ by less are the same
-constexpr int kLeastShare = 200;  // iterations that a solver may take, if so many are left; else half of these
+constexpr double kLower = 1e-9;     // relative: losses that differ by less are the same
+constexpr double kFarLower = 1e-2;  // relative: a loss that is lower by more is better even if it is no optimum
+constexpr int kLeastShare = 200;    // iterations that a solver may take, if so many are left; else half of these
+
+// Whether a loss is lower than another one by more than a part of it.
+bool IsLower(double loss, double than, double part) { return loss < than - part * std::abs(than); }
+
+// Whether a report is better than the best one so far: lower by far, or else as EndsBetter() says.
+bool IsBetter(const SolveReport& report, const SolveReport& than) {
+  const auto feasible = [](const SolveReport& r) { return !r.losses.empty() && r.final_violation <= kFeasible; };
+  if (feasible(report) && feasible(than)) {
+    if (IsLower(report.final_loss, than.final_loss, kFarLower)) return true;
+    if (IsLower(than.final_loss, report.final_loss, kFarLower)) return false;
+  }
+  return EndsBetter(report, than);
+}
 
 // Returns the remedy for a solve that has ended without an optimum; empty if it has one or was interrupted.
 std::string RemedyFor(const SolveReport& report) {
@@ -90,10 +104,19 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   std::string tried, out_of_reach;  // the latter: of an optimum found before
   double loss_out_of_reach = 0;
   std::pair<double, std::string> lowest = {INFINITY, ""};  // feasible losses of solves without an optimum
-  for (const std::string_view name : order) {
+  int left = options.iterations;  // of which a solve in several turns takes no more than it may in one
+  const auto solve_within = [&](std::string_view name, int most, const SolveReport* from) {
     SolverOptions next = chain.Next();
-    if (name != order.back()) next.iterations = std::min(next.iterations, std::max(kLeastShare, next.iterations / 2));
-    SolveReport report = solve(name, next, /*from=*/nullptr);
+    next.iterations = most;
+    SolveReport report = solve(name, next, from);
+    if (report.termination == Termination::kNotApplicable) return report;
+    left -= std::clamp(report.iterations, 0, most);
+    chain.Add(report);
+    return report;
+  };
+  for (const std::string_view name : order) {
+    const int share = name == order.back() ? left : std::min(left, std::max(kLeastShare, left / 2));
+    SolveReport report = solve_within(name, share, /*from=*/nullptr);
     if (report.termination == Termination::kNotApplicable) {
       if (!refused) {
         refused = std::move(report);
@@ -101,13 +124,12 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
       }
       continue;
     }
-    chain.Add(report);
     tried += (tried.empty() ? "" : ", then ") + std::string(name);
     const bool interrupted = report.termination == Termination::kInterrupted,
                converged = report.termination == Termination::kConverged;
     const std::string lost = converged && find_loss_of_reach ? find_loss_of_reach(report) : "";
     const bool lower = !out_of_reach.empty() && report.final_violation <= kFeasible && !report.losses.empty() &&
-                       report.final_loss < loss_out_of_reach - kLower * std::abs(loss_out_of_reach);
+                       IsLower(report.final_loss, loss_out_of_reach, kLower);
     if (!lost.empty() && out_of_reach.empty()) {
       out_of_reach = std::string(name) + " has converged, but " + lost;
       loss_out_of_reach = report.final_loss;
@@ -115,9 +137,10 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     if (!converged && report.final_violation <= kFeasible && !report.losses.empty()) {
       lowest = std::min(lowest, {report.final_loss, std::string(name)});
     }
-    if (!best || EndsBetter(report, *best) || lower) best = std::move(report);
+    if (!best || IsBetter(report, *best) || lower) best = std::move(report);
+    const bool is_best = converged && best->termination == Termination::kConverged;
     if (interrupted) best->termination = Termination::kInterrupted;
-    if (interrupted || (converged && lost.empty()) || chain.IsOutOfIterations()) break;
+    if (interrupted || (is_best && lost.empty()) || left <= 0) break;
   }
   if (!best) {
     refused->solver = "auto";
@@ -125,16 +148,15 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   }
   const auto is_over = [&] {
     return best->losses.empty() || best->termination == Termination::kConverged ||
-           best->termination == Termination::kInterrupted || chain.IsOutOfIterations();
+           best->termination == Termination::kInterrupted || left <= 0;
   };
   for (const std::string_view name : refine) {
     if (is_over()) break;
-    SolveReport report = solve(name, chain.Next(), &*best);
+    SolveReport report = solve_within(name, left, &*best);
     if (report.termination == Termination::kNotApplicable) continue;
-    chain.Add(report);
     tried += ", then " + std::string(name) + " from the end of " + best->solver;
     const bool interrupted = report.termination == Termination::kInterrupted;
-    if (EndsBetter(report, *best)) best = std::move(report);
+    if (IsBetter(report, *best)) best = std::move(report);
     if (interrupted) best->termination = Termination::kInterrupted;
   }
   const bool tells = refused && refused->reason != why;
@@ -142,7 +164,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   if (tried != best->solver) words += " (tried: " + tried + ")";
   if (tells) words += " (" + refused->solver + " does not apply: " + refused->reason + ")";
   if (!out_of_reach.empty()) words += "; " + out_of_reach;
-  if (lowest.first < best->final_loss - kLower * std::abs(best->final_loss)) {
+  if (IsLower(lowest.first, best->final_loss, kLower)) {
     words += "; " + lowest.second + " ended at a lower loss, at which it has proved no optimum";
   }
   if (!best->reason.empty()) words += "; " + best->reason;

@@ -368,17 +368,25 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     SolveReport found = entry.solve(given, solve_from(turn == 0 ? nullptr : &best));
     add(found);
     optima = found.optima;
-    searched = found.searched;
+    if ((searched = found.searched)) {  // what a search proves, it proves for these parameters alone
+      searched->lower_bound = 0;
+      searched->proof.reset();
+    }
+    found.certificate.reset();
     const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
     if (found.losses.empty() && best.losses.empty()) return found;  // whose reason is that of a scene
     if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
     SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);
-    if (found.termination == Termination::kConverged) {
-      found.termination = Termination::kNoProgress;
-      found.reason = "the solution is optimal with these parameters, and not among other ones";
-    }
     found.parameters = parameters;
+    if (found.termination == Termination::kConverged) {
+      const Scene designed = WithDesign(request.scene, parameters);
+      found.certificate = Certify(designed, found.initial_state, found.control, found.durations, options.stop);
+      if (!found.certificate->IsStationary() || found.certificate->IsSaddle()) {
+        found.termination = Termination::kNoProgress;
+        found.reason = "the solution is optimal with these parameters, and not among other ones";
+      }
+    }
     for (SolveReport* report : {&found, &next}) {
       if (EndsBetter(*report, best)) best = std::move(*report);
     }

@@ -130,6 +130,28 @@ TEST(Automatic, RefinesTheBestEndWhereNoSolverHasConverged) {
   EXPECT_THAT(report.reason, HasSubstr("tried: near, then far, then last from the end of near"));
 }
 
+// An optimum whose loss is higher by far than that of a motion found before is not taken for it; one that is a little
+// higher is.
+TEST(Automatic, KeepsALossThatIsLowerByFar) {
+  double optimum = 0;
+  const auto solve = [&](std::string_view name, const SolverOptions&, const SolveReport*) {
+    SolveReport report;
+    report.solver = name;
+    report.termination = name == "optimal" ? Termination::kConverged : Termination::kNoProgress;
+    report.final_loss = name == "optimal" ? optimum : 1;
+    report.losses = {5, report.final_loss};
+    return report;
+  };
+  optimum = 1.5;
+  const SolveReport far = SolveInTurn({"low", "optimal"}, {"low"}, "of a test", {}, solve);
+  EXPECT_EQ(far.solver, "low");
+  EXPECT_EQ(far.termination, Termination::kNoProgress);
+  optimum = 1.001;
+  const SolveReport near = SolveInTurn({"low", "optimal"}, {"low"}, "of a test", {}, solve);
+  EXPECT_EQ(near.solver, "optimal");
+  EXPECT_THAT(near.reason, HasSubstr("low ended at a lower loss"));
+}
+
 // Where a solve is interrupted, the best end of those before it is returned.
 TEST(Automatic, KeepsTheBestEndWhenItIsInterrupted) {
   const auto solve = [&](std::string_view name, const SolverOptions&, const SolveReport*) {

@@ -109,7 +109,7 @@ struct Searched {
   int starts = 0;          // number of motions from which it started, with the initial guess
   double work = 0;         // counted as SearchOptions::work
   bool complete = false;   // whether the search ended by its own rule, and no limit restricted it
-  double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts
+  double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts; 0 with parameters
   // The result of branch and bound over all controls, if it was run: the loss less the bound, and the number of boxes.
   struct Proof {
     double gap = 0;

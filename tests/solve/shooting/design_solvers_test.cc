@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <string>
@@ -342,6 +343,55 @@ TEST(DesignSolvers, RefuseAGuessAsWithGivenParameters) {
 }
 
 // With the given post the ball is best sent past it; with a better one, against it.
+// A certificate is of the control and the parameters, and not of the best control of parameters that others beat.
+TEST(DesignSolvers, CertificatesHaveTheParameters) {
+  Scene scene;
+  scene.name = "strike";
+  scene.duration = 1.06;
+  scene.steps = 10;
+  scene.bodies = {{.name = "striker", .radius = 0.0982, .mass = 0.4256, .position = {-1, 0.028}},
+                  {.name = "target", .radius = 0.12, .mass = 1.3244, .position = {-0.2, -0.0528}}};
+  scene.contact.restitution = 0.8975;
+  scene.control = {{0}, {{3.6365, 0.1}}};
+  scene.objective.terminal = {{.body = 1, .target = {0.61, -0.27}, .weight = 5}};
+  scene.objective.effort = 0.05;
+  scene.objective.duration = {.min = 0.64, .max = 2.12, .weight = 0.5};
+  scene.optimize = Optimize::kControl;
+  scene.design = {{ParametersNamed("gravity.y", scene)[0], -0.1, 0.1},
+                  {ParametersNamed("radius.target", scene)[0], 0.08, 0.16}};
+  const SolveReport report = Solve("auto", {scene, "event"}, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  ASSERT_TRUE(report.certificate);
+  ASSERT_EQ(report.certificate->parameters.size(), 2u);
+  // With these parameters alone, none has a lower loss.
+  for (size_t i = 0; i < 2; ++i) {
+    for (const double step : {-0.02, 0.02}) {
+      std::vector<double> beside = report.parameters;
+      beside[i] = std::clamp(beside[i] + step, *scene.design[i].min, *scene.design[i].max);
+      Scene given = WithDesign(scene, beside);
+      given.design.clear();
+      SolverOptions options;
+      options.guess = ControlGuess{report.control, report.durations};
+      const SolveReport other = Solve("ceres_phases", {given, "event"}, options);
+      EXPECT_GE(other.final_loss, report.final_loss - 1e-9) << i << " " << step;
+    }
+  }
+}
+
+// A search with given parameters proves no bound for others.
+TEST(DesignSolvers, NoBoundIsOneOfGivenParameters) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  const SolveReport given = Solve("mode_search", {scene, "event"}, {});
+  ASSERT_TRUE(given.searched);
+  ASSERT_GT(given.searched->lower_bound, 0.1);
+  scene.design = {{ParametersNamed("mass.target", scene)[0], 0.01, 2}};
+  const SolveReport found = Solve("mode_search", {scene, "event"}, {});
+  ASSERT_TRUE(found.searched);
+  EXPECT_EQ(found.searched->lower_bound, 0);
+  EXPECT_LT(found.final_loss, given.final_loss);
+}
+
 TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   const Scene scene = ProblemScene("post_shot");
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
