@@ -172,3 +172,20 @@ def test_interior_points_take_waypoints_of_two_discs():
     inside, phases = saltus.solve(problem, solver="ipopt"), saltus.solve(problem, solver="ceres_phases")
     assert inside.termination == phases.termination == "converged"
     assert inside.loss == pytest.approx(phases.loss, abs=1e-8)
+
+
+def test_a_maximum_along_a_parameter_that_is_zero_is_left():
+    """A peg in the way of the ball: by symmetry the loss is stationary there, and falls as the peg moves to either side."""
+    scene = saltus.Scene(
+        name="head_on", duration=1.0, steps=8, contact={"restitution": 0.9},
+        bodies=[{"name": "ball", "radius": 0.1, "mass": 1.0, "position": [-0.5, 0], "velocity": [2, 0]},
+                {"name": "peg", "radius": 0.2, "fixed": True, "position": [0.5, 0]}],
+        control={"bodies": ["ball"], "initial": [[0, 0]]},
+        objective={"terminal": [{"body": "ball", "quantity": "velocity", "target": [1.0, 0]}], "effort": 50.0},
+        optimize=["control", {"parameter": "position.peg.y", "min": -0.25, "max": 0.25}])
+    problem = saltus.hybrid_problem(scene)
+    at_start = saltus.loss_and_gradient(problem).loss
+    run = saltus.solve(problem)
+    assert run.termination == "converged"
+    assert run.loss < 0.5 * at_start
+    assert abs(run.parameters[0]) > 0.1

@@ -1041,8 +1041,8 @@ class HybridConditions {
   }
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return sizes_.control[variable.index % width()];
-    const double least = variable.kind == Kind::kParameter ? options_.least_parameter : 0;
-    return std::max(std::abs(variable.In(input_)), least);
+    if (variable.kind == Kind::kParameter) return sizes_.parameters[variable.index];
+    return std::abs(variable.In(input_));
   }
 
   // Returns the derivative of a time in a phase by the unknowns.
@@ -1238,6 +1238,15 @@ class HybridConditions {
     }
     sizes_.parameters = Eigen::Map<const VectorXd>(input_.parameters.data(), system_.num_parameters()).cwiseAbs();
     sizes_.parameters = sizes_.parameters.cwiseMax(options_.least_parameter);
+    // The size of a free parameter that is small is that of its range.
+    const HybridFree& free = problem_.free;
+    for (size_t i = 0; i < free.parameters.size(); ++i) {
+      double& size = sizes_.parameters[free.parameters[i]];
+      const bool bounded = !free.parameters_min.empty() && !free.parameters_max.empty();
+      const double half = bounded ? 0.5 * (free.parameters_max[i] - free.parameters_min[i]) : 0;
+      if (std::isfinite(half)) size = std::max(size, half);
+      if (size == 0) size = 1;
+    }
     // The changes of a motion without its events, and their largest sizes by mode.
     std::vector<Eigen::MatrixXd> largest;
     for (const VectorXd& sizes : sizes_.state) largest.push_back(Eigen::MatrixXd::Zero(sizes.size(), width()));
