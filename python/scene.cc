@@ -104,7 +104,7 @@ Scene StartingAt(Scene scene, const py::object& position, const py::object& velo
 // saltus_solve --json.
 Scene StartingFromRun(Scene scene, const std::string& json) {
   try {
-    StartFrom("run", ParseSolution("run", json, scene), &scene);
+    StartFrom("run", SolutionOf("run", Json::parse(json), scene), &scene);
   } catch (const InputError& error) {
     throw py::value_error(error.what());
   }

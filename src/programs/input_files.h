@@ -30,10 +30,14 @@ class InputReader {
   // Throws InputError: the value under `key` is not the expected one.
   [[noreturn]] void Fail(const std::string& key, const std::string& expected) const;
 
-  // The numbers of an array, which fails if it has text.
-  std::vector<double> Numbers(const NpyArray& array, const std::string& key) const;
+  // Reads a file; errors of reading it begin with `before`. An NPZ file becomes the document of a run: arrays are
+  // nested lists, those that saltus_solve writes have the keys of its JSON, and the text of the scene is "scene_file".
+  // Touches name discs and walls by their numbers.
+  Json ReadDocument(const std::string& path, const std::string& before = "") const;
 
  private:
+  Json DocumentOf(const NpzArrays& arrays) const;
+
   std::string where_;
 };
 
@@ -51,8 +55,8 @@ struct SavedSolution {
 // InputError, which begins with `flag`, if sizes are not those of the scene.
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene);
 
-// Parses JSON that is not in a file; messages begin with `name`.
-SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene);
+// Reads the run of a document; messages begin with `name`.
+SavedSolution SolutionOf(const std::string& name, const Json& run, const Scene& scene);
 
 // Takes over the values of the scene's design parameters; those that the solution does not have stay. Throws InputError
 // if one is beyond its bounds.

@@ -6,14 +6,11 @@
 #include <iostream>
 #include <span>
 
-#include "base/file.h"
 #include "base/number_text.h"
-#include "output/npz.h"
 #include "output/page.h"
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "programs/scene_drawing.h"
-#include "saltus/control/control_rows.h"
 #include "saltus/scene/scene_file.h"
 #include "saltus/scene/walls.h"
 #include "saltus/simulate/registry.h"
@@ -42,13 +39,7 @@ class ReplayReader : InputReader {
   }
 
   Replay Read() {
-    const StatusOr<std::string> bytes = ReadFile(where());
-    if (!bytes.ok()) throw InputError(bytes.status().message());
-    if (bytes->starts_with("PK")) {
-      ReadArrays();
-    } else {
-      ReadDocument(*bytes);
-    }
+    ReadRuns(ReadDocument(where()));
     if (replay_.motions.empty()) {
       Fail("states", "times and states; saltus_solve prints them with --states, and writes them with --output_dir");
     }
@@ -61,7 +52,7 @@ class ReplayReader : InputReader {
   size_t num_discs() const { return scene().bodies.size(); }
 
   double NumberIn(const Json& value, const std::string& key) const {
-    if (!value.is_number() || !std::isfinite(value.get<double>())) Fail(key, "a finite number");
+    if (!value.is_number()) Fail(key, "a finite number");
     return value.get<double>();
   }
 
@@ -70,7 +61,7 @@ class ReplayReader : InputReader {
     return {NumberIn(value[0], key), NumberIn(value[1], key)};
   }
 
-  std::string TextIn(const Json& object, const char* key, const std::string& otherwise) const {
+  std::string TextIn(const Json& object, const std::string& key, const std::string& otherwise) const {
     const auto found = object.find(key);
     return found != object.end() && found->is_string() ? found->get<std::string>() : otherwise;
   }
@@ -133,13 +124,24 @@ class ReplayReader : InputReader {
     if (const auto error = ValidateStructure(scene())) throw InputError(where() + ": " + error->ToString());
   }
 
-  void ReadDocument(const std::string& text) {
-    Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
-    if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
-    if (!document.is_object()) Fail("the document", "an object");
-    if (!given_) ReadDrawn(document);
+  void ReadScene(const std::string& text) {
+    std::variant<Scene, SceneFileError> scene = ParseScene(text, where() + ": scene");
+    if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
+    this->scene() = std::get<Scene>(std::move(scene));
+  }
+
+  void ReadRuns(const Json& document) {
+    if (!given_) {
+      const std::string text = TextIn(document, "scene_file", "");
+      has_control_ = !text.empty();
+      has_control_ ? ReadScene(text) : ReadDrawn(document);
+    }
     const auto runs = document.find("runs");
-    if (runs == document.end()) return ReadRun(document, "");
+    if (runs == document.end()) {
+      TakeOwnScene(document);
+      if (own_) replay_.scene = *std::exchange(own_, std::nullopt);
+      return ReadRun(document, "");
+    }
     if (!runs->is_array()) Fail("runs", "a list");
     for (size_t i = 0; i < runs->size(); ++i) {
       if (!(*runs)[i].is_object()) Fail("runs[" + std::to_string(i) + "]", "an object");
@@ -154,9 +156,8 @@ class ReplayReader : InputReader {
     own_.reset();
     if (!run.contains("states") || !run.contains("parameters")) return;
     if (given_) {
-      const Json solution = {{"parameters", run["parameters"]}};
       Scene moved = replay_.scene;
-      TakeParameters(where(), ParseSolution(where(), solution.dump(), moved), &moved);
+      TakeParameters(where(), SolutionOf(where(), {{"parameters", run["parameters"]}}, moved), &moved);
       own_ = std::move(moved);
     } else if (run.contains("bodies")) {
       own_.emplace();
@@ -164,37 +165,33 @@ class ReplayReader : InputReader {
     }
   }
 
-  // Adds the motion under the contact model and the exact one, as far as `source` has them: under a model that is exact
-  // both are the same, and one will do. Calls read(prefix, drawn) for each, whose keys begin with the prefix.
-  template <typename Source, typename Read>
-  void ReadMotions(const Source& source, const std::string& contact, const std::string& label, const std::string& place,
-                   const Read& read) {
+  // Adds the motion under the contact model and the exact one, as far as the run has them: under a model that is exact
+  // both are the same, and one will do.
+  void ReadRun(const Json& run, const std::string& place) {
+    const std::string contact = TextIn(run, "contact", ""), solver = TextIn(run, "solver", "");
+    const std::string name = contact + (solver.empty() || solver == kNoSolver ? "" : " " + solver);
+    const std::string label = name.empty() ? TextIn(run, "name", "states") : name;
     for (const std::string prefix : {"", "exact_"}) {
-      if (!source.contains(prefix + "states")) continue;
-      if (prefix.empty() && IsExact(contact) && source.contains("exact_states")) continue;
-      if (!source.contains(prefix + "times")) Fail(place + prefix + "times", "one number for each of the states");
+      const std::string key = place + prefix;
+      if (!run.contains(prefix + "states")) continue;
+      if (prefix.empty() && IsExact(contact) && run.contains("exact_states")) continue;
+      if (!run.contains(prefix + "times")) Fail(key + "times", "one number for each of the states");
       const std::string exact = prefix.empty() || IsExact(contact) ? "" : ", exact";
       ReplayMotion drawn({}, {}, label + exact, contact);
       drawn.motion.arcs = !prefix.empty();
-      read(prefix, &drawn);
-      Add(std::move(drawn), place + prefix);
+      for (const Json& time : run[prefix + "times"]) drawn.motion.times.push_back(NumberIn(time, key + "times"));
+      ReadStates(run[prefix + "states"], key + "states", &drawn);
+      if (run.contains(prefix + "rotations"))
+        ReadRotations(run[prefix + "rotations"], key + "rotations", &drawn.motion);
+      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &drawn.motion);
+      if (has_control_ && run.contains("control_rows") && scene().num_controlled() > 0) ReadControl(run, &drawn);
+      Add(std::move(drawn), key);
     }
-  }
-
-  void ReadRun(const Json& run, const std::string& place) {
-    const std::string contact = TextIn(run, "contact", ""), solver = TextIn(run, "solver", "");
-    const std::string label = contact + (solver.empty() || solver == kNoSolver ? "" : " " + solver);
-    const auto read = [&](const std::string& prefix, ReplayMotion* drawn) {
-      const std::string key = place + prefix;
-      for (const Json& time : run[prefix + "times"]) drawn->motion.times.push_back(NumberIn(time, key + "times"));
-      ReadStates(run[prefix + "states"], key + "states", drawn);
-      if (run.contains(prefix + "touches")) ReadTouches(run[prefix + "touches"], key + "touches", &drawn->motion);
-    };
-    ReadMotions(run, contact, label.empty() ? TextIn(run, "name", "states") : label, place, read);
   }
 
   void ReadStates(const Json& states, const std::string& key, ReplayMotion* drawn) {
     if (!states.is_array()) Fail(key, "a list");
+    Motion& motion = drawn->motion;
     size_t numbers = kState;
     for (size_t k = 0; k < states.size(); ++k) {
       const std::string row = key + "[" + std::to_string(k) + "]";
@@ -206,25 +203,35 @@ class ReplayReader : InputReader {
           Fail(row, "[p_x, p_y, v_x, v_y] or [p_x, p_y] of each disc");
         }
         numbers = std::min(numbers, body.size());
-        const auto number = [&](size_t j) { return NumberIn(body[j], row); };
-        AddState(body.size(), number, &drawn->motion);
+        const auto number = [&](size_t j) { return j < body.size() ? NumberIn(body[j], row) : 0; };
+        for (size_t j = 0; j < kState; ++j) motion.states.push_back(number(j));
+        // The angular velocity is not drawn.
+        if (body.size() >= kTurning) motion.rotations.insert(motion.rotations.end(), {number(kState), 0});
       }
     }
-    FinishStates(numbers < kState, drawn);
-  }
-
-  // Adds a state of `size` numbers. The angular velocity is not drawn.
-  template <typename NumberAt>
-  static void AddState(size_t size, const NumberAt& number, Motion* motion) {
-    for (size_t j = 0; j < kState; ++j) motion->states.push_back(j < size ? number(j) : 0);
-    if (size >= kTurning) motion->rotations.insert(motion->rotations.end(), {number(kState), 0});
-  }
-
-  // Leaves angles out if some states have none.
-  void FinishStates(bool without_velocities, ReplayMotion* drawn) const {
-    Motion& motion = drawn->motion;
-    if (without_velocities) DifferenceVelocities(drawn);
+    if (numbers < kState) DifferenceVelocities(drawn);
+    // Angles are left out if some states have none.
     if (kState * motion.rotations.size() != kSpin * motion.states.size()) motion.rotations.clear();
+  }
+
+  // Reads angles and angular velocities, which NPZ files of saltus have beside the states.
+  void ReadRotations(const Json& rotations, const std::string& key, Motion* motion) const {
+    motion->rotations = NumbersIn(rotations);
+    if (kState * motion->rotations.size() != kSpin * motion->states.size()) {
+      Fail(key, "a shape of (n, " + std::to_string(num_discs()) + ", 2) with the n of the states");
+    }
+  }
+
+  // Reads the control, which is drawn only if the file has the discs that it belongs to: files with the whole scene.
+  void ReadControl(const Json& run, ReplayMotion* drawn) const {
+    Json given = {{"control_rows", run["control_rows"]}};
+    if (run.contains("durations")) given["durations"] = run["durations"];
+    SavedSolution solution = SolutionOf(where(), given, scene());
+    const size_t intervals = solution.control.size() / scene().control_width();
+    if (solution.durations.empty() && intervals > 0 && !drawn->motion.times.empty()) {
+      solution.durations.assign(intervals, drawn->motion.times.back() / static_cast<double>(intervals));
+    }
+    drawn->input = {{}, std::move(solution.control), std::move(solution.durations)};
   }
 
   // Sets velocities to the differences of positions across the neighbouring states.
@@ -244,15 +251,23 @@ class ReplayReader : InputReader {
     drawn->remark = "velocities by differences";
   }
 
-  // The number of a disc or, from num_discs() on, of a wall.
-  size_t NumberOf(const std::string& name, const std::string& key) const {
-    const auto find = [&](const auto& list) {
+  // The number of the disc or, from num_discs() on, of the wall that a touch names or, in an NPZ file, numbers.
+  size_t NumberOf(const Json& touch, const std::string& end, const std::string& place) const {
+    const auto find = [&](const auto& list, const std::string& name) {
       return std::ranges::find_if(list, [&](const auto& item) { return item.name == name; }) - list.begin();
     };
     const std::vector<WallPart> walls = WallPartsOf(scene());
-    const size_t disc = find(scene().bodies), wall = find(walls);
+    if (touch.contains(end) && touch[end].is_number()) {
+      const bool is_wall = end == "b" && touch.value("wall", Json()) == true;
+      const double number = touch[end].get<double>();
+      const double most = static_cast<double>(is_wall ? walls.size() : num_discs());
+      if (!(number >= 0 && number < most)) Fail(place + "." + end, "the number of a disc or of a wall");
+      return static_cast<size_t>(number) + (is_wall ? num_discs() : 0);
+    }
+    const std::string name = TextIn(touch, end, "");
+    const size_t disc = find(scene().bodies, name), wall = find(walls, name);
     if (disc < num_discs()) return disc;
-    if (wall == walls.size()) Fail(key, "a body or a wall, found '" + name + "'");
+    if (wall == walls.size()) Fail(place + "." + end, "a body or a wall, found '" + name + "'");
     return num_discs() + wall;
   }
 
@@ -262,7 +277,7 @@ class ReplayReader : InputReader {
       const std::string key = place + "[" + std::to_string(i) + "]";
       const Json& touch = touches[i];
       if (!touch.is_object() || !touch.contains("begin")) Fail(key, "{ \"a\", \"b\", \"begin\" }");
-      const size_t a = NumberOf(TextIn(touch, "a", ""), key + ".a"), b = NumberOf(TextIn(touch, "b", ""), key + ".b");
+      const size_t a = NumberOf(touch, "a", key), b = NumberOf(touch, "b", key);
       if (a >= num_discs()) Fail(key + ".a", "a disc");
       const bool wall = b >= num_discs();
       TouchSpan read{{static_cast<int>(a), static_cast<int>(wall ? b - num_discs() : b), wall}};
@@ -278,127 +293,6 @@ class ReplayReader : InputReader {
     if (!(std::isfinite(touch.begin) && std::isfinite(touch.end))) Fail(key, "finite times");
     if (touch.end < touch.begin) {
       Fail(key, "a time from its begin on, " + ToText(touch.begin) + ", found " + ToText(touch.end));
-    }
-  }
-
-  std::vector<std::string> Texts(const NpzArrays& arrays, const std::string& key) const {
-    const auto found = arrays.find(key);
-    if (found == arrays.end()) return {};
-    const auto* texts = std::get_if<std::vector<std::string>>(&found->second.data);
-    if (texts == nullptr) Fail(key, "text");
-    return *texts;
-  }
-
-  void ReadArrayBodies(const NpzArrays& arrays) {
-    const std::vector<std::string> text = Texts(arrays, "scene"), names = Texts(arrays, "name");
-    if (!text.empty()) {
-      std::variant<Scene, SceneFileError> scene = ParseScene(text[0], where() + ": scene");
-      if (const auto* error = std::get_if<SceneFileError>(&scene)) throw InputError(error->ToString());
-      this->scene() = std::get<Scene>(std::move(scene));
-      has_control_ = true;
-      return;
-    }
-    const auto radius = arrays.find("radius");
-    if (radius == arrays.end()) Fail("radius", "one radius for each disc, or --scene=FILE");
-    const std::vector<double> radii = Numbers(radius->second, "radius");
-    for (size_t i = 0; i < radii.size(); ++i) {
-      const std::string name = i < names.size() ? names[i] : "disc " + std::to_string(i + 1);
-      scene().bodies.push_back({.name = name, .radius = radii[i]});
-      CheckRadius(scene().bodies.back(), "radius");
-    }
-  }
-
-  void ReadArrays() {
-    const StatusOr<NpzArrays> read = ReadNpz(where());
-    if (!read.ok()) throw InputError(read.status().message());
-    const NpzArrays& arrays = *read;
-    if (!given_) {
-      ReadArrayBodies(arrays);
-    } else if (arrays.contains("parameters")) {
-      TakeParameters(where(), ReadSolution("--scene", where(), scene()), &scene());
-    }
-    const std::vector<std::string> contact = Texts(arrays, "contact"), solver = Texts(arrays, "solver");
-    const std::string model = contact.empty() ? "" : contact[0];
-    std::string label = model.empty() ? "states" : model;
-    if (!solver.empty() && solver[0] != kNoSolver) label += " " + solver[0];
-    ReadMotions(arrays, model, label, "", [&](const std::string& prefix, ReplayMotion* drawn) {
-      drawn->motion.times = Numbers(arrays.at(prefix + "times"), prefix + "times");
-      ReadStateArray(arrays.at(prefix + "states"), prefix + "states", drawn);
-      ReadRotationArray(arrays, prefix + "rotations", &drawn->motion);
-      ReadTouchArrays(arrays, prefix, &drawn->motion);
-      ReadControl(arrays, drawn);
-    });
-  }
-
-  // Reads the control, which is drawn only if the file has the discs that it belongs to: files with the whole scene.
-  void ReadControl(const NpzArrays& arrays, ReplayMotion* drawn) const {
-    const auto control = arrays.find("control"), lengths = arrays.find("durations");
-    const int discs = scene().num_controlled(), columns = ControlColumns(scene());
-    if (control == arrays.end() || !has_control_ || discs == 0) return;
-    const std::vector<int64_t>& shape = control->second.shape;
-    if (scene().num_turned() > 0 && (shape.size() != 3 || shape[1] != discs || shape[2] != columns)) {
-      Fail("control", "a shape of (K, " + std::to_string(discs) + ", 3)");
-    }
-    std::vector<double> rows = Numbers(control->second, "control");
-    rows.resize(rows.size() - rows.size() % static_cast<size_t>(discs * columns));
-    const size_t intervals = rows.size() / static_cast<size_t>(discs * columns);
-    std::vector<double> durations;
-    if (lengths != arrays.end()) durations = Numbers(lengths->second, "durations");
-    if (durations.empty() && intervals > 0 && !drawn->motion.times.empty()) {
-      durations.assign(intervals, drawn->motion.times.back() / static_cast<double>(intervals));
-    }
-    if (durations.size() != intervals) Fail("durations", std::to_string(intervals) + " numbers");
-    drawn->input = {{}, ControlOfRows(scene(), rows), std::move(durations)};
-  }
-
-  void ReadStateArray(const NpyArray& array, const std::string& key, ReplayMotion* drawn) {
-    const std::vector<int64_t>& shape = array.shape;
-    const int64_t discs = static_cast<int64_t>(num_discs());
-    if (shape.size() != 3 || shape[1] != discs || (shape[2] != 2 && shape[2] < static_cast<int64_t>(kState))) {
-      Fail(key, "a shape of (n, " + std::to_string(discs) + ", 4) or (n, " + std::to_string(discs) + ", 2)");
-    }
-    const std::vector<double> numbers = Numbers(array, key);
-    const size_t per_disc = static_cast<size_t>(shape[2]);
-    for (size_t i = 0; i < numbers.size(); i += per_disc) {
-      AddState(
-          per_disc, [&](size_t j) { return numbers[i + j]; }, &drawn->motion);
-    }
-    FinishStates(per_disc < kState, drawn);
-  }
-
-  // Reads angles and angular velocities, which files of saltus have beside the states.
-  void ReadRotationArray(const NpzArrays& arrays, const std::string& key, Motion* motion) const {
-    const auto rotations = arrays.find(key);
-    if (rotations == arrays.end()) return;
-    motion->rotations = Numbers(rotations->second, key);
-    if (kState * motion->rotations.size() != kSpin * motion->states.size()) {
-      Fail(key, "a shape of (n, " + std::to_string(num_discs()) + ", 2) with the n of the states");
-    }
-  }
-
-  void ReadTouchArrays(const NpzArrays& arrays, const std::string& prefix, Motion* motion) {
-    const auto pairs = arrays.find(prefix + "touch_pairs"), times = arrays.find(prefix + "touch_times");
-    if (pairs == arrays.end() || times == arrays.end()) return;
-    const auto impulses = arrays.find(prefix + "touch_impulses");
-    const std::vector<double> pair = Numbers(pairs->second, "touch_pairs"),
-                              time = Numbers(times->second, "touch_times");
-    const std::vector<double> impulse =
-        impulses == arrays.end() ? std::vector<double>(time.size()) : Numbers(impulses->second, "touch_impulses");
-    if (pair.size() % 3 != 0 || time.size() != pair.size() / 3 * 2 || impulse.size() != time.size()) {
-      Fail(prefix + "touch_times", "shapes of (M, 3), (M, 2) and (M, 2)");
-    }
-    const size_t num_walls = WallPartsOf(scene()).size();
-    for (size_t i = 0; 3 * i < pair.size(); ++i) {
-      const bool wall = pair[3 * i + 2] != 0;
-      const double most = static_cast<double>(wall ? num_walls : num_discs());
-      if (!(pair[3 * i] >= 0 && pair[3 * i] < num_discs() && pair[3 * i + 1] >= 0 && pair[3 * i + 1] < most)) {
-        Fail(prefix + "touch_pairs", "numbers of discs and walls");
-      }
-      motion->touches.push_back({{static_cast<int>(pair[3 * i]), static_cast<int>(pair[3 * i + 1]), wall},
-                                 time[2 * i],
-                                 time[2 * i + 1],
-                                 {impulse[2 * i], impulse[2 * i + 1]}});
-      CheckTouch(motion->touches.back(), prefix + "touch_times[" + std::to_string(i) + "]");
     }
   }
 

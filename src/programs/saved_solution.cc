@@ -1,9 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/file.h"
 #include "base/number_text.h"
-#include "output/npz.h"
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "saltus/control/control_rows.h"
@@ -17,19 +15,23 @@ constexpr double kSameStart = 1e-6;  // relative: a start that was rounded to fl
 
 class SolutionReader : InputReader {
  public:
-  SolutionReader(const std::string& flag, const std::string& path, const Scene& scene)
-      : InputReader(flag + ": " + path), flag_(flag), path_(path), scene_(scene) {}
+  SolutionReader(const std::string& where, const Scene& scene) : InputReader(where), scene_(scene) {}
 
-  SavedSolution Read() {
-    const StatusOr<std::string> bytes = ReadFile(path_);
-    if (!bytes.ok()) throw InputError(flag_ + ": " + bytes.status().message());
-    if (!bytes->starts_with("PK")) return Read(*bytes);
-    ReadArrays();
-    CheckFinite();
-    return std::move(solution_);
+  SavedSolution ReadFile(const std::string& flag, const std::string& path) {
+    Json document = ReadDocument(path, flag + ": ");
+    if (document.contains("runs")) {
+      const Json runs = document["runs"];
+      if (!runs.is_array() || runs.size() != 1) {
+        Fail("runs", "one run, found " + std::to_string(runs.size()) + "; take one of them as a file of its own");
+      }
+      document = runs[0];
+    }
+    if (!document.is_object()) Fail("the document", "an object");
+    return Read(document);
   }
-  SavedSolution Read(const std::string& json) {
-    ReadJson(json);
+
+  SavedSolution Read(const Json& run) {
+    ReadRun(run);
     CheckFinite();
     return std::move(solution_);
   }
@@ -64,26 +66,24 @@ class SolutionReader : InputReader {
     return numbers;
   }
 
+  // Returns the numbers of a control of K x C x 2, of K x C x 3 where discs are turned, or of one disc without C.
+  std::vector<double> ArrayRows(const Json& rows) const {
+    const size_t discs = scene_.num_controlled(), columns = ControlColumns(scene_);
+    const auto is_force = [&](const Json& item) { return IsVector(item, columns); };
+    for (const Json& row : rows) {
+      if (row.size() == discs && std::ranges::all_of(row, is_force)) continue;
+      if (discs == 1 && is_force(row)) continue;
+      Fail("control", "a shape of (K, " + std::to_string(discs) + ", " + std::to_string(columns) + ")");
+    }
+    return NumbersIn(rows);
+  }
+
   // Sets the control from rows, and checks them.
   void SetControl(const std::vector<double>& rows) {
     if (const std::string why = WhyNoControl(scene_, rows); !why.empty()) {
       throw InputError(where() + ": control: " + why);
     }
     solution_.control = ControlOfRows(scene_, rows);
-  }
-
-  void ReadJson(const std::string& text) {
-    Json document = ParseJson(text, where(), "an NPZ file or a JSON object");
-    if (document.is_object() && document.contains("solve")) document = Json(document["solve"]);
-    if (document.is_object() && document.contains("runs")) {
-      const Json runs = document["runs"];
-      if (!runs.is_array() || runs.size() != 1) {
-        Fail("runs", "one run, found " + std::to_string(runs.size()) + "; take one of them as a file of its own");
-      }
-      document = runs[0];
-    }
-    if (!document.is_object()) Fail("the document", "an object");
-    ReadRun(document);
   }
 
   void ReadRun(const Json& run) {
@@ -97,6 +97,7 @@ class SolutionReader : InputReader {
       }
       SetControl(rows);
     }
+    if (const auto rows = run.find("control_rows"); rows != run.end()) SetControl(ArrayRows(*rows));
     if (const auto durations = run.find("durations"); durations != run.end()) {
       if (!durations->is_array()) Fail("durations", "a list of numbers");
       for (const Json& value : *durations) {
@@ -142,49 +143,6 @@ class SolutionReader : InputReader {
     for (size_t i = 0; i < numbers.size(); ++i) solution_.initial_state[moves + kSpin * i + 1] = numbers[i];
   }
 
-  void ReadArrays() {
-    const StatusOr<NpzArrays> arrays = ReadNpz(path_);
-    if (!arrays.ok()) throw InputError(flag_ + ": " + arrays.status().message());
-    const int64_t bodies = scene_.num_bodies(), controlled = scene_.num_controlled();
-    if (const auto control = arrays->find("control"); control != arrays->end()) {
-      std::vector<int64_t> shape = control->second.shape;
-      if (shape.size() == 2 && controlled == 1) shape.insert(shape.begin() + 1, 1);
-      const int64_t columns = ControlColumns(scene_);
-      if (shape.size() != 3 || shape[1] != controlled || shape[2] != columns) {
-        Fail("control", "a shape of (K, " + std::to_string(controlled) + ", " + std::to_string(columns) + ")");
-      }
-      SetControl(Numbers(control->second, "control"));
-    }
-    if (const auto durations = arrays->find("durations"); durations != arrays->end()) {
-      solution_.durations = Numbers(durations->second, "durations");
-      CheckDurations();
-    }
-    if (const auto initial = arrays->find("initial_state"); initial != arrays->end()) {
-      if (initial->second.shape != std::vector<int64_t>{bodies, 4}) {
-        Fail("initial_state", "a shape of (" + std::to_string(bodies) + ", 4)");
-      }
-      const std::vector<double> numbers = Numbers(initial->second, "initial_state");
-      solution_.initial_state = InitialState(scene_);
-      std::ranges::copy(numbers, solution_.initial_state.begin());
-    }
-    const auto names = arrays->find("parameter_names"), values = arrays->find("parameters");
-    if (names != arrays->end() && values != arrays->end()) {
-      const auto* texts = std::get_if<std::vector<std::string>>(&names->second.data);
-      const std::vector<double> numbers = Numbers(values->second, "parameters");
-      if (texts == nullptr || texts->size() != numbers.size()) Fail("parameter_names", "one name for each parameter");
-      for (size_t i = 0; i < numbers.size(); ++i) solution_.parameters[(*texts)[i]] = numbers[i];
-    }
-    const auto rotation = arrays->find("initial_rotation");
-    if (rotation == arrays->end() || !scene_.Spins()) return;
-    if (rotation->second.shape != std::vector<int64_t>{bodies, kSpin}) {
-      Fail("initial_rotation", "a shape of (" + std::to_string(bodies) + ", 2)");
-    }
-    const std::vector<double> numbers = Numbers(rotation->second, "initial_rotation");
-    std::vector<double> spins;
-    for (size_t i = 1; i < numbers.size(); i += kSpin) spins.push_back(numbers[i]);
-    SetAngularVelocities(spins);
-  }
-
   void CheckDurations() const {
     const size_t width = scene_.control_width();
     if (solution_.durations.size() * width == solution_.control.size()) return;
@@ -203,7 +161,6 @@ class SolutionReader : InputReader {
     check(solution_.initial_state, "initial state");
   }
 
-  const std::string &flag_, &path_;
   const Scene& scene_;
   SavedSolution solution_;
 };
@@ -211,11 +168,11 @@ class SolutionReader : InputReader {
 }  // namespace
 
 SavedSolution ReadSolution(const std::string& flag, const std::string& path, const Scene& scene) {
-  return SolutionReader(flag, path, scene).Read();
+  return SolutionReader(flag + ": " + path, scene).ReadFile(flag, path);
 }
 
-SavedSolution ParseSolution(const std::string& name, const std::string& json, const Scene& scene) {
-  return SolutionReader(name, "", scene).Read(json);
+SavedSolution SolutionOf(const std::string& name, const Json& run, const Scene& scene) {
+  return SolutionReader(name, scene).Read(run);
 }
 
 void TakeParameters(const std::string& flag, const SavedSolution& solution, Scene* scene) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "folders.h"
+#include "output/npz.h"
 #include "programs/input_files.h"
 #include "programs/program.h"
 #include "programs/solve.h"
@@ -114,6 +115,46 @@ TEST_F(WrongFiles, ATouchEndsAfterItBegins) {
   EXPECT_EQ(ErrorOfReplay(with(R"("begin": 0.5, "end": 0.5)")), "none");
   EXPECT_THAT(ErrorOfReplay(with(R"("begin": 0.5, "end": 0.25)")),
               HasSubstr("touches[0].end: expected a time from its begin on, 0.5, found 0.25"));
+}
+
+// Arrays are refused where their shapes do not fit, as lists are in JSON.
+TEST_F(WrongFiles, ArraysHaveTheShapesOfARun) {
+  const auto error = [&](const NpzArrays& arrays) {
+    EXPECT_TRUE(WriteNpz(path_, arrays).ok());
+    try {
+      (void)ReadSolution("--control", path_, scene_);
+      (void)ReadReplayFile(path_, scene_);
+    } catch (const InputError& wrong) {
+      return std::string(wrong.what());
+    }
+    return std::string("none");
+  };
+  const auto zeros = [](std::vector<int64_t> shape) {
+    int64_t size = 1;
+    for (const int64_t length : shape) size *= length;
+    return NpyArray{shape, std::vector<double>(static_cast<size_t>(size))};
+  };
+  const NpzArrays motion = {{"times", {{2}, std::vector<double>{0, 1}}}, {"states", zeros({2, 2, 4})}};
+  const auto with = [&](const std::string& key, const NpyArray& array) {
+    NpzArrays arrays = motion;
+    arrays[key] = array;
+    return arrays;
+  };
+  EXPECT_EQ(error(motion), "none");
+  EXPECT_EQ(error(with("control", zeros({3, 1, 2}))), "none");
+  EXPECT_EQ(error(with("control", zeros({3, 2}))), "none");
+  EXPECT_THAT(error(with("control", zeros({3, 2, 2}))), HasSubstr("control: expected a shape of (K, 1, 2)"));
+  EXPECT_THAT(error(with("initial_state", zeros({2, 3}))), HasSubstr("initial_state: expected a shape of (B, 4)"));
+  EXPECT_THAT(error(with("initial_state", zeros({1, 4}))), HasSubstr("position: expected a list of 2 times"));
+  EXPECT_THAT(error(with("states", zeros({2, 1, 4}))), HasSubstr("states[0]: expected one list for each of 2 discs"));
+  EXPECT_THAT(error(with("rotations", zeros({1, 2, 2}))), HasSubstr("rotations: expected a shape of (n, 2, 2)"));
+  NpzArrays touched = with("touch_pairs", {{1, 3}, std::vector<int64_t>{0, 1, 1}});
+  EXPECT_THAT(error(touched), HasSubstr("touch_times: expected shapes of (M, 3), (M, 2) and (M, 2)"));
+  touched["touch_times"] = zeros({1, 2});
+  EXPECT_THAT(error(touched), HasSubstr("touches[0].b: expected the number of a disc or of a wall"));  // there is none
+  NpzArrays named = with("parameters", zeros({1}));
+  named["parameter_names"] = zeros({1});
+  EXPECT_THAT(error(named), HasSubstr("parameter_names: expected one name for each parameter"));
 }
 
 // A duration that was found stands in the table; without one there is no column.
