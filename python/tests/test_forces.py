@@ -328,3 +328,22 @@ def test_bounces_that_do_not_end_are_refused_with_their_step():
     scene["bodies"][0]["velocity"] = [0, 0]
     with pytest.raises(RuntimeError, match=r"step 30 of event: impacts accumulate .*drag.* ncp \(ball\)"):
         saltus.rollout(scene)
+
+
+def test_the_speed_of_a_disc_without_drag_is_limited_beside_others():
+    """Velocities are linear between the nodes where no force depends on the state."""
+    slow = pushed(duration=2.0)
+    slow["forces"] = [{"drag": {"body": "puck", "linear": 0.4}}]
+    slow["objective"]["limits"] = [{"body": "striker", "speed": {"max": 0.9}, "at": "always"}]
+    run = saltus.solve(slow)
+    assert run.termination == "converged"
+    problem = saltus.hybrid_problem(slow)
+    problem.control, problem.durations = np.reshape(run.control, (len(run.durations), -1)), run.durations
+    motion, at = saltus.rollout(problem), problem.system.states["flight"].index("striker.vx")
+    speeds = np.linalg.norm(np.asarray(motion.states)[:, at:at + 2], axis=1)
+    assert speeds.max() == pytest.approx(0.9, abs=1e-5)
+    free = saltus.solve({**slow, "objective": {**slow["objective"], "limits": []}})
+    assert run.final_loss > free.final_loss * (1 + 1e-3)
+    slow["objective"]["limits"][0]["body"] = "puck"
+    with pytest.raises(ValueError, match="limit of the speed of puck that holds always, which drag or a spring may exceed"):
+        saltus.hybrid_problem(slow)

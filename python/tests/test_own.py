@@ -400,3 +400,26 @@ class TestCalls:
         assert sum(counts.values()) < 600
         with pytest.raises(ValueError, match="audit_seconds"):
             saltus.audit(shot, simulate=simulate, audit_seconds=-1)
+
+
+def test_steps_that_do_not_resolve_a_spring_are_named():
+    """The error of a stiff spring falls with the steps and is still large: the cause says what to do."""
+    scene = saltus.Scene(
+        name="drop", duration=1.0, steps=40, gravity=[0, -9.8], contact={"restitution": 1.0}, optimize="velocity",
+        bodies=[{"name": "ball", "radius": 0.1, "mass": 1.0, "position": [0, 1.1], "velocity": [2, -2]}],
+        planes=[{"name": "ground", "point": [0, 0], "normal": [0, 1]}],
+        objective={"terminal": [{"body": "ball", "quantity": "position", "target": [1, 0.6]}]})
+
+    def simulate(scene, initial, control, dt):
+        """Semi-implicit Euler with a spring of 5000 N/m."""
+        x, y, vx, vy = np.asarray(initial, float)[0]
+        mass = scene.to_dict()["bodies"][0]["mass"]
+        for fx, fy in np.asarray(control)[:, 0] if len(scene.controlled) else np.zeros((len(control), 2)):
+            vx += dt * fx / mass
+            vy += dt * (fy / mass + scene.to_dict()["gravity"][1] + 5000 / mass * max(0.0, 0.1 - y))
+            x, y = x + dt * vx, y + dt * vy
+        return [[x, y, vx, vy]]
+
+    found = saltus.audit(scene, simulate=simulate)
+    assert found.verdicts["simulate"] == "unknown"
+    assert "begin with more steps" in found.of("simulate")["why"]

@@ -402,3 +402,11 @@ def test_files_that_are_no_results(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with refused(ValueError, r"solution\.npz: expected a result that saltus has saved"):
         saltus.load_result(path)
+
+
+def test_a_gradient_beside_running_costs_is_that_of_the_hybrid_problem(two_balls):
+    data = two_balls.to_dict()
+    data["objective"]["running"] = [{"body": "target", "quantity": "position", "weight": 1.0, "target": [[0, 0, 0], [1, 0, 0]]}]
+    with refused(RuntimeError, "running costs", r"take that of its hybrid problem \(saltus\.hybrid_problem\)"):
+        saltus.loss_and_gradient(data)
+    assert np.isfinite(saltus.loss_and_gradient(saltus.hybrid_problem(data)).loss)

@@ -120,6 +120,7 @@ bool IsNotMeantAsDerivative(const Contact& contact) {
 
 // Returns the reason why the gradient is not right.
 std::string CauseOf(const ModelAudit& audit) {
+  const std::string too_few_steps = "the error falls, but not yet below one percent: begin with more steps (--steps)";
   // Without a study, the first remark about a black box is the reason.
   const bool studied = audit.refinement || audit.widths;
   if (audit.black_box && !studied && !audit.black_box->remarks.empty()) return audit.black_box->remarks.front();
@@ -131,6 +132,10 @@ std::string CauseOf(const ModelAudit& audit) {
   if (recognition && (recognition->contact_class == ContactClass::kNoRestitution ||
                       recognition->contact_class == ContactClass::kDepthFeedback)) {
     return recognition->words;
+  }
+  if (audit.verdict == Verdict::kUnknown && audit.refinement && audit.refinement->ok()) {
+    const bool clear = recognition && recognition->contact_class != ContactClass::kUnclear;
+    return too_few_steps + (clear ? "; contact is " + recognition->words : "");
   }
   const bool jumps = recognition && recognition->contact_class == ContactClass::kForceWithJump;
   if (const ContactError* first = audit.FirstWrong()) {
@@ -147,8 +152,7 @@ std::string CauseOf(const ModelAudit& audit) {
   }
   if (audit.widths) return audit.widths->Summary();
   if (!audit.refinement) return "";
-  return audit.refinement->ok() ? "the error falls, but not yet below one percent: begin with more steps"
-                                : audit.refinement->reason;
+  return audit.refinement->ok() ? too_few_steps : audit.refinement->reason;
 }
 
 }  // namespace

@@ -846,23 +846,24 @@ std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, const std::v
 
 std::string WhyNoHybridProblem(const Scene& scene) {
   if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) return beyond;
-  const bool limited = std::ranges::any_of(scene.objective.limits,
-                                           [](const SpeedLimit& limit) { return limit.at == SpeedLimit::At::kAlways; });
-  if (limited && !scene.forces.empty()) {
-    return "limits of the speed that hold always, which may be exceeded within an interval beside drag or springs "
-           "(give "
-           "at: end)";
+  const auto has_force = [&](int body) {
+    return std::ranges::any_of(scene.forces, [&](const StateForce& force) {
+      const ForceAtState at = ForceAt(force, std::vector<double>(4 * scene.num_bodies()), 4);
+      return at.body == body || at.other == body;
+    });
+  };
+  for (const SpeedLimit& limit : scene.objective.limits) {
+    if (limit.at != SpeedLimit::At::kAlways || !has_force(limit.body)) continue;
+    return "a limit of the speed of " + scene.bodies[limit.body].name +
+           " that holds always, which drag or a spring may exceed within an interval (give at: end)";
   }
   // The state has these discs where the scene has them.
   for (const auto& [parameter, min, max, moved] : scene.design) {
     const auto is_of = [&](const auto& term) { return term.body == parameter.body; };
     const Objective& objective = scene.objective;
-    const bool held = std::ranges::any_of(scene.forces, [&](const StateForce& force) {
-      const ForceAtState at = ForceAt(force, std::vector<double>(4 * scene.num_bodies()), 4);
-      return at.body == parameter.body || at.other == parameter.body;
-    });
     if (parameter.kind != SceneParameter::Kind::kPosition) continue;
-    if (held) return "a spring to " + scene.bodies[parameter.body].name + ", whose position is a parameter";
+    if (has_force(parameter.body))
+      return "a spring to " + scene.bodies[parameter.body].name + ", whose position is a parameter";
     if (std::ranges::any_of(objective.terminal, is_of) || std::ranges::any_of(objective.via, is_of) ||
         std::ranges::any_of(objective.running, is_of)) {
       return "a term of " + scene.bodies[parameter.body].name + ", whose position is a parameter";

@@ -15,7 +15,10 @@ namespace {
 // Returns the reason why there is no gradient. Bounds and pairs that must not touch do not change the loss.
 std::string WhyNotGradient(const Scene& scene) {
   const std::string found = BeyondTerminalLoss(scene.objective);
-  return found.empty() ? "" : "the scene has " + found + ", of which there is no gradient by shooting";
+  return found.empty() ? ""
+                       : "the scene has " + found +
+                             ", of which there is no gradient by shooting: take that of its hybrid problem "
+                             "(saltus.hybrid_problem)";
 }
 
 // Computes loss, events and the gradient by the adjoint.
