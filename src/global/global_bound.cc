@@ -1,7 +1,7 @@
 #include "saltus/global/global_bound.h"
 
 #include <algorithm>
-#include <chrono>
+#include <ctime>
 #include <limits>
 #include <map>
 #include <memory>
@@ -22,16 +22,18 @@ using global::Multipliers;
 using global::Relaxation;
 
 constexpr int kQuarters = 4;
-constexpr double kNear = 1.05;  // of the known loss: open boxes with a bound below it at the middle are continued
-constexpr double kTight = 0.1;  // of the known loss: if their bound is as near to that at the middle
+constexpr double kTight = 0.1;  // of the first gap: boxes are stuck if their bound is as near to that at the middle
 constexpr double kSmall = 0.1;  // of the whole range: or if they are smaller in all parameters
+constexpr double kPartOfGap = 0.999;  // as far below the known loss are the wanted bounds, so that rounding is less
 constexpr std::size_t kBoxesPerCheck = 256;
 constexpr std::size_t kBytesOfMultipliers = 1024;  // about
 
 struct Node {
   ImpactBox box;
-  double lower = 0, own = 0, at_middle = 0;  // own: the bound of this box; `lower` may be that of one around it
+  double lower = 0, own = 0;  // own: the bound of this box; `lower` may be that of one around it
+  double at_middle = 0, least = 0;
   int split = -1;
+  bool is_cut = false;                             // the bound is that of a larger box, of which the rest is excluded
   std::shared_ptr<const Multipliers> multipliers;  // of this box; those of its halves are no worse
 };
 
@@ -49,7 +51,8 @@ class BranchAndBound {
         pairs_(AllPairs(scene)),
         pushed_(scene.num_bodies(), false),
         aimed_(scene.num_bodies(), false),
-        start_(std::chrono::steady_clock::now()) {
+        wanted_(upper - kPartOfGap * options.gap),
+        start_(std::clock()) {
     out_.upper = upper;
     for (const int body : scene.control.bodies) pushed_[body] = true;
     for (const TerminalTerm& term : scene.objective.terminal) aimed_[term.body] = aimed_[term.body] || term.weight > 0;
@@ -58,7 +61,8 @@ class BranchAndBound {
   GlobalBound Run() {
     Node root;
     root.box.open = true;
-    Push(std::move(root));
+    Bound(std::move(root));
+    if (!queue_.empty()) first_gap_ = wanted_ - queue_.front().lower;
     while (!queue_.empty()) {
       out_.lower = std::max(out_.lower, std::min({queue_.front().lower, final_lowest_, out_.upper}));
       if (out_.gap() <= options_.gap) break;
@@ -97,8 +101,7 @@ class BranchAndBound {
     next_check_ = out_.boxes + kBoxesPerCheck;
     if (options_.progress) options_.progress(out_);
     if (options_.stop && options_.stop()) return true;
-    const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - start_;
-    return options_.seconds > 0 && passed.count() > options_.seconds;
+    return options_.seconds > 0 && static_cast<double>(std::clock() - start_) > options_.seconds * CLOCKS_PER_SEC;
   }
 
   double WholeRange(const ImpactBox& box, int parameter) const {
@@ -108,12 +111,12 @@ class BranchAndBound {
     return 2 * kLargestTau;
   }
 
-  // Whether halving the box is not expected to exclude it: its middle cannot be excluded, and its bound is about as
-  // high as there, or the box is small.
+  // Whether halving the box is not expected to exclude it: some point in it cannot be excluded, and its bound is about
+  // as high as at its middle, or the box is small.
   bool IsStuck(const Node& node) const {
     if (node.split < 0) return true;
-    if (!(node.at_middle < kNear * out_.upper)) return false;
-    return node.own >= node.at_middle - kTight * out_.upper || IsSmall(node.box);
+    if (!(node.least < wanted_)) return false;
+    return node.own >= node.at_middle - kTight * first_gap_ || IsSmall(node.box);
   }
 
   bool IsSmall(const ImpactBox& box) const {
@@ -255,9 +258,10 @@ class BranchAndBound {
 
   void Halve(const Node& node) {
     const int j = node.split;
-    if (j < 0) return Finish(node);
-    const double middle = 0.5 * (node.box.low[j] + node.box.high[j]);
-    if (!(node.box.low[j] < middle && middle < node.box.high[j])) return Finish(node);
+    const double middle = j < 0 ? 0 : 0.5 * (node.box.low[j] + node.box.high[j]);
+    if (j < 0 || !(node.box.low[j] < middle && middle < node.box.high[j])) {
+      return node.is_cut ? Bound(node, node.multipliers.get()) : Finish(node);
+    }
     Node lower = node, upper = node;
     lower.box.high[j] = middle;
     upper.box.low[j] = middle;
@@ -286,24 +290,33 @@ class BranchAndBound {
   void Bound(Node node, const Multipliers* known = nullptr) {
     if (!Order(&node.box)) return;
     ++out_.boxes;
-    BoxBound bound = relaxation_.Bound(node.box, out_.upper, known);
+    BoxBound bound = relaxation_.Bound(node.box, wanted_, known);
+    if (bound.lower_outside < out_.upper) {
+      Node outside = node;
+      outside.lower = std::max(node.lower, bound.lower_outside);
+      Finish(std::move(outside));
+    }
+    node.is_cut = node.box.low != bound.low || node.box.high != bound.high;
     node.box.low = std::move(bound.low);
     node.box.high = std::move(bound.high);
     node.lower = std::max(node.lower, bound.lower);
     node.own = bound.lower;
     node.at_middle = bound.at_middle;
+    node.least = bound.least;
     node.split = bound.split;
     node.multipliers = std::move(bound.multipliers);
     if (node.lower >= out_.upper) {
       Count(node, &excluded_);
+    } else if (node.lower >= wanted_) {
+      Finish(node);
     } else {
       Push(std::move(node));
     }
   }
 
-  void Finish(Node node) {
+  void Finish(const Node& node) {
     final_lowest_ = std::min(final_lowest_, node.lower);
-    final_.push_back(std::move(node));
+    Count(node, &final_);
   }
 
   using Key = std::vector<int>;
@@ -332,9 +345,8 @@ class BranchAndBound {
   }
 
   void Report() {
-    std::map<Key, SequenceBound> left;
+    std::map<Key, SequenceBound> left = final_;
     for (const Node& node : queue_) Count(node, &left);
-    for (const Node& node : final_) Count(node, &left);
     out_.left = Sorted(left);
     out_.excluded = Sorted(excluded_);
   }
@@ -344,11 +356,12 @@ class BranchAndBound {
   const Relaxation relaxation_;
   const ContactSequence pairs_;
   std::vector<bool> pushed_, aimed_;  // by disc
-  const std::chrono::steady_clock::time_point start_;
-  std::vector<Node> queue_;  // a heap
-  std::vector<Node> final_;  // which cannot be divided any more
-  double final_lowest_ = std::numeric_limits<double>::infinity();
-  std::map<Key, SequenceBound> excluded_;
+  const double wanted_;               // boxes with bounds as high are not divided any more
+  const std::clock_t start_;
+  double first_gap_ = 0;                                           // between `wanted_` and the bound of all motions
+  std::vector<Node> queue_;                                        // a heap
+  std::map<Key, SequenceBound> excluded_, final_;                  // final: boxes that are not divided any more
+  double final_lowest_ = std::numeric_limits<double>::infinity();  // of their bounds
   std::size_t bytes_ = 0, next_check_ = 0;
   GlobalBound out_;
 };

@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <type_traits>
 #include <utility>
 
@@ -236,7 +237,8 @@ struct Layout {
 //
 // After an open sequence discs get further with more effort E. With multipliers a_i of the terms, a disc's reach enters
 // as the least of E - (root of the sum of |a_i|^2 / m_i) * push * root of E, of which effort is shared out: a part
-// `share` to the forces before, the rest to the reach.
+// `share` to the forces before, the rest to the reach. Only the effort is shared that can add to the energy at the end
+// of the sequence (see EnergyAtEnd).
 struct Weights {
   double share = 1;  // in (0, 1]; of 1 there are no terms in an open sequence
   double reach = 1;  // > 0: about the root of the sum of |a_i|^2 / m_i
@@ -253,7 +255,7 @@ struct Weights {
 // Parts of the dual function at given multipliers, by which weights are improved.
 struct Record {
   double factor = 1;  // of what is added
-  double spent = 0;   // subtracted for effort before the end of an open sequence, times the share
+  double spent = 0;   // square of the share, times the derivative by it of what effort before the end subtracts
   std::vector<std::array<std::array<double, 3>, 2>> parts;  // integrals of squares
   std::vector<double> lengths, durations;                   // integrals of squares, and times, of repeated impacts
   struct Push {
@@ -332,12 +334,76 @@ Pair<P> NormalAt(const P& tau, int quarter) {
 }
 
 // The reach after an open sequence, which ends at time `end`: the root of the sum of m |displacement|^2 is at most a
-// start plus the root of PushSquare, times the effort before `end` times `part`, and the effort after it.
+// start plus the root of PushSquare, times the effort before `end` times `part`, and the effort after it. Before `end`
+// only the effort counts that EnergyAtEnd leaves.
 template <typename B, typename P>
 P PushSquare(const Numbers<B>& n, const P& end, const B& part) {
   const P rest = P(n.duration) - end;
   return Reciprocal(n.effort * n.lightest) * (Square(rest) * (Reciprocal(part) * end + (B(1) / B(3)) * rest));
 }
+
+// Twice the kinetic energy after an open sequence, as a quadratic form of the velocities of all discs at an earlier
+// time if no force follows. It is computed backwards in time and begins as the energy itself.
+//
+// |v|, the root of the sum of m |v_i|^2, does not grow at impacts: those of discs that matter later are all in the
+// sequence. With the linear map W_f from the velocities after flight f to those at the end, and J_f the change of
+// velocity by forces in that flight, |v(end)| <= |v(0)| + sum over flights of |W_f J_f| (and the integral of gravity).
+// J_f depends on the mean force of the flight only, and not on how the force varies around that mean. This does not
+// hold for a pair that may touch again during the flight at unknown normals: there |J_f| is replaced by the integral of
+// |u| / root of m, and W_f by the identity, which is Reset.
+template <typename B, typename P>
+class EnergyAtEnd {
+ public:
+  explicit EnergyAtEnd(const Numbers<B>& numbers)
+      : numbers_(numbers), form_(4 * numbers.discs.size() * numbers.discs.size()) {
+    Reset();
+  }
+
+  // Replaces the form by the energy at this time, which is no smaller.
+  void Reset() {
+    std::fill(form_.begin(), form_.end(), P(B(0)));
+    for (int k = 0; k < size(); ++k) At(k, k) = P(numbers_.discs[k / 2].mass);
+  }
+
+  // Goes back over an impact, v -> v - c (d . v) with the gradient d of the approach: the form Q becomes
+  // Q - d h' - h d' with h = Q c - (c' Q c / 2) d.
+  void GoBack(const typename Numbers<B>::Touch& touch, const Pair<P>& normal) {
+    std::vector<int> touching = {2 * touch.pair.a, 2 * touch.pair.a + 1};  // components of velocities
+    std::vector<P> d = {normal.x, normal.y}, c = {touch.share_a * normal.x, touch.share_a * normal.y};
+    if (!touch.b_fixed) {
+      touching.insert(touching.end(), {2 * touch.pair.b, 2 * touch.pair.b + 1});
+      d.insert(d.end(), {B(-1) * normal.x, B(-1) * normal.y});
+      c.insert(c.end(), {B(-1) * touch.share_b * normal.x, B(-1) * touch.share_b * normal.y});
+    }
+    std::vector<P> h(size(), P(B(0)));
+    for (int k = 0; k < size(); ++k) {
+      for (size_t i = 0; i < touching.size(); ++i) h[k] += At(k, touching[i]) * c[i];
+    }
+    P square(B(0));
+    for (size_t i = 0; i < touching.size(); ++i) square += c[i] * h[touching[i]];
+    for (size_t i = 0; i < touching.size(); ++i) h[touching[i]] -= B(0.5) * square * d[i];
+    for (int k = 0; k < size(); ++k) {
+      for (size_t i = 0; i < touching.size(); ++i) {
+        At(k, touching[i]) -= h[k] * d[i];
+        At(touching[i], k) -= d[i] * h[k];
+      }
+    }
+  }
+
+  // Returns the form of the velocity of one disc, relative to its mass: xx, xy and yy. It is at most the identity.
+  std::array<P, 3> Of(int disc) const {
+    const B inverse = B(1) / numbers_.discs[disc].mass;
+    const auto at = [&](int k, int l) { return inverse * form_[(2 * disc + k) * size() + 2 * disc + l]; };
+    return {at(0, 0), at(0, 1), at(1, 1)};
+  }
+
+ private:
+  int size() const { return 2 * static_cast<int>(numbers_.discs.size()); }
+  P& At(int k, int l) { return form_[k * size() + l]; }
+
+  const Numbers<B>& numbers_;
+  std::vector<P> form_;  // row by row
+};
 
 // The Lagrangian, minimised over all controls: a lower bound of the loss at impacts with parameters `theta` for any
 // multipliers z whose approaches are not negative. It is a concave quadratic function of z.
@@ -363,10 +429,14 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     bool has_end_a, has_end_b;
   };
   std::vector<Repeated> running;
+  std::optional<EnergyAtEnd<B, P>> energy;  // of one pushed disc: those of several are not a sum over the discs
+  const auto is_pushed = [](const auto& disc) { return disc.pushed; };
+  if (box.open && weights.share < 1 && std::count_if(n.discs.begin(), n.discs.end(), is_pushed) == 1) energy.emplace(n);
   // Begins, backwards in time, the repetitions of the impacts that end before impact `next`.
   const auto begin_before = [&](int next) {
     for (int j = 0; j < impacts; ++j) {
       if (!box.repeated[j] || box.EndOfRepetition(j) != next) continue;
+      if (energy) energy->Reset();
       const auto& touch = n.Find(box.sequence[j]);
       const int a = touch.pair.a, b = touch.b_fixed ? a : touch.pair.b;
       running.push_back({j,
@@ -427,25 +497,46 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     }
   };
   int flight = 0;
-  // Pushes disc i along axis k while its costate of velocity has that mean and gain.
-  const auto push = [&](size_t i, int k, const B& effort, const P& duration, const S& mean, const S& gain) {
-    const auto& disc = n.discs[i];
-    const size_t at = flight * discs + i;
-    const double held = weights.held.empty() ? 0 : weights.held[at][k];
-    const P price = Reciprocal(B(4) * (effort + B(held)) * Square(disc.mass)) * duration;
-    AddSquare(B(-1) * price, mean, dual);
-    AddSquare(B(-1) / B(12) * price, gain, dual);
-    if (held > 0 && !(disc.is_length && k == 1)) AddConstant((B(-held) * Square(disc.largest)) * duration, dual);
-    if constexpr (std::is_same_v<S, double>) {
-      if (record == nullptr) return;
-      const double square = Square(mean) + Square(gain) / 12;
-      record->spent += record->factor * weights.share * price * square;
-      if (weights.held.empty()) return;
-      record->pushes[at].squares[k] += record->factor * duration * square;
-      if (k == 0) record->pushes[at].duration += record->factor * duration;
-      record->pushes[at].effort = effort;
-    }
-  };
+  // Pushes disc i while its costate of velocity has that mean and gain. Minimises, over the mean force, the effort that
+  // is not shared out to the reach: a quadratic form with the components xx, xy and yy.
+  const auto push =
+      [&](int i, const B& effort, bool in_repetition, const P& duration, const Pair<S>& mean, const Pair<S>& gain) {
+        const auto& disc = n.discs[i];
+        const size_t at = flight * discs + i;
+        const auto held = weights.held.empty() ? std::array<double, 2>{0, 0} : weights.held[at];
+        const B given = (B(1) - B(weights.share)) * effort;
+        const B varying = in_repetition ? effort - given : effort;  // the price of the force around its mean
+        const P unit = Reciprocal(B(4) * Square(disc.mass)) * duration;
+        AddSquare(B(-1) / (B(12) * (varying + B(held[0]))) * unit, gain.x, dual);
+        AddSquare(B(-1) / (B(12) * (varying + B(held[1]))) * unit, gain.y, dual);
+        std::array<P, 3> form = {P(B(1)), P(B(0)), P(B(1))};
+        if (energy && !in_repetition) form = energy->Of(i);
+        const P xx = P(effort + B(held[0])) - given * form[0], xy = B(-1) * given * form[1];
+        const P yy = P(effort + B(held[1])) - given * form[2];
+        const P inverse = Reciprocal(xx), ratio = xy * inverse;
+        S across = mean.y;
+        across -= ratio * mean.x;
+        const P across_inverse = Reciprocal(yy - xy * ratio);
+        AddSquare(B(-1) * (inverse * unit), mean.x, dual);
+        AddSquare(B(-1) * (across_inverse * unit), across, dual);
+        for (const int k : {0, 1}) {
+          if (held[k] > 0 && !(disc.is_length && k == 1)) {
+            AddConstant((B(-held[k]) * Square(disc.largest)) * duration, dual);
+          }
+        }
+        if constexpr (std::is_same_v<S, double>) {
+          if (record == nullptr) return;
+          const double y = across_inverse * across, x = inverse * mean.x - ratio * y;
+          const double varied = in_repetition ? (Square(gain.x) + Square(gain.y)) / (12 * varying * varying) : 0;
+          record->spent += record->factor * Square(weights.share) * effort * unit *
+                           (form[0] * x * x + 2 * form[1] * x * y + form[2] * y * y + varied);
+          if (weights.held.empty()) return;
+          record->pushes[at].squares[0] += record->factor * duration * (Square(mean.x) + Square(gain.x) / 12);
+          record->pushes[at].squares[1] += record->factor * duration * (Square(mean.y) + Square(gain.y) / 12);
+          record->pushes[at].duration += record->factor * duration;
+          record->pushes[at].effort = weights.share * effort;
+        }
+      };
   const auto fly = [&](const P& duration) {
     const P twelfth = B(1) / B(12) * duration;
     std::vector<Pair<S>> gain(discs, {zero, zero}), mean(discs, {zero, zero});
@@ -458,12 +549,14 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
         Add(n.gravity.y * duration, mean[i].y, dual);
       }
       if (!n.discs[i].pushed) continue;
-      B effort = n.effort * B(weights.share);
+      B effort = n.effort;
+      bool in_repetition = false;
       for (const Repeated& repeated : running) {
         const bool is_a = repeated.touch->pair.a == static_cast<int>(i);
         const bool is_b = !repeated.touch->b_fixed && repeated.touch->pair.b == static_cast<int>(i);
         if (!is_a && !is_b) continue;
         effort = effort * B(weights.parts[repeated.impact][is_a ? 0 : 1][0]);
+        in_repetition = true;
         if constexpr (std::is_same_v<S, double>) {
           if (record != nullptr) {
             record->parts[repeated.impact][is_a ? 0 : 1][0] +=
@@ -472,8 +565,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
           }
         }
       }
-      push(i, 0, effort, duration, mean[i].x, gain[i].x);
-      push(i, 1, effort, duration, mean[i].y, gain[i].y);
+      push(static_cast<int>(i), effort, in_repetition, duration, mean[i], gain[i]);
     }
     for (const Repeated& repeated : running) {
       const auto& touch = *repeated.touch;
@@ -578,6 +670,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
       Add(-distance * normal.y, mu[1], dual);
       if (a != box.sequence[i].a) normal = B(-1) * normal;
     }
+    if (energy) energy->GoBack(touch, normal);
     // The impact and its approach, seen by the velocities before.
     S jump = touch.share_a * (normal.x * of_velocity[a].x + normal.y * of_velocity[a].y);
     if (!touch.b_fixed) jump -= touch.share_b * (normal.x * of_velocity[b].x + normal.y * of_velocity[b].y);
@@ -618,10 +711,9 @@ int ImpactBox::EndOfRepetition(int i) const {
   return impacts;
 }
 
-struct Multipliers {
+struct DualTerms {
   std::vector<Side> sides;
   Weights weights;
-  Eigen::VectorXd values;
 };
 
 class Relaxation::Impl {
@@ -785,11 +877,14 @@ class Relaxation::Impl {
       const double before = bound.lower;
       Enclose<N>(box, layout, middle, multipliers, weights, upper, &bound, &lowest);
       if (bound.lower > before) {
-        bound.multipliers = std::make_shared<Multipliers>(Multipliers{layout.sides, weights, multipliers.at_middle});
+        const Vector& z = multipliers.at_middle;
+        bound.multipliers = std::make_shared<Multipliers>(
+            Multipliers{std::make_shared<DualTerms>(DualTerms{layout.sides, weights}), {z.begin(), z.end()}});
       }
     };
     if (known != nullptr) {
-      enclose(Layout(static_cast<int>(plain_.terms.size()), box, known->sides), {known->values, {}}, known->weights);
+      const Layout layout(static_cast<int>(plain_.terms.size()), box, known->terms->sides);
+      enclose(layout, {Vector::Map(known->values.data(), layout.size), {}}, known->terms->weights);
       if (bound.lower >= upper) return bound;
     }
     Solution at_middle{Layout(static_cast<int>(plain_.terms.size()), box)};
@@ -803,6 +898,7 @@ class Relaxation::Impl {
     const Solution worst = Worst<N>(box, sides, middle, at_middle, upper);
 
     bound.at_middle = at_middle.value;
+    bound.least = std::min(at_middle.value, worst.value);
     std::vector<std::vector<double>> points = PointsOf(box, middle);
     const auto keep = [&](const Solution& solution, const AffineMultipliers& multipliers) {
       enclose(
@@ -1211,7 +1307,10 @@ class Relaxation::Impl {
     for (int j = 0; j < parameters && lower < upper; ++j) {
       double least = box.high[j], most = box.low[j];  // of motions of a loss below `upper`
       for (const BoxPart<N>& part : parts) {
-        if (part.least >= upper) continue;
+        if (part.least >= upper) {
+          bound->lower_outside = std::min(bound->lower_outside, part.least);
+          continue;
+        }
         const Interval ends =
             Interval(theta[j].value) + Interval(theta[j].slope[j]) * Interval(part.low[j], part.high[j]);
         least = std::min(least, ends.lower());

@@ -9,6 +9,7 @@
 // bound of a box is the lower end of D in interval arithmetic over theta, at multipliers that are best in its middle.
 #pragma once
 
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -44,13 +45,23 @@ struct ImpactBox {
 inline constexpr double kLargestTau = 0.4142135623730952;  // above tan(pi / 8)
 inline constexpr int kMostParameters = 12;
 
-struct Multipliers;  // of a dual function, with the conditions that it has
+struct DualTerms;  // the sides that a dual function has, and its weights
+
+// Multipliers of a dual function. The bound of a box is rigorous whatever they are.
+struct Multipliers {
+  std::shared_ptr<const DualTerms> terms;
+  // Two of each terminal term; those of each impact, which are one of its place at a wall and two between discs, and
+  // one of its approach; and one of each side.
+  std::vector<double> values;
+};
 
 struct BoxBound {
   double lower = 0;      // rigorous: no motion in the box has a smaller loss, unless it is above the upper bound given
   double at_middle = 0;  // in floating point: the bound at the middle of the box
+  double least = 0;      // in floating point: about the least bound at points of the box, or one below the upper bound
   std::vector<double> low, high;  // the part of the box that motions with a loss below the upper bound given may be in
-  int split = -1;                 // the parameter in which the box should be halved; -1 if there is none
+  double lower_outside = std::numeric_limits<double>::infinity();  // rigorous: of motions outside of that part
+  int split = -1;  // the parameter in which the box should be halved; -1 if there is none
   std::shared_ptr<const Multipliers> multipliers;  // those of the greatest bound; null if there is none
 };
 

@@ -151,6 +151,26 @@ TEST(Relaxation, HalvesAreBoundedNoLowerThanTheWhole) {
   EXPECT_GT(higher, 30);
 }
 
+// A negative multiplier of the approach, which is no condition at the optimum, would raise the dual function above it.
+TEST(Relaxation, RejectsMultipliersOfTheWrongSign) {
+  constexpr size_t kOfApproach = 4;  // after two of the only term and two of the place
+  const Relaxation relaxation(ProblemScene("two_balls"));
+  BoxMaker optimum;
+  optimum.Add({0, 1, false}, 0.68322, {std::cos(1.25 * M_PI), std::sin(1.25 * M_PI)});
+  ImpactBox box = optimum.box;
+  box.low = box.high = optimum.at;
+  const BoxBound right = relaxation.Bound(box, 100);
+  ASSERT_NE(right.multipliers, nullptr);
+  ASSERT_EQ(right.multipliers->values[kOfApproach], 0);
+  for (const double of_approach : {-1e-3, -1e-2}) {
+    Multipliers wrong = *right.multipliers;
+    wrong.values[kOfApproach] = of_approach;
+    EXPECT_LE(relaxation.Bound(box, 100, &wrong).lower, kTwoBalls + 1e-9);
+    wrong.values[kOfApproach] = -of_approach;
+    EXPECT_EQ(relaxation.Bound(box, 0.9 * kTwoBalls, &wrong).at_middle, 0);  // these are right, and enough
+  }
+}
+
 // The target of the disc is behind a wall, and the disc gets no further than the force that pushes the striker could
 // push it: |q|^2 + 0.3 |q - (-1, -1)|^2 is least at x = -0.7, which is as far as the wall lets it, and y = -0.3 / 1.3.
 TEST(Relaxation, EndsInFrontOfAWall) {
@@ -212,6 +232,27 @@ TEST(GlobalBound, IsBelowTheOptimumWhateverIsKnown) {
     EXPECT_TRUE(bound.interrupted) << name;
     EXPECT_LE(bound.lower, optimum + 1e-11) << name;  // optima are known to 12 digits
     EXPECT_GE(bound.lower, 0.2 * optimum) << name;
+  }
+}
+
+// Boxes whose bounds are within the gap are not divided further. They are left, and the bound is below theirs.
+TEST(GlobalBound, LeavesWhatIsWithinTheGap) {
+  const Scene scene = ProblemScene("two_balls");
+  std::size_t boxes = 0;
+  for (const double gap : {1e-6, 1e-3, 0.03, 0.1}) {
+    for (const double known : {kTwoBalls + 1e-9, kTwoBalls + 0.5 * gap, kTwoBalls + 0.99 * gap}) {
+      const GlobalBound bound = BoundGlobally(scene, known, {.gap = gap, .boxes = 20000});
+      EXPECT_FALSE(bound.interrupted);
+      EXPECT_LE(bound.gap(), gap);
+      EXPECT_LE(bound.lower, kTwoBalls + 1e-11);
+      ASSERT_FALSE(bound.left.empty());
+      EXPECT_LE(bound.left.front().lower, kTwoBalls + 1e-11);
+      EXPECT_GE(bound.left.front().lower, bound.lower);
+      if (known == kTwoBalls + 1e-9) {
+        EXPECT_TRUE(boxes == 0 || bound.boxes < boxes);
+        boxes = bound.boxes;
+      }
+    }
   }
 }
 

@@ -44,7 +44,7 @@ struct GlobalBound {
 // Limits of branch and bound, and a callback for its progress.
 struct GlobalOptions {
   double gap = 1e-6;                          // of the loss: ends as soon as upper - lower is at most this
-  double seconds = 0;                         // limit of time; 0: no limit
+  double seconds = 0;                         // limit of the CPU time of the process; 0: no limit
   std::size_t boxes = 0;                      // limit of boxes; 0: no limit
   std::size_t memory = std::size_t{2} << 30;  // approximate limit of the queue, bytes
   StopRequest stop = nullptr;                 // ends the search
@@ -55,8 +55,8 @@ struct GlobalOptions {
 std::string WhyNotBounded(const Scene& scene);
 
 // Bounds the loss of all controls of `scene` from below. `upper` is the loss of a known motion, such as that of the
-// best control of `mode_search`: sequences and boxes with a bound above it are excluded. Precondition: WhyNotBounded is
-// empty.
+// best control of `mode_search`: sequences and boxes with a bound above it are excluded, and those with a bound above
+// `upper` less the gap are not divided further. Precondition: WhyNotBounded is empty.
 GlobalBound BoundGlobally(const Scene& scene, double upper, const GlobalOptions& options);
 
 }  // namespace saltus
