@@ -66,7 +66,7 @@ def table(rows: list[dict]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--seconds", type=float, default=60, help="limit of time for each bound")
+    parser.add_argument("--seconds", type=float, default=60, help="limit of the CPU time for each bound")
     parser.add_argument("--only", nargs="*", help="bound only these problems again")
     parser.add_argument("--search", action="store_true", help="search for the best control again")
     options = parser.parse_args()

@@ -167,7 +167,7 @@ def bound_globally(
             quadratic terminal costs.
         loss: that of a known motion, such as ``solve(scene, "event", "mode_search")["exact_loss"]``.
         gap: ends as soon as ``loss`` less the bound is at most this.
-        seconds: limit of time; 0 is no limit.
+        seconds: limit of the CPU time of the process; 0 is no limit.
         boxes: limit of the number of boxes; 0 is no limit. The default is that of the solver "global".
         progress: whether a line on stderr shows the progress after two seconds; default: on terminals and in notebooks.
 
