@@ -9,6 +9,7 @@
 #include <cmath>
 #include <memory>
 #include <random>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -757,6 +758,32 @@ TEST(HybridSolvers, BringTheTwoMassHopperFromAllStartsToOneOptimum) {
     for (int k = 0; k < problem.guess.num_intervals; ++k) problem.guess.control.push_back(rate(random));
     const SolveReport report = Solve("ceres_lm", problem, options);
     EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << start << ": " << report.reason;
+  }
+}
+
+// The state has five numbers in flight and three in stance, and motions begin in either.
+TEST(HybridSolvers, TakeModesOfDifferentSizes) {
+  const HybridProblem in_flight = TwoMassHopperProblem();
+  HybridProblem in_stance = in_flight;
+  in_stance.guess.mode = TwoMassHopper::kStance;
+  in_stance.guess.initial = {0.38, 0.0, 0.5};
+  in_stance.guess.duration = 0.3;
+  for (const HybridProblem& given : {in_flight, in_stance}) {
+    const SolveReport expected = Solve("ceres_lm", given, {.iterations = 200});
+    for (const std::string solver : {"ceres_phases", "ipopt"}) {
+      const SolveReport report = Solve(solver, given, {});
+      if (report.termination == Termination::kNotApplicable) continue;  // a build without IPOPT
+      ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
+      // The intervals end at the events, which changes the optimum a little.
+      EXPECT_NEAR(report.final_loss, expected.final_loss, 1e-3 * expected.final_loss) << solver;
+      HybridProblem again = given;
+      again.guess.control = report.control;
+      again.guess.lengths = report.durations;
+      again.guess.num_intervals = static_cast<int>(report.durations.size());
+      if (report.durations.empty()) again.guess.num_intervals = given.guess.num_intervals;
+      EXPECT_NEAR(Solve("gd", again, {.iterations = 0}).initial_loss, report.final_loss, 1e-8 * report.final_loss)
+          << solver;
+    }
   }
 }
 

@@ -532,7 +532,7 @@ void HybridTranscription::FindParts() {
   parts_ = functions_.Parts(phases_.front().mode);
   for (const Phase& phase : phases_) {
     if (std::ranges::equal(parts_, functions_.Parts(phase.mode), same)) continue;
-    parts_ = functions_.HybridFunctions::Parts(phase.mode);
+    parts_ = functions_.HybridFunctions::Parts(phases_.front().mode);  // those of the initial state
     break;
   }
   all_.resize(parts_.size());
@@ -571,6 +571,10 @@ std::vector<double*> HybridTranscription::NodesAt(const std::vector<int>& parts,
 std::vector<double> HybridTranscription::StateAt(int phase, int step) {
   const Phase& of = phases_[phase];
   std::vector<double> x(functions_.state_size(of.mode));
+  if (IsOnePart()) {  // which is larger or smaller in other modes
+    std::copy_n(NodeAt(0, phase, step), x.size(), x.begin());
+    return x;
+  }
   const int count = of.intervals * substeps_;
   for (int part = 0; part < static_cast<int>(parts_.size()); ++part) {
     const double* node = NodeAt(part, phase, step);
