@@ -533,6 +533,8 @@ class SequenceUpdate {
     } else if (IsOpen(lowest_)) {
       *reason = "no feasible motion " + With(run_.NameOf(lowest_.exact.contacts)) +
                 " was found; the least violation is " + run_.DescribeMiss(lowest_);
+    } else if (!best_ && last_ && !last_->converged) {
+      *reason = "the last solve, of motions " + With(run_.NameOf(last_plan_)) + ", has not converged";
     } else if (!best_ && last_ && !last_->realized) {
       *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
       const Sequence& returned = lowest_.exact.contacts;

@@ -465,6 +465,22 @@ TEST(SequenceUpdate, NamesTheBetterPlanThatIsNoMotion) {
   EXPECT_THAT(report.reason, HasSubstr("lower is the loss of a plan, but it is not realized"));
 }
 
+TEST(SequenceUpdate, SaysThatTheLastSolveHasNotConverged) {
+  PlainRun run(MotionWith(3, {1, 2}));
+  bool converges = false;
+  const auto solve = [&] {
+    return SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+      PlainAttempt attempt = OptimumAlong(plan, start, 4);
+      attempt.converged = converges;
+      attempt.realized = false;
+      return attempt;
+    });
+  };
+  EXPECT_THAT(solve().reason, HasSubstr("has not converged"));
+  converges = true;
+  EXPECT_THAT(solve().reason, HasSubstr("it is not realized"));
+}
+
 TEST(SequenceUpdate, SaysThatTheBestMotionIsNoOptimum) {
   const SolveReport report = WhereTheOptimumIsWorse(2);
   EXPECT_EQ(report.termination, Termination::kNoProgress);
