@@ -20,7 +20,6 @@
 #include "control/hybrid_shooting.h"
 #include "convert.h"
 #include "feedback.h"
-#include "greatest_value.h"
 #include "hybrid/mechanical/bodies_file.h"
 #include "hybrid/recorded_functions.h"
 #include "hybrid/recorded_mechanics.h"
@@ -160,35 +159,26 @@ std::vector<std::string> NextModesOf(const MechanicalSystem& system, int mode, i
 
 // name, "steps" | "always" | "event" | "end", "cost" | "value" | "equality" | "inequality", mode, name of the guard,
 // before, the only interval or event, letters of what the function reads (some of "xiupth", in this order; i: the
-// initial state), sizes of these, the function. One "always" holds in a control interval that begins in its mode, and
-// reads [x t p u].
+// initial state), sizes of these, the function.
 using TermTuple = std::tuple<std::string, std::string, std::string, int, std::string, bool, int, std::string,
                              std::vector<int>, Outputs>;
 
 // A term that was recorded, or one that was read from a file.
 using GivenTerm = std::variant<HybridTerm, TermTuple>;
 
-HybridTerm ReadTerm(const GivenTerm& given, const HybridSystem& system) {
+HybridTerm ReadTerm(const GivenTerm& given) {
   if (const auto* term = std::get_if<HybridTerm>(&given)) return *term;
   const auto& [name, at, role, mode, event, before, only, reads, sizes, function] = std::get<TermTuple>(given);
   HybridTerm term{.name = name, .mode = mode, .event = event, .before = before};
   (at == "event" ? term.occurrence : term.interval) = only;
-  const bool always = at == "always";
-  term.at = always || at == "steps" ? HybridTerm::At::kEachInterval
-            : at == "event"         ? HybridTerm::At::kEvent
-                                    : HybridTerm::At::kEnd;
+  term.always = at == "always";
+  term.at = term.always || at == "steps" ? HybridTerm::At::kEachInterval
+            : at == "event"              ? HybridTerm::At::kEvent
+                                         : HybridTerm::At::kEnd;
   term.role = role == "equality"     ? HybridTerm::Role::kEquality
               : role == "inequality" ? HybridTerm::Role::kInequality
               : role == "value"      ? HybridTerm::Role::kValue
                                      : HybridTerm::Role::kCost;
-  if (always) {
-    const int n = system.state_size(mode), m = system.num_controls(), num_p = system.num_parameters();
-    term.with_state = term.with_time = term.with_length = true;
-    term.with_control = m > 0;
-    term.with_parameters = num_p > 0;
-    term.function = std::make_shared<GreatestValue>(system, mode, ReadFunction(n + 1 + num_p + m, function));
-    return term;
-  }
   const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
   term.with_state = has('x');
   term.with_initial = has('i');
@@ -406,7 +396,7 @@ class Problem {
       : problem_{.system = system,
                  .guess = {},
                  .integration = ReadIntegration(tolerance, steps, wait, most_events, most_repeats)} {
-    for (const GivenTerm& term : terms) problem_.terms.push_back(ReadTerm(term, system));
+    for (const GivenTerm& term : terms) problem_.terms.push_back(ReadTerm(term));
   }
   Problem(const MechanicalSystem& system, const std::vector<GivenTerm>& terms, double tolerance, int steps, bool wait,
           int most_events, int most_repeats)

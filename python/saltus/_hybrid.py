@@ -91,10 +91,6 @@ class System(Closed):
     def _states_of(self, mode: str | None) -> list[str]:
         raise NotImplementedError
 
-    def _all_modes(self) -> list[str]:
-        """Returns the names of the modes that a motion may have. Raises ValueError if there are too many."""
-        raise NotImplementedError
-
     def _symbols(self, mode: str, control: bool) -> tuple[Tape, dict[str, Any]]:
         """Symbols for t, x, u and p; the inputs of a record are [x t p u]."""
         tape, n, parameters = Tape(), len(self._states_of(mode)), len(self.parameters)
@@ -271,9 +267,6 @@ class HybridSystem(System):
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states[str(mode)]
 
-    def _all_modes(self) -> list[str]:
-        return self.modes
-
     def _guards_of(self, mode: str) -> list[str]:
         return self.guards[mode]
 
@@ -366,10 +359,8 @@ class Cost(Closed):
         return () if isinstance(self.at, str) else tuple(self.at)
 
     def _terms(self, problem: HybridProblem) -> list[Any]:
-        """The terms of C++: one, or one for each time, or for each mode in which one holds always."""
+        """The terms of C++: one, or one for each time."""
         recorded = self._recorded(problem)
-        if self.at == "always":
-            return recorded
         if not self._times:
             return [recorded]
         return [_at_node(recorded, node, problem.intervals) for node in problem._nodes_of(self)]
@@ -387,8 +378,6 @@ class Cost(Closed):
     def _recorded(self, problem: HybridProblem) -> Any:
         system = problem.system
         if isinstance(self.function, Record):
-            if self.at == "always":
-                return [_in_mode(term, system._mode_number(mode)) for term, mode in zip(self.function.of_cost, self._modes(system))]
             reads, sizes = self.function.of_cost[7:9]
             if "x" in reads:
                 self._check_size(system, sizes[reads.index("x")])
@@ -403,13 +392,16 @@ class Cost(Closed):
             if name not in _LETTERS or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
-        if self.at == "always" and not {"h", "x0", "xT"}.intersection(names):
-            return self._recorded_always(system, names)
-        if self.at != "steps" and ("u" in names or "h" in names):
+        at = self.at if isinstance(self.at, str) else "steps"
+        if "h" in names and self.at != "steps" or "u" in names and self.at not in ("steps", "always"):
             raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
         if self.at != "end" and ("x0" in names or "xT" in names):
             raise ValueError(f"{self.name}: only a term at the end reads the states x0 at the start and xT at the end")
         letters = {_LETTERS[name] for name in names}
+        if at == "always" and not letters & {"x", "t"}:
+            at = "steps"  # it has one value in each control interval
+        elif at == "always":
+            letters = {"x", "t", "h", *("u" if system.controls else ""), *("p" if system.parameters else "")}
         mode = self._mode_in(system)
         sizes = {"x": self._state_size(system) if "x" in letters else 0, "i": len(system._states_of(problem.mode)),
                  "u": len(system.controls), "p": len(system.parameters), "t": 1, "h": 1}
@@ -421,27 +413,7 @@ class Cost(Closed):
             first += sizes[name]
         values = _call(self.name, self.function, {name: symbols[_LETTERS[name]] for name in names}, "")
         found = _outputs(self.name, tape, values)
-        at = self.at if isinstance(self.at, str) else "steps"
         return (self.name, at, self.role, mode, self.guard or "", self.before, -1, "".join(reads), [sizes[r] for r in reads], found)
-
-    def _recorded_always(self, system: System, names: list[str]) -> list[Any]:
-        """Records the function for its mode, or for each mode, with the inputs of a flow."""
-        self._mode_in(system)
-        if self.mode is None and "x" in names:
-            self._state_size(system)
-        terms = []
-        for mode in self._modes(system):
-            tape, symbols = system._symbols(mode, control=True)
-            found = _outputs(self.name, tape, _call(self.name, self.function, {name: symbols[name] for name in names}, ""))
-            terms.append((self.name, "always", self.role, system._mode_number(mode), "", False, -1, "", [], found))
-        return terms
-
-    def _modes(self, system: System) -> list[str]:
-        """Returns the modes in which a term that holds always counts."""
-        try:
-            return system._all_modes() if self.mode is None else [self.mode]
-        except ValueError as error:
-            raise _at(self.name, error) from error
 
     def _check_size(self, system: System, size: int) -> None:
         if size not in system._state_sizes():
@@ -515,8 +487,10 @@ def residuals(
     the state at the start as x0 and that at the end as xT: ``lambda x0, xT: xT - x0`` is zero for a periodic motion. mode:
     where it counts; any without.
     "always" is for inequalities that hold at all times, between the beginnings of intervals too: in each interval each residual is
-    taken at the end, and where it is greatest before that, along the flow of the mode, which is integrated in eight parts and
-    searched for times at which the rate of the residual falls through zero. Solvers in phases put the ends of intervals at events.
+    taken at the end, and where it is greatest before that, along the flow of the mode. This is integrated in eight parts, or as
+    many as the motion has steps there, and each is searched for a time at which the rate of the residual falls through zero. A
+    residual that rises and falls twice within a part may exceed its bound there. Solvers in phases put the ends of intervals at
+    events.
     role: "cost": the loss gains the sum of the squares; "equality": the residuals are to be 0; "inequality": at most 0.
     """
     if not isinstance(at, str):
@@ -1680,7 +1654,7 @@ def hybrid_problem(scene: SceneLike) -> HybridProblem:
 
     Raises:
         SceneError: the scene is wrong.
-        ValueError: the scene has walls that end, pockets, a table that slows discs, limits of the speed that hold always
-            beside drag or springs, or terms or springs of a fixed disc whose position is a parameter.
+        ValueError: the scene has walls that end, pockets, a table that slows discs, or terms or springs of a fixed disc whose
+            position is a parameter.
     """
     return problem_of(_SceneSystem(as_scene(scene)))

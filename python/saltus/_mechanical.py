@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
 import os
 from typing import Any, Callable, Mapping, Sequence
 
@@ -19,8 +17,6 @@ from ._types import Closed, expect, expect_path
 _LAWS = ("newton", "poisson")
 _EVENTS = ("hit", "off", "stop", "break-", "break+", "end", "jam", "grip")  # those of C++, before the name of a contact
 _REST_SPEED = 1e-5  # that of C++
-_LETTERS = "ons+-"  # of what a contact does, in names of modes
-_MOST_MODES = 1000  # for which a term is recorded
 
 
 class Contact(Closed):
@@ -217,22 +213,6 @@ class MechanicalSystem(System):
 
     def _states_of(self, mode: str | None) -> list[str]:
         return self.states
-
-    def _all_modes(self) -> list[str]:
-        """All combinations of what contacts may do: open, closed, or sticking and sliding to either side."""
-        count = len(self.contacts)
-        letters = [[letter for letter in _LETTERS if self._has_status("o" * i + letter + "o" * (count - 1 - i))] for i in range(count)]
-        if math.prod(map(len, letters)) > _MOST_MODES:
-            raise ValueError(f"found {count} contacts, which may be in more than {_MOST_MODES} modes together, and no mode; expected mode= "
-                             f"with the only one in which the term counts, such as {'o' * count!r}")
-        return list(map("".join, itertools.product(*letters)))
-
-    def _has_status(self, status: str) -> bool:
-        try:
-            self._system.mode(status)
-        except ValueError:
-            return False
-        return True
 
     def _guards_of(self, mode: str) -> list[str]:
         return self._system.guards(self._system.mode(mode))

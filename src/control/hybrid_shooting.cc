@@ -12,6 +12,7 @@
 
 #include "base/number_text.h"
 #include "base/statistics.h"
+#include "hybrid/greatest_values.h"
 
 namespace saltus {
 namespace {
@@ -125,7 +126,8 @@ bool HybridShooting::FindPlaces() {
                       " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
                       std::to_string(state_size));
         }
-        places.push_back({&term, -1, static_cast<int>(i), state, events[i].time, 0, term.occurrence < 0 ? -1 : rows});
+        const int first_row = term.occurrence < 0 ? -1 : rows;
+        places.push_back({&term, term.function, -1, static_cast<int>(i), state, events[i].time, 0, first_row});
       }
       if (term.occurrence >= found) {
         return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
@@ -148,12 +150,16 @@ bool HybridShooting::FindPlaces() {
       // Rows of intervals in another mode stay zero.
       if (counts && fits) {
         const double length = at_end ? 0 : times[k + 1] - times[k];
-        places.push_back({&term, at_end ? -1 : k, -1, state, times[node], length, rows});
+        places.push_back({&term, InMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, rows});
       }
       if (is_cost) rows += count;
     }
   }
   return true;
+}
+
+std::shared_ptr<const ceres::CostFunction> HybridShooting::InMode(const HybridTerm& term, int mode) const {
+  return FunctionIn(term, problem_.system, mode, simulator_.steps_per_interval());
 }
 
 std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
@@ -184,7 +190,8 @@ const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double 
       const bool counts = (term.mode < 0 || term.mode == functions.BaseMode(mode)) &&
                           term.function->parameter_block_sizes()[0] == static_cast<int>(state.size());
       Values values;
-      const Place place{&term, interval, -1, state, times[interval], times[interval + 1] - times[interval]};
+      const double length = times[interval + 1] - times[interval];
+      const Place place{&term, InMode(term, mode), interval, -1, state, times[interval], length};
       if (!counts || !ValuesAt(place, false, &values)) return;
       for (const double row : values.residuals) {
         if (term.IsCost()) {
@@ -236,16 +243,15 @@ std::string HybridShooting::TermsWithoutEvents() const {
 }
 
 bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* values) const {
-  const HybridTerm& term = *place.term;
   const std::vector<const double*> blocks = BlocksOf(place);
-  const int rows = term.function->num_residuals();
+  const int rows = place.function->num_residuals();
   values->residuals.resize(rows);
   values->jacobians.clear();
   std::vector<double*> jacobians;
-  for (const int size : term.function->parameter_block_sizes()) {
+  for (const int size : place.function->parameter_block_sizes()) {
     if (with_jacobians) jacobians.push_back(values->jacobians.emplace_back(rows * size).data());
   }
-  return term.function->Evaluate(
+  return place.function->Evaluate(
              blocks.data(), values->residuals.data(), with_jacobians ? jacobians.data() : nullptr) &&
          AllFinite(values->residuals);
 }
@@ -308,8 +314,8 @@ bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) {
     for (const Place& place : *places) {
       if (!ValuesAt(place, true, &values)) return FailAt(place);
       if (!std::ranges::all_of(values.jacobians, AllFinite)) return FailAtDerivatives();
-      TermAt& at =
-          terms->emplace_back(TermAt{place.term, place.interval, place.event, values.residuals, values.jacobians, {}});
+      TermAt& at = terms->emplace_back(
+          TermAt{place.term, place.function, place.interval, place.event, values.residuals, values.jacobians, {}});
       const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
       const std::vector<const double*> blocks = BlocksOf(place);
       for (std::size_t i = 0; i < blocks.size(); ++i) at.blocks.emplace_back(blocks[i], blocks[i] + sizes[i]);

@@ -4,6 +4,7 @@
 
 #include <Eigen/Core>
 #include <functional>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
@@ -67,7 +68,8 @@ class HybridShooting : public ShootingFunction {
   // derivatives by the blocks that the term reads.
   struct TermAt {
     const HybridTerm* term = nullptr;
-    int interval = -1, event = -1;  // neither: the end
+    std::shared_ptr<const ceres::CostFunction> function = nullptr;  // FunctionIn() of the term
+    int interval = -1, event = -1;                                  // neither: the end
     std::vector<double> residuals;
     std::vector<std::vector<double>> jacobians;  // of the function's blocks, row-major
     std::vector<std::vector<double>> blocks;     // what it reads
@@ -101,6 +103,7 @@ class HybridShooting : public ShootingFunction {
   // A place in the motion where a term is evaluated, with the data that its function reads.
   struct Place {
     const HybridTerm* term;
+    std::shared_ptr<const ceres::CostFunction> function;
     int interval = -1, event = -1;  // neither: the end
     std::span<const double> state;
     double time = 0, length = 0;  // s; of the interval, if there is one
@@ -116,6 +119,8 @@ class HybridShooting : public ShootingFunction {
   bool RolloutOf(HybridInput input, bool with_derivatives = true);
   // Finds every place of a term. Returns false if a term is not defined in this motion.
   bool FindPlaces();
+  // Returns the function of a term in an interval that begins in a mode, or at the end.
+  std::shared_ptr<const ceres::CostFunction> InMode(const HybridTerm& term, int mode) const;
   std::vector<const double*> BlocksOf(const Place& place) const;
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;

@@ -808,32 +808,6 @@ struct NormExcess {
   }
 };
 
-// NormExcess of a velocity at the beginning and at the end of an interval, given the state, the control, the design
-// parameters if there are any, and the length. Under a constant force the speed is largest at one of them.
-struct SpeedExcess {
-  NormExcess of;
-  int force;  // on the body, in the control; -1: none
-  double mass;
-  Vec2d gravity;
-  bool designed = false;                     // there are design parameters
-  int of_mass = -1;                          // the one that is its mass; -1: none
-  std::array<int, 2> of_gravity = {-1, -1};  // those that are components of gravity
-
-  template <typename T>
-  bool operator()(T const* const* blocks, T* residuals) const {
-    const T *parameters = blocks[2], &length = blocks[designed ? 3 : 2][0];
-    T end[2];
-    for (int j = 0; j < 2; ++j) {
-      T acceleration = of_gravity[j] < 0 ? T(gravity[j]) : parameters[of_gravity[j]];
-      if (force >= 0) acceleration += blocks[1][force + j] / (of_mass < 0 ? T(mass) : parameters[of_mass]);
-      end[j] = blocks[0][of.first + j] + length * acceleration;
-    }
-    const T* at_end = end;
-    of(blocks, residuals);
-    return NormExcess{0, of.most}(&at_end, residuals + 1);
-  }
-};
-
 template <typename F>
 std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, const std::vector<int>& blocks, int residuals) {
   auto made = std::make_shared<ceres::DynamicAutoDiffCostFunction<F, 4>>(new F(std::move(function)));
@@ -852,11 +826,6 @@ std::string WhyNoHybridProblem(const Scene& scene) {
       return at.body == body || at.other == body;
     });
   };
-  for (const SpeedLimit& limit : scene.objective.limits) {
-    if (limit.at != SpeedLimit::At::kAlways || !has_force(limit.body)) continue;
-    return "a limit of the speed of " + scene.bodies[limit.body].name +
-           " that holds always, which drag or a spring may exceed within an interval (give at: end)";
-  }
   // The state has these discs where the scene has them.
   for (const auto& [parameter, min, max, moved] : scene.design) {
     const auto is_of = [&](const auto& term) { return term.body == parameter.body; };
@@ -959,26 +928,18 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
       continue;
     }
     tell({.limit = &limit, .by = {by, by}});
-    const Body& body = scene.bodies[limit.body];
-    SpeedExcess speeds{excess, at.ForceOn(limit.body), body.mass, body.fixed ? Vec2d::Zero() : scene.gravity};
-    std::vector<int> blocks = {at.size(), scene.control_width(), 1};
-    if (speeds.designed = !scene.design.empty(); speeds.designed) {
-      blocks.insert(blocks.end() - 1, static_cast<int>(scene.design.size()));
-    }
-    for (std::size_t k = 0; k < scene.design.size() && !body.fixed; ++k) {
-      const SceneParameter& parameter = scene.design[k].parameter;
-      const auto place = static_cast<int>(k);
-      if (parameter.kind == SceneParameter::Kind::kGravity) speeds.of_gravity[parameter.component] = place;
-      if (parameter.kind == SceneParameter::Kind::kMass && parameter.body == limit.body) speeds.of_mass = place;
-    }
+    std::vector<int> blocks = {at.size(), scene.control_width(), static_cast<int>(scene.design.size()), 1, 1};
+    std::erase(blocks, 0);
     problem.terms.push_back({.name = name,
                              .at = HybridTerm::At::kEachInterval,
                              .role = HybridTerm::Role::kInequality,
+                             .always = true,
                              .with_state = true,
-                             .with_control = true,
-                             .with_parameters = speeds.designed,
+                             .with_control = scene.control_width() > 0,
+                             .with_parameters = !scene.design.empty(),
+                             .with_time = true,
                              .with_length = true,
-                             .function = MakeFunction(speeds, blocks, 2)});
+                             .function = MakeFunction(excess, blocks, 1)});
   }
   for (const TerminalTerm& term : objective.terminal) {
     if (term.region) {

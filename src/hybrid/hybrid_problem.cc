@@ -104,6 +104,14 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
     return "found interval " + Number(term.interval) + ", expected 0 to " + Number(problem.guess.num_intervals - 1) +
            " of a term of intervals";
   }
+  if (term.always) {
+    const bool reads_all = term.with_state && term.with_control == (system.num_controls() > 0) &&
+                           term.with_parameters == (system.num_parameters() > 0) && term.with_time && term.with_length;
+    if (term.at != HybridTerm::At::kEachInterval || term.role != HybridTerm::Role::kInequality || !reads_all) {
+      return "found a term that holds at all times, expected an inequality of each interval that reads the state, the "
+             "control and the parameters if the system has any, the time and the length";
+    }
+  }
   // The size of a state in any mode is that of the function's block; that after an event is known with the event.
   const std::vector<int>& found = term.function->parameter_block_sizes();
   int size = found.empty() ? 0 : found[0];
@@ -164,6 +172,8 @@ std::string WhatIsWrongWithStates(const HybridProblem& problem) {
 }
 
 }  // namespace
+
+int HybridTerm::NumRows() const { return (always ? 2 : 1) * function->num_residuals(); }
 
 bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int guard) const {
   return guard >= 0 && !functions.IsSwitch(of_mode, guard) && (mode < 0 || functions.BaseMode(of_mode) == mode) &&

@@ -213,7 +213,7 @@ class HybridConditions {
   // its size: along the motion, and where all of them have changed so. Precondition: Sizes() has returned them.
   std::vector<VectorXd> SizesOfConstraints() const {
     std::vector<VectorXd> rows;
-    for (const HybridTerm& term : problem_terms()) rows.push_back(VectorXd::Zero(term.function->num_residuals()));
+    for (const HybridTerm& term : problem_terms()) rows.push_back(VectorXd::Zero(term.NumRows()));
     for (const HybridShooting::TermAt& at : terms_) {
       if (at.term->IsCost()) continue;
       VectorXd& of_term = rows[at.term - problem_terms().data()];
@@ -383,7 +383,7 @@ class HybridConditions {
   // Returns a constraint for which control intervals have to end at events, and move with them; nullptr if there is
   // none.
   const HybridTerm* HoldsAlways() const {
-    const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::HoldsAlways);
+    const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::always);
     return term != problem_.terms.end() ? &*term : nullptr;
   }
   // Returns the input with the ends of intervals that are within `near` of an event that counts moved to just behind it
@@ -448,7 +448,7 @@ class HybridConditions {
     }
     for (const VectorXd& block : blocks) in.push_back(block.data());
     for (Matrix& jacobian : *jacobians) out.push_back(jacobian.data());
-    return at.term->function->Evaluate(in.data(), residuals->data(), out.data());
+    return at.function->Evaluate(in.data(), residuals->data(), out.data());
   }
 
   // Whether all costs are squares whose residuals are of the size of rounding errors of the motion.
@@ -1433,7 +1433,7 @@ class HybridConditions {
         }
         for (Matrix& jacobian : jacobians) pointers.push_back(jacobian.data());
         VectorXd residuals(rows), out = VectorXd::Constant(size, std::numeric_limits<double>::quiet_NaN());
-        if (!term.function->Evaluate(blocks.data(), residuals.data(), pointers.data())) return out;
+        if (!at.function->Evaluate(blocks.data(), residuals.data(), pointers.data())) return out;
         const Eigen::RowVectorXd by = *RowWeights(i, residuals, weights);
         start = 0;
         for (const Matrix& jacobian : jacobians) {
@@ -1911,6 +1911,10 @@ HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput
     HybridConditions conditions(problem, input, {});
     if (!conditions.Sizes()) return problem;
     sizes = conditions.SizesOfConstraints();
+  }
+  for (size_t i = 0; i < sizes.size(); ++i) {  // the rows of the function itself, of a term that holds at all times
+    const Eigen::Index count = problem.terms[i].function->num_residuals();
+    sizes[i] = VectorXd(sizes[i].head(count).cwiseMax(sizes[i].tail(count)));
   }
   for (size_t i = 0; i < sizes.size(); ++i) {
     const VectorXd factors =

@@ -153,6 +153,7 @@ void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& sh
                   .role = role,
                   .event = place.guard,
                   .before = place.before,
+                  .always = role == HybridTerm::Role::kInequality && place.at == HybridTerm::At::kEachInterval,
                   .with_state = true,
                   .with_control = shape.controls > 0,
                   .with_parameters = shape.parameters > 0,

@@ -32,7 +32,7 @@ SolverOptions OptionsOf(const RunOptions& options) {
 }
 
 // Where no control is free, the motion is the same on more control intervals: on these many at least, phases between
-// events have intervals of their own, and conditions that hold always are looked at often.
+// events have intervals of their own, and equalities that hold always are looked at often.
 constexpr int kLeastIntervals = 64;
 
 HybridProblem OnEnoughIntervals(HybridProblem problem) {

@@ -120,8 +120,8 @@ TEST(OuterTest, RestitutionThatReachesAHeightIsFound) {
   EXPECT_THAT(Printed(run.certificate()), HasSubstr("certificate: "));
 }
 
-TEST(OuterTest, ConditionsThatHoldAlwaysAreLookedAtAtEveryNode) {
-  // The ball may rise above 50 between nodes, which are h apart, if it is thrown up with less than g h / 2.
+TEST(OuterTest, InequalitiesHoldBetweenNodesToo) {
+  // Thrown up from its limit the ball is above it at once, whatever the intervals.
   const auto solve = [](double highest, int intervals) {
     Problem problem(Ball(),
                     {.initial = {50, 4}, .parameters = {9.8, 0.98}, .duration = 15, .num_intervals = intervals});
@@ -134,12 +134,122 @@ TEST(OuterTest, ConditionsThatHoldAlwaysAreLookedAtAtEveryNode) {
   ASSERT_TRUE(free.converged()) << free;
   EXPECT_LT(free.loss(), 1e-12);
   for (const int intervals : {1, 300}) {
-    const double length = 15.0 / std::max(intervals, 64);
     const auto low = solve(50, intervals);
     ASSERT_TRUE(low.converged()) << low;
-    EXPECT_LT(low["x[1]"], 9.8 * length / 2 + 1e-6);
+    EXPECT_LT(low["x[1]"], 1e-3);  // it rises by v^2 / 2 g
     EXPECT_LT(low.loss(), 1e-12);
   }
+}
+
+// Returns the largest position of a unit mass under piecewise constant forces, from 0 with the speed 1.
+double Top(const Run& run) {
+  double x = 0, v = 1, top = 0;
+  const std::vector<double>& control = run.report().control;
+  for (size_t k = 0; k < control.size(); ++k) {
+    const double h =
+        run.report().durations.empty() ? 1.0 / static_cast<double>(control.size()) : run.report().durations[k];
+    const double u = control[k], turn = -v / u;
+    if (turn > 0 && turn < h) top = std::max(top, x - v * v / (2 * u));
+    x += v * h + u * h * h / 2;
+    v += u * h;
+    top = std::max(top, x);
+  }
+  return top;
+}
+
+// Bryson and Denham: from v = 1 back to v = -1 with x at most 1/9, of least effort.
+Run SolveBrysonDenham(auto system, int intervals, int mode = 0) {
+  Problem problem(std::move(system), {.mode = mode, .initial = {0, 1}, .duration = 1, .num_intervals = intervals});
+  problem.AddEffort(0.5)
+      .AddEquality(kEnd,
+                   [](const auto& a) {
+                     return Row{a.x[0], a.x[1] + 1.0};
+                   })
+      .AddInequality(kAlways, [](const auto& a) { return a.x[0] - 1.0 / 9; })
+      .Free({.control = true});
+  return Solve(problem);
+}
+
+// A unit mass on a rail that ends far away.
+struct Rail {
+  static constexpr int kNumCoordinates = 1, kNumControls = 1, kNumParameters = 0, kNumContacts = 1;
+  template <typename T>
+  void Mass(const T*, const T*, T* mass) const {
+    mass[0] = T(1);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* force) const {
+    force[0] = u[0];
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[0] + 10.0;
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0);
+  }
+};
+
+TEST(OuterTest, BrysonAndDenhamStayBelowTheLimitAtAllTimes) {
+  // On three intervals both conditions at the end leave the forces (a, -6 - 2 a, a). The first top is 1 / (-2 a), at
+  // -1 / a < 1/3, so that a = -9/2 and the loss is (2 a^2 + 9) / 6; at the nodes alone a = -4 and the loss 6 are
+  // enough.
+  const MechanicalSystem rail{Rail()};
+  for (const auto& run :
+       {SolveBrysonDenham(DoubleIntegrator(), 3), SolveBrysonDenham(rail.hybrid(), 3, rail.Mode("o"))}) {
+    ASSERT_TRUE(run.converged()) << run;
+    EXPECT_NEAR(run.loss(), 8.25, 1e-7);
+    EXPECT_NEAR(run.report().control[1], 3, 1e-7);
+    EXPECT_NEAR(Top(run), 1.0 / 9, 1e-9);
+    EXPECT_TRUE(run.certificate().IsStationary()) << run.certificate();
+  }
+  // No force has a loss below 4.
+  for (const int intervals : {7, 20, 31}) {
+    const auto run = SolveBrysonDenham(DoubleIntegrator(), intervals);
+    ASSERT_TRUE(run.converged()) << run;
+    EXPECT_GT(run.loss(), 4);
+    EXPECT_LT(run.loss(), 4 + 16.0 / (intervals * intervals));
+    EXPECT_LT(Top(run), 1.0 / 9 + 1e-8);
+  }
+}
+
+TEST(OuterTest, InequalitiesOfTimeAndControlHoldToTheEndsOfIntervals) {
+  // To the speed 1 within 1 of least effort, under u <= 2.2 - 1.5 t: the second force is 0.7, the first 1.3.
+  Problem problem(DoubleIntegrator(), {.initial = {0, 0}, .duration = 1, .num_intervals = 2});
+  problem.AddEffort(1)
+      .AddEquality(kEnd, [](const auto& a) { return a.x[1] - 1.0; })
+      .AddInequality(kAlways, [](const auto& a) { return a.u[0] + 1.5 * a.t - 2.2; })
+      .Free({.control = true});
+  const auto run = Solve(problem);
+  ASSERT_TRUE(run.converged()) << run;
+  EXPECT_NEAR(run.loss(), (1.3 * 1.3 + 0.7 * 0.7) / 2, 1e-8);
+  EXPECT_TRUE(run.certificate().IsStationary()) << run.certificate();
+}
+
+TEST(OuterTest, InequalitiesOfTheControlAloneHoldInEveryInterval) {
+  Problem problem(DoubleIntegrator(), {.initial = {0, 0}, .duration = 1, .num_intervals = 4});
+  problem.AddValue(kEnd, [](const auto& a) { return -a.x[0]; })
+      .AddInequality(kAlways,
+                     [](const auto& a) {
+                       return Row{a.u[0] - 2.0, -a.u[0] - 2.0};
+                     })
+      .Free({.control = true});
+  const auto run = Solve(problem);
+  ASSERT_TRUE(run.converged()) << run;
+  EXPECT_NEAR(run.loss(), -1, 1e-8);
+  EXPECT_TRUE(run.certificate().IsStationary()) << run.certificate();
+}
+
+TEST(OuterTest, InequalitiesHoldBehindAnEvent) {
+  // Thrown down as fast as may be, the ball does not rise above 1 behind its bounce with v: 0.64 v^2 = 2 g.
+  Problem problem(Ball(), {.initial = {0.5, -1}, .parameters = {9.81, 0.8}, .duration = 0.65});
+  problem.AddValue(BeforeEvent("ground"), [](const auto& a) { return a.x[1]; })
+      .AddInequality(kAlways, [](const auto& a) { return a.x[0] - 1.0; })
+      .Free({.initial = {{"x[1]", -10, 0}}});
+  const auto run = Solve(problem);
+  ASSERT_TRUE(run.converged()) << run;
+  EXPECT_NEAR(run.loss(), -std::sqrt(2 * 9.81 / 0.64), 1e-8);
 }
 
 TEST(OuterTest, CostsOfAllIntervalsAreIntegrals) {

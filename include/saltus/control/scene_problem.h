@@ -22,8 +22,7 @@
 namespace saltus {
 
 // Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
-// that slows discs, limits of the speed that hold always beside drag or springs, and terms and springs of a fixed disc
-// whose position is a design parameter.
+// that slows discs, and terms and springs of a fixed disc whose position is a design parameter.
 std::string WhyNoHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and

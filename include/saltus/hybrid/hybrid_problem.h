@@ -45,6 +45,13 @@ struct HybridTerm {
   bool before = false;  // kEvent: the function gets the state before the reset instead of that after it
   // kEachInterval: the only interval at whose beginning the term counts; -1: all.
   int interval = -1;
+  // kEachInterval: the term is an inequality that holds at all times of the intervals, along the flow of the mode in
+  // which they begin. Its function reads the state, the control and the parameters if the system has any, the time,
+  // and the length. It is taken at the end of each interval, and where it is greatest before that: the interval is
+  // integrated in eight parts, or as many as the motion has steps there, and within each part a time is found at which
+  // the function no longer rises. Between the ends of a part it may rise and fall twice without being seen. Solvers in
+  // phases end intervals at events.
+  bool always = false;
 
   // The function's parameter blocks, in this order:
   //   the state at the beginning of the interval, at the event, or at the final time after events there
@@ -60,11 +67,12 @@ struct HybridTerm {
   //   the length of the interval (1 number); kEachInterval only
   bool with_length = false;
 
-  // Whether the term is a constraint on whole intervals. Solvers in phases end these at events.
-  bool HoldsAlways() const { return at == At::kEachInterval && !IsCost() && with_length; }
-
   // The function, which must not keep state.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
+
+  // Returns the number of residuals at a place: those of the function, or for a term that holds at all times twice as
+  // many, the greatest ones before the end of an interval and then those at its end.
+  int NumRows() const;
 };
 
 // Makes the cost weight (x_i - target)^2 at the end, of a state of `state_size` numbers; mode as in HybridTerm.

@@ -39,8 +39,9 @@ struct Place {
 // The final time, after events there.
 inline const Place kEnd{};
 // The whole motion. Costs are integrated over time, by their value at the beginning of each control interval.
-// Constraints hold at the beginning of each interval and at the end, so that their accuracy depends on the number of
-// intervals.
+// Inequalities hold at all times, between the ends of intervals too, as far as their greatest values are found
+// (HybridTerm::always). Equalities hold at the beginning of each interval and at the end, so that their accuracy
+// depends on the number of intervals.
 inline const Place kAlways{HybridTerm::At::kEachInterval};
 // Every event of a guard, with the state after it; or with the state before it.
 inline Place OnEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard)}; }
@@ -169,8 +170,8 @@ class Problem {
     for (const int size : BlocksOf(residuals.shape)) cost->AddParameterBlock(size);
     cost->SetNumResiduals(count);
     AddTerm(place, role, residuals.shape, std::move(cost));
-    if (place.at == HybridTerm::At::kEachInterval && !residuals.shape.integrated) {
-      // Constraints hold at the end, too, unless they read the control.
+    if (place.at == HybridTerm::At::kEachInterval && role == HybridTerm::Role::kEquality) {
+      // Equalities hold at the end, too, unless they read the control.
       bool reads_control = false;
       const Residuals<F> at_end{residuals.function, ShapeOf(kEnd, role)};
       try {

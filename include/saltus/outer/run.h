@@ -59,7 +59,7 @@ std::ostream& operator<<(std::ostream& out, const Run& run);
 // Prints verdict, reason, residuals and curvature.
 std::ostream& operator<<(std::ostream& out, const Certificate& certificate);
 
-// Solves a problem. If no control is free, it is solved on 64 control intervals or more, at which constraints of
+// Solves a problem. If no control is free, it is solved on 64 control intervals or more, at which equalities of
 // kAlways are checked; this does not change the motion. Throws std::invalid_argument if the problem is wrong or the
 // solver does not support it. If the motion fails, the run has not converged, and has the reason.
 Run Solve(const Problem& problem, const RunOptions& options = {});

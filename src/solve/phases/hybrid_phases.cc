@@ -419,7 +419,7 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
     for (size_t i = k; i < end; ++i) (*times)[i] = from + (to - from) * (i - k + 0.5) / (end - k);
     k = end;
   }
-  const bool always = std::ranges::any_of(problem_.terms, &HybridTerm::HoldsAlways);
+  const bool always = std::ranges::any_of(problem_.terms, &HybridTerm::always);
   const bool too_few_intervals = static_cast<int>(count) >= num_steps() && !always;
   const bool is_given = IsOnGrid(problem_) || (count == 0 && !problem_.guess.lengths.empty());
   if (is_given || too_few_intervals) AddGrid(motion.durations, plan, times);
@@ -622,7 +622,7 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
 
 std::string WhyNotHybridPhases(const HybridProblem& problem) {
   if (problem.free.IsEmpty()) return "the problem leaves nothing to optimize: name what is free";
-  const auto always = std::ranges::find_if(problem.terms, &HybridTerm::HoldsAlways);
+  const auto always = std::ranges::find_if(problem.terms, &HybridTerm::always);
   if (always == problem.terms.end() || !IsOnGrid(problem)) return "";
   return always->name +
          " holds always, for which intervals end at events, and the control or a term is given on intervals "

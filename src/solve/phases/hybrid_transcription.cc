@@ -9,6 +9,7 @@
 #include <numeric>
 
 #include "base/statistics.h"
+#include "hybrid/greatest_values.h"
 #include "solve/phases/divided_state.h"
 
 namespace saltus {
@@ -272,10 +273,13 @@ class ResetRows final : public Rows {
 // end of the phase, if it reads the time or the length, or the state of a part that coasts.
 class TermRows final : public Rows {
  public:
-  TermRows(const HybridTerm& term, std::optional<StateAtNode> state, std::optional<StateAtNode> initial,
-           Divided control, int num_parameters, const TimeOf& time, int intervals, double least, double scale)
-      : Rows(term.function->num_residuals(), {}),
+  // `function` is FunctionIn() of the term.
+  TermRows(const HybridTerm& term, std::shared_ptr<const ceres::CostFunction> function,
+           std::optional<StateAtNode> state, std::optional<StateAtNode> initial, Divided control, int num_parameters,
+           const TimeOf& time, int intervals, double least, double scale)
+      : Rows(function->num_residuals(), {}),
         term_(term),
+        function_(std::move(function)),
         state_(std::move(state)),
         initial_(std::move(initial)),
         control_(std::move(control)),
@@ -318,7 +322,7 @@ class TermRows final : public Rows {
       in.push_back(block);
       if (derives) by.emplace_back(count, size);
     };
-    const std::vector<int>& sizes = term_.function->parameter_block_sizes();
+    const std::vector<int>& sizes = function_->parameter_block_sizes();
     int block = 0;
     if (state_) {
       add(state_->Read(blocks, blocks + times, p, derives), sizes[in.size()]);
@@ -337,7 +341,7 @@ class TermRows final : public Rows {
     if (term_.with_time) add(&time, 1);
     if (term_.with_length) add(&length, 1);
     for (Matrix& derivative : by) out.push_back(derivative.data());
-    if (!term_.function->Evaluate(in.data(), rows, derives ? out.data() : nullptr)) return false;
+    if (!function_->Evaluate(in.data(), rows, derives ? out.data() : nullptr)) return false;
     for (int i = 0; i < count; ++i) rows[i] *= scale_;
     if (!AreFinite(rows)) return false;
     if (!derives) return true;
@@ -366,6 +370,7 @@ class TermRows final : public Rows {
 
  private:
   const HybridTerm term_;
+  const std::shared_ptr<const ceres::CostFunction> function_;
   mutable std::optional<StateAtNode> state_, initial_;
   Divided control_;
   TimeOf time_;
@@ -926,7 +931,7 @@ void HybridTranscription::AddTerms() {
       append(NodesAt(all_, 0, 0));
     }
     if (term.with_control) append(ControlBlocks(control));
-    const int rows = term.function->num_residuals();
+    const int rows = term.NumRows();
     RowRoles roles;
     double scale = 1;
     if (term.role == HybridTerm::Role::kCost) {
@@ -941,6 +946,7 @@ void HybridTranscription::AddTerms() {
       roles.equalities = rows;
     }
     auto function = std::make_unique<TermRows>(term,
+                                               FunctionIn(term, problem_.system, phases_[phase].mode, substeps_),
                                                std::move(state),
                                                std::move(initial),
                                                ControlParts(parts_, m),
