@@ -64,7 +64,7 @@ awk -F'\t' -v before="$before" -v after="$after" -v clock="$clock" -v cores="$(n
   function part(object, piece) {
     if (object ~ /\.gch$/) return "precompiled headers";
     if (object !~ /\.o$/) return "links";
-    if (object ~ /_entry_[0-9]+\.cc\.o$/) return object ~ /^src\// ? "contact models" : "tests";
+    if (object ~ /(_entry|\/registry)_[0-9]+\.cc\.o$/) return object ~ /^src\// ? "contact models" : "tests";
     if (object ~ /CMakeFiles\/saltus\.dir\//) {
       piece = object;
       sub(/.*CMakeFiles\/saltus\.dir\//, "", piece);
