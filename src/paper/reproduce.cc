@@ -54,7 +54,7 @@ std::vector<Tile> Summary(const Experiments& experiments, const std::vector<Publ
                               "numbers equal to those of a faithful implementation",
                               matching == judged ? Tone::kGood : Tone::kBad},
                              {std::to_string(wrong), "published numbers that are in error", Tone::kWarning},
-                             {Format("%.1f s", seconds), "time of all experiments", Tone::kPlain}};
+                             {Format("%.1f s", seconds), "time of the experiments of the paper", Tone::kPlain}};
   if (const auto optimum = FindTwoDiscOptimum(experiments.scene("two_balls"), TwoDiscSequence::kImpact)) {
     tiles.push_back({Format("%.10f", optimum->loss), "optimal loss of task 3", Tone::kPlain});
   }
