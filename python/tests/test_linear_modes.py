@@ -116,3 +116,32 @@ def test_chains(rate, size):
     motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=np.zeros(size), duration=20 / rate))
     z = expm(np.block([[chain, source[:, None]], [np.zeros((1, size + 1))]]) * 20 / rate) @ np.r_[np.zeros(size), 1]
     assert_allclose(motion.final, z[:-1], rtol=1e-9)
+
+
+def carts(**keys):
+    """A pushed cart hits a second one, which drifts by a parameter; a third one is stopped at a given time."""
+    flow = lambda t, x, u, p: [x[1], u[0], x[3], p[0], x[5], 0.3 * t + 0.1]
+    hit = lambda x, p: [x[0], x[3], x[2], x[1], x[4], x[5]]
+    system = saltus.HybridSystem(
+        states={"m": ["x", "v", "y", "w", "z", "s"], "late": ["x", "v", "y", "w", "z", "s"]}, controls=["u"], parameters=["g"],
+        flow={"m": flow, "late": flow},
+        guards={"m": {"hit": lambda x: x[2] - x[0], "stop": lambda t: 0.6 - t}, "late": {"hit": lambda x: x[2] - x[0]}},
+        resets={"m": {"hit": lambda x, p: ("m", hit(x, p)), "stop": lambda x: ("late", [x[0], x[1], x[2], x[3], x[4], 0.0])},
+                "late": {"hit": lambda x, p: ("late", hit(x, p))}})
+    return saltus.HybridProblem(system, **{**dict(
+        mode="m", initial=[0, 0, 0.3, 0, 1, -0.2], parameters=[0.1], duration=1.0, control=np.full((8, 1), 2.0),
+        costs=[saltus.terminal([0.1, 0.2, 0.9, 0.4, 0.7, 0.3]), saltus.effort(0.01)], optimize=["control", "g"]), **keys})
+
+
+def test_parts_of_linear_modes_have_the_optimum_of_the_whole():
+    """A shooting function takes all states together; the third cart has the state z'' = 0.3 t + 0.1 until it is stopped."""
+    motion = saltus.rollout(carts())
+    at_stop = [1 - 0.2 * 0.6 + 0.05 * 0.36 + 0.05 * 0.216, 0.0]
+    final = [at_stop[0] + 0.05 * 0.4**2 + 0.15 * 0.6 * 0.4**2 + 0.05 * 0.4**3, 0.1 * 0.4 + 0.15 * (1 - 0.36)]
+    assert np.allclose(motion.final[4:], final, rtol=0, atol=1e-12)
+    divided, whole = saltus.solve(carts(), solver="ceres_phases"), saltus.solve(carts(), solver="ceres_lm")
+    assert divided.termination == "converged" and divided.certificate.in_words.startswith("minimum")
+    assert divided.loss <= whole.loss + 1e-9
+    same_grid = carts(control=divided.control, parameters=divided.parameters, durations=divided.durations)
+    assert len(saltus.rollout(same_grid).events) == 2
+    assert abs(saltus.loss_and_gradient(same_grid).loss - divided.loss) < 1e-10

@@ -15,6 +15,7 @@
 #include <utility>
 
 #include "base/random.h"
+#include "hybrid/linear_parts.h"
 #include "hybrid/recorded_switches.h"
 #include "hybrid/runge_kutta.h"
 
@@ -824,6 +825,17 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
     auto switches = std::make_unique<const RecordedSwitches>(functions, sizes[i]);
     most_guards_ = std::max(most_guards_, static_cast<int>(mode.transitions.size()) + 2 * switches->count());
     switches_.push_back(switches->count() > 0 ? std::move(switches) : nullptr);
+    parts_.emplace_back();
+    if (linear_[i] && switches_.back() == nullptr) {
+      auto parts =
+          std::make_unique<const LinearParts>(mode.flow,
+                                              *AffineDerivatives(mode.flow.recording(), mode.flow.num_inputs()),
+                                              mode.transitions,
+                                              sizes[i],
+                                              num_parameters(),
+                                              this->layout().num_controls);
+      if (!parts->parts().empty()) parts_.back() = std::move(parts);
+    }
     Keep(std::move(as_recorded));
   }
 }
@@ -1167,6 +1179,20 @@ bool RecordedSystem::Fly(const FlowStep& step, double* after, double* jacobian) 
     fly->Linearize(inputs, num_columns(step.mode), after, jacobian);
   }
   return true;
+}
+
+std::vector<StatePart> RecordedSystem::Parts(int mode) const {
+  const bool is_divided = mode < std::ssize(parts_) && parts_[mode] != nullptr;
+  return is_divided ? parts_[mode]->parts() : HybridFunctions::Parts(mode);
+}
+
+void RecordedSystem::MovePart(int part, const FlowStep& step, double* after, double* jacobian) const {
+  parts_[step.mode]->Move(part, step, after, jacobian);
+}
+
+std::vector<int> RecordedSystem::PartsOf(int mode, int guard) const {
+  const bool is_divided = mode < std::ssize(parts_) && parts_[mode] != nullptr;
+  return is_divided ? parts_[mode]->PartsOf(guard) : HybridFunctions::PartsOf(mode, guard);
 }
 
 double RecordedSystem::Guard(const ModePoint& at, int guard) const {

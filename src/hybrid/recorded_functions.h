@@ -167,6 +167,7 @@ class RecordedFunction {
   Tape values_, derivatives_;
 };
 
+class LinearParts;
 class RecordedSwitches;
 
 // Inputs: of a flow [x t p u], of a closed form of it [x t p u s], of a guard [x t p] or [x t p u], of a reset [x t p].
@@ -217,6 +218,9 @@ class RecordedSystem final : public HybridFunctions {
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override;
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override;
   bool IsLinear(int mode) const override { return at(mode).linear != nullptr; }
+  std::vector<StatePart> Parts(int mode) const override;
+  void MovePart(int part, const FlowStep& step, double* after, double* jacobian) const override;
+  std::vector<int> PartsOf(int mode, int guard) const override;
   double Guard(const ModePoint& at, int guard) const override;
   double GuardRate(const ModePoint& at, int guard, const double* xdot, double* rate) const override;
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override;
@@ -293,6 +297,7 @@ class RecordedSystem final : public HybridFunctions {
   std::vector<std::optional<LinearFlow>> linear_;  // of each mode, as it is recorded
   const bool slides_;
   std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
+  std::vector<std::unique_ptr<const LinearParts>> parts_;          // of each mode; null: it has one
   int most_guards_ = 0;
   std::vector<double> no_control_;  // zeros
   static constexpr int kBlocks = 24;
