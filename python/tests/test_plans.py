@@ -176,7 +176,7 @@ def test_a_point_goal_that_becomes_a_region():
     assert solve(region, "inequality", iterations=2).termination == "iteration_limit"
     run = solve(region, "inequality")
     assert run.termination == "converged" and run.certificate.verdict == "stationary"
-    assert_allclose(run.loss, edge.loss, rtol=1e-6)
+    assert run.loss < edge.loss * (1 + 1e-6)  # by the cushion, or by the straight shot
     assert_allclose(run.final[4:6], [2, 0.15], atol=1e-6)
 
 

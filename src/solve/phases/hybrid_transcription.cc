@@ -1074,8 +1074,8 @@ double HybridTranscription::LeastLength() const {
 AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::Options options) {
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
-  // Steps of parts are linear in all but their length, and need no caution.
-  if (IsOnePart()) options.weight_of_costs = kWeightOfCosts;
+  // Steps of parts are linear in all but their length, and need no caution unless that is free.
+  if (IsOnePart() || problem_.free.duration) options.weight_of_costs = kWeightOfCosts;
   options.most_open = kMostOpen;
   options.gain = kGain;
   options.change_of_multipliers = kChangeOfMultipliers;
