@@ -749,18 +749,11 @@ class Relaxation::Impl {
   }
   [[gnu::noinline]] static Numbers<Interval> RoundedNumbers(const Scene& scene) { return Numbers<Interval>(scene); }
 
-  // Multipliers as affine functions of the parameters' differences from the middle.
-  struct AffineMultipliers {
-    Vector at_middle;
-    std::vector<Vector> slopes;  // by parameter; none if they are constant
-  };
-
   // The best multipliers and weights at a point of the box.
   struct Solution {
     Layout layout;
     Weights weights = {};
     Quadratic quadratic{0};
-    std::vector<char> free = {};
     Vector z = {};
     double value = 0;  // of the dual function
   };
@@ -818,7 +811,7 @@ class Relaxation::Impl {
     const int rounds = !weighted ? 0 : bounded ? kBoundedRounds : kWeightRounds;
     const auto maximize = [&] {
       solution->quadratic = QuadraticAt(box, solution->layout, point, solution->weights);
-      solution->z = Maximize(solution->quadratic, solution->layout, solution->weights, box.open, &solution->free);
+      solution->z = Maximize(solution->quadratic, solution->layout, solution->weights, box.open);
     };
     for (int side_round = 0;; ++side_round) {
       maximize();
@@ -873,18 +866,17 @@ class Relaxation::Impl {
     bound.low = box.low;
     bound.high = box.high;
     std::vector<double> lowest = middle;
-    const auto enclose = [&](const Layout& layout, const AffineMultipliers& multipliers, const Weights& weights) {
+    const auto enclose = [&](const Layout& layout, const Vector& z, const Weights& weights) {
       const double before = bound.lower;
-      Enclose<N>(box, layout, middle, multipliers, weights, upper, &bound, &lowest);
+      Enclose<N>(box, layout, middle, z, weights, upper, &bound, &lowest);
       if (bound.lower > before) {
-        const Vector& z = multipliers.at_middle;
         bound.multipliers = std::make_shared<Multipliers>(
             Multipliers{std::make_shared<DualTerms>(DualTerms{layout.sides, weights}), {z.begin(), z.end()}});
       }
     };
     if (known != nullptr) {
       const Layout layout(static_cast<int>(plain_.terms.size()), box, known->terms->sides);
-      enclose(layout, {Vector::Map(known->values.data(), layout.size), {}}, known->terms->weights);
+      enclose(layout, Vector::Map(known->values.data(), layout.size), known->terms->weights);
       if (bound.lower >= upper) return bound;
     }
     Solution at_middle{Layout(static_cast<int>(plain_.terms.size()), box)};
@@ -900,22 +892,11 @@ class Relaxation::Impl {
     bound.at_middle = at_middle.value;
     bound.least = std::min(at_middle.value, worst.value);
     std::vector<std::vector<double>> points = PointsOf(box, middle);
-    const auto keep = [&](const Solution& solution, const AffineMultipliers& multipliers) {
-      enclose(
-          solution.layout, multipliers, Spread(box, solution.layout, points, multipliers.at_middle, solution.weights));
-    };
-    std::vector<Quadratic> of_middle;  // by parameter, when needed
-    const auto derivatives = [&]() -> const std::vector<Quadratic>& {
-      if (of_middle.empty())
-        of_middle = Derivatives(at_middle.quadratic, at_middle.layout, box, middle, at_middle.weights);
-      return of_middle;
+    const auto keep = [&](const Solution& solution, const Vector& z) {
+      enclose(solution.layout, z, Spread(box, solution.layout, points, z, solution.weights));
     };
     const double enough = kEnough * upper;
-    keep(worst, {Part(box, worst, middle, enough) * worst.z, {}});
-    if (bound.lower < upper && at_middle.value < enough) {
-      keep(at_middle,
-           Following(at_middle.quadratic, at_middle.layout, at_middle.free, at_middle.z, derivatives(), box));
-    }
+    keep(worst, Part(box, worst, middle, enough) * worst.z);
     const double poor = std::min(upper, kPoor * worst.value);
     if (bound.lower < poor) {
       Solution robust = at_middle;
@@ -924,7 +905,7 @@ class Relaxation::Impl {
         if (k > 0) points.push_back(lowest);
         robust = Robust(box, points, robust, upper);
         if (robust.value <= bound.lower) break;
-        keep(robust, {robust.z, {}});
+        keep(robust, robust.z);
       }
     }
     Balance(box, &bound);
@@ -1100,43 +1081,42 @@ class Relaxation::Impl {
   }
 
   // The maximum over the multipliers in floating point, by an active set of the approaches.
-  Vector Maximize(const Quadratic& q, const Layout& layout, const Weights& weights, bool open,
-                  std::vector<char>* free) const {
+  Vector Maximize(const Quadratic& q, const Layout& layout, const Weights& weights, bool open) const {
     const int m = layout.size;
-    free->assign(m, true);
+    std::vector<char> free(m, true);
     for (int i = 0; i < layout.terms; ++i) {
-      if (open && (weights.share == 1 || !plain_.terms[i].position)) (*free)[2 * i] = (*free)[2 * i + 1] = false;
+      if (open && (weights.share == 1 || !plain_.terms[i].position)) free[2 * i] = free[2 * i + 1] = false;
     }
-    for (const int i : layout.not_negative) (*free)[i] = false;
+    for (const int i : layout.not_negative) free[i] = false;
     Vector z = Vector::Zero(m);
     for (int round = 0; round < 3 * m + 3; ++round) {
-      z = SolveFree(q, *free, q.linear);
+      z = SolveFree(q, free);
       int worst = -1;
       for (const int i : layout.not_negative) {
         if (z[i] < 0 && (worst < 0 || z[i] < z[worst])) worst = i;
       }
       if (worst >= 0) {
-        (*free)[worst] = false;
+        free[worst] = false;
         z[worst] = 0;
         continue;
       }
       const Vector gradient = q.linear - q.curvature * z;
       for (const int i : layout.not_negative) {
-        if (!(*free)[i] && gradient[i] > 1e-9 * (1 + std::abs(q.linear[i])) &&
+        if (!free[i] && gradient[i] > 1e-9 * (1 + std::abs(q.linear[i])) &&
             (worst < 0 || gradient[i] > gradient[worst]))
           worst = i;
       }
       if (worst < 0 || round > 2 * m) break;
-      (*free)[worst] = true;
+      free[worst] = true;
     }
     for (const int i : layout.not_negative) z[i] = std::max(0.0, z[i]);
     return z;
   }
 
-  static Vector SolveFree(const Quadratic& q, const std::vector<char>& free, const Vector& side) {
-    const int m = static_cast<int>(side.size());
+  static Vector SolveFree(const Quadratic& q, const std::vector<char>& free) {
+    const int m = static_cast<int>(q.linear.size());
     Matrix matrix = q.curvature;
-    Vector right = side;
+    Vector right = q.linear;
     // Small weights make some curvatures very large, by which the others are not to be regularized.
     const double least = std::max(1e-300, 1e-6 * matrix.diagonal().maxCoeff());
     for (int i = 0; i < m; ++i) {
@@ -1149,46 +1129,6 @@ class Relaxation::Impl {
     }
     const Vector z = matrix.ldlt().solve(right);
     return z.allFinite() ? z : Vector::Zero(m);
-  }
-
-  // Returns the derivatives of the linear and quadratic terms of the dual function by each parameter.
-  std::vector<Quadratic> Derivatives(const Quadratic& q, const Layout& layout, const ImpactBox& box,
-                                     const std::vector<double>& middle, const Weights& weights) const {
-    std::vector<Quadratic> derivatives;
-    for (size_t j = 0; j < middle.size(); ++j) {
-      std::vector<double> theta = middle;
-      const double step = std::max(1e-6, 0.01 * (box.high[j] - box.low[j]));
-      theta[j] += step;
-      Quadratic& by = derivatives.emplace_back(QuadraticAt(box, layout, theta, weights));
-      by.linear = (by.linear - q.linear) / step;
-      by.curvature = (by.curvature - q.curvature) / step;
-    }
-    return derivatives;
-  }
-
-  // Returns the best multipliers, which follow the parameters. Those of approaches and sides that would become negative
-  // in the box stay, and the others follow as is best then.
-  static AffineMultipliers Following(const Quadratic& q, const Layout& layout, std::vector<char> free, const Vector& z,
-                                     const std::vector<Quadratic>& derivatives, const ImpactBox& box) {
-    AffineMultipliers out{z, {}};
-    for (bool changed = true; changed;) {
-      changed = false;
-      out.slopes.clear();
-      for (const Quadratic& by : derivatives) {
-        out.slopes.push_back(SolveFree(q, free, by.linear - by.curvature * z));
-      }
-      for (const int i : layout.not_negative) {
-        double spread = 0;
-        for (size_t j = 0; j < derivatives.size(); ++j) {
-          spread += 0.5 * std::abs(out.slopes[j][i]) * (box.high[j] - box.low[j]);
-        }
-        if (1.001 * spread < z[i]) continue;
-        changed = changed || free[i];
-        free[i] = false;
-        for (Vector& slope : out.slopes) slope[i] = 0;
-      }
-    }
-    return out;
   }
 
   // Returns the solution whose multipliers and weights are about best for the least value of the dual function at some
@@ -1226,7 +1166,7 @@ class Relaxation::Impl {
       }
       now.quadratic.curvature -= sharpness * mean * mean.transpose();
       now.quadratic.linear = mean + now.quadratic.curvature * now.z;
-      const Vector step = Maximize(now.quadratic, now.layout, now.weights, box.open, &now.free) - now.z;
+      const Vector step = Maximize(now.quadratic, now.layout, now.weights, box.open) - now.z;
       double part = 1, after = smooth(now.z + step, &now.value);
       for (; part > kSmallestStep && !(after > before); part *= 0.5)
         after = smooth(now.z + 0.5 * part * step, &now.value);
@@ -1244,9 +1184,8 @@ class Relaxation::Impl {
   // Raises the rigorous bound over the box, and cuts off parts of the box where it is above `upper`. `lowest` becomes a
   // point where the dual function is about least.
   template <int N>
-  void Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
-               const AffineMultipliers& multipliers, const Weights& weights, double upper, BoxBound* bound,
-               std::vector<double>* lowest) const {
+  void Enclose(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle, const Vector& multipliers,
+               const Weights& weights, double upper, BoxBound* bound, std::vector<double>* lowest) const {
     const RoundUpward rounding;
     EncloseRounded<N>(box, layout, middle, multipliers, weights, upper, bound, lowest);
   }
@@ -1254,22 +1193,16 @@ class Relaxation::Impl {
   // Called while the processor rounds upward. A function of its own, so that no operation is moved out of that time.
   template <int N>
   [[gnu::noinline]] void EncloseRounded(const ImpactBox& box, const Layout& layout, const std::vector<double>& middle,
-                                        const AffineMultipliers& multipliers, const Weights& weights, double upper,
+                                        const Vector& multipliers, const Weights& weights, double upper,
                                         BoxBound* bound, std::vector<double>* lowest) const {
+    for (const int i : layout.not_negative) {
+      if (!(multipliers[i] >= 0)) return;
+    }
     using S = TaylorModel<N>;
     const int parameters = box.num_parameters();
     std::vector<S> theta(N), z;
     for (int j = 0; j < parameters; ++j) theta[j] = S::Parameter(j, box.low[j], box.high[j]);
-    for (int i = 0; i < layout.size; ++i) {
-      z.emplace_back(Interval(multipliers.at_middle[i]));
-      for (size_t j = 0; j < multipliers.slopes.size(); ++j) {
-        const double slope = multipliers.slopes[j][i];
-        if (slope != 0) z[i] += Interval(slope) * (theta[j] - S(Interval(middle[j])));
-      }
-    }
-    for (const int i : layout.not_negative) {  // z is at least twice its value at the middle, less the largest one
-      if (z[i].Largest() > 2 * z[i].value) return;
-    }
+    for (const double multiplier : multipliers) z.emplace_back(Interval(multiplier));
     S dual;
     AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &dual);
     if (!(dual.error < std::numeric_limits<double>::infinity())) return;
