@@ -12,6 +12,7 @@
 #include <memory>
 #include <new>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string_view>
 #include <type_traits>
 
@@ -228,15 +229,6 @@ std::optional<std::string> ReadMember(zip_t* archive, zip_uint64_t index) {
 }
 
 }  // namespace
-
-std::optional<std::vector<double>> NumbersOf(const NpyArray& array) {
-  return std::visit(
-      [](const auto& data) -> std::optional<std::vector<double>> {
-        if constexpr (requires { double{} * data[0]; }) return std::vector<double>(data.begin(), data.end());
-        return std::nullopt;
-      },
-      array.data);
-}
 
 std::string EncodeNpy(const NpyArray& array) {
   return std::visit(

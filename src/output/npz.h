@@ -7,7 +7,6 @@
 
 #include <cstdint>
 #include <map>
-#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -25,9 +24,6 @@ struct NpyArray {
 
   bool operator==(const NpyArray&) const = default;
 };
-
-// Returns the numbers of an array as doubles; std::nullopt if it has text.
-std::optional<std::vector<double>> NumbersOf(const NpyArray& array);
 
 // Arrays by key, as in numpy.load(path)[key].
 using NpzArrays = std::map<std::string, NpyArray>;

@@ -142,8 +142,7 @@ std::vector<std::string> FeedbackWarnings(const NamedStudies& studies) {
   return lines;
 }
 
-}  // namespace
-
+// Returns one row for each loop of each study.
 Table FeedbackTable(const NamedStudies& studies) {
   Json rows = Json::array();
   for (const auto& [name, study] : studies) {
@@ -168,6 +167,8 @@ Table FeedbackTable(const NamedStudies& studies) {
                  "first order=change_probability:3; remark",
                  2);
 }
+
+}  // namespace
 
 void PrintFeedback(const std::string& name, const NamedStudies& studies) {
   PrintTableIfAny(name + FeedbackCaption(studies), FeedbackTable(studies));

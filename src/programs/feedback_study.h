@@ -25,8 +25,6 @@ Json FeedbackToJson(const FeedbackStudy& study, bool states);
 
 // Studies as FeedbackToJson() returns them, with the names of their plans.
 using NamedStudies = std::vector<std::pair<std::string, Json>>;
-// One row for each loop of each study.
-Table FeedbackTable(const NamedStudies& studies);
 // Prints table and warnings on standard output, with `name` before the caption.
 void PrintFeedback(const std::string& name, const NamedStudies& studies);
 // Adds the table, and the warnings as a list.

@@ -402,9 +402,7 @@ void AddResidualsAndOutliers(const Identified& identified, const Json& document,
                       "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
 }
 
-}  // namespace
-
-void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
+void AddSections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
   AddFits(identified, document, page);
   const Table law = LawTable(identified, document);
   if (!law.rows().empty()) {
@@ -425,6 +423,8 @@ void AddIdentifySections(const Scene& scene, const Identified& identified, const
   AddMotions(scene, identified, page);
   AddResidualsAndOutliers(identified, document, page);
 }
+
+}  // namespace
 
 Json HybridFitToJson(const Identified& identified) {
   Json item = {{identified.by, identified.contacts[0]}};
@@ -630,7 +630,7 @@ std::variant<Recording, RecordingError> LoadAnyRecording(const std::string& path
 
 void WriteIdentifyReport(const Request& request, const Identified& identified, const Json& document) {
   WriteReport(request, [&](Page* page) {
-    AddIdentifySections(request.scene, identified, document, page);
+    AddSections(request.scene, identified, document, page);
     page->SetResults(document);
   });
 }

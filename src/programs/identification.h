@@ -80,8 +80,6 @@ Table EventTable(const Scene& scene, const Identified& identified);
 Table OutlierTable(const Json& document);
 Table ResidualTable(const Identified& identified);
 
-// Adds fits, tables and figures.
-void AddIdentifySections(const Scene& scene, const Identified& identified, const Json& document, Page* page);
 // The fit of a hybrid system, the only one of `identified`, as JSON and as a page. WriteHybridFitPage() throws
 // OutputError.
 Json HybridFitToJson(const Identified& identified);

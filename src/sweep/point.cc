@@ -33,6 +33,9 @@ double PeakMemory() {
   return -1;
 }
 
+// Returns the reason of a point that was stopped after so many seconds.
+std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
+
 // Results of a point as a document, whose keys ResultColumn::path names.
 struct Found {
   PointStatus status = PointStatus::kComputed;
@@ -239,8 +242,6 @@ Found ProgramPoint(const SweepStudy& study, int64_t point, double seconds) {
 }  // namespace
 
 std::vector<std::string> ResultColumns(const SweepStudy& study) { return NameList(ColumnsOf(study)); }
-
-std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
 
 PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds, const StopRequest& stop, bool alone) {
   const Clock::time_point deadline =

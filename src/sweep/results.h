@@ -80,9 +80,6 @@ std::vector<std::string> ResultColumns(const SweepStudy& study);
 PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds, const StopRequest& stop = nullptr,
                          bool alone = true);
 
-// Returns the reason of a point that was stopped after so many seconds.
-std::string TimeLimitReason(double seconds);
-
 // The row of a point of which nothing is known but why it failed.
 PointResult FailedPoint(const SweepStudy& study, int64_t point, const std::string& reason);
 
