@@ -6,7 +6,7 @@
 //   L(u) >= D(z; theta) = min over all u' of L(u') + z . c(u'; theta).
 //
 // D is a concave quadratic function of z, as L is a convex quadratic function of the control and c is linear in it. The
-// bound of a box is the lower end of D in interval arithmetic over theta, at multipliers that are best in its middle.
+// bound of a box is a rigorous lower bound of D over theta, at the best of several multipliers.
 #pragma once
 
 #include <limits>
