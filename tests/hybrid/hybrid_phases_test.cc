@@ -942,6 +942,47 @@ TEST(HybridPhases, KeepTheGridOfAGivenControl) {
   EXPECT_EQ(report.certificate->verdict, kStationaryOnGrid) << report.certificate->reason;
 }
 
+// A point [x v] under a force below a ceiling at 1/9, at which it stays.
+struct BelowACeiling {
+  static constexpr int kNumControls = 1, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2, 2}, kNumGuards = {1, 0};
+  static constexpr std::array<const char*, 1> kGuardNames = {"ceiling"};
+  template <typename T>
+  void Flow(int mode, const T&, const T* x, const T* u, const T*, T* xdot) const {
+    xdot[0] = mode == 0 ? x[1] : T(0);
+    xdot[1] = mode == 0 ? u[0] : T(0);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return 1.0 / 9 - x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    x_plus[0] = x[0];
+    x_plus[1] = T(0);
+    return 1;
+  }
+};
+
+// Bryson and Denham on three intervals: both conditions at the end leave the forces (a, -6 - 2 a, a). The first top is
+// -1 / 2 a, within the first interval, so that a = -9/2 and the loss is (2 a^2 + 9) / 6. With a = -4 the point is below
+// the ceiling at the ends of intervals, and reaches it at one of them.
+TEST(HybridPhases, KeepAGuardAboveZeroBetweenTheEndsOfSteps) {
+  HybridProblem problem{.system = HybridSystem(BelowACeiling()),
+                        .guess = {.initial = {0, 1}, .duration = 1, .num_intervals = 3, .control = {-6, 3, -6}}};
+  problem.terms = {MakeEffortCost(0.5, 1), MakeTerminalCost(0, 0, 1, 2, 0), MakeTerminalCost(1, -1, 1, 2, 0)};
+  problem.terms[1].role = problem.terms[2].role = HybridTerm::Role::kEquality;
+  problem.free.control = true;
+  problem.integration.steps_per_interval = 1;
+  for (const char* solver : {"ceres_phases", "ipopt"}) {
+    const SolveReport report = Solve(solver, problem, {});
+    ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
+    EXPECT_NEAR(report.final_loss, 8.25, 1e-6) << solver;  // the margin is 1e-8 of the size of the guard
+    ASSERT_TRUE(report.certificate);
+    EXPECT_THAT(report.certificate->reason, testing::HasSubstr("mode 0/ceiling stay at zero")) << solver;
+  }
+}
+
 TEST(HybridPhases, SayWhatTheyCannotTake) {
   HybridProblem problem = ControlledBall(10);
   problem.free = {};

@@ -129,6 +129,37 @@ class HybridPhaseRun::Transcriber {
   double duration() const { return duration_; }
   const std::vector<ModeEvent>& apart() const { return plan_.apart; }
 
+  // If the first event of a motion that the plan lacks is of a guard that is at zero along the plan, holds all guards
+  // that are: they stay above zero, by the margins of solves, from the next one on; where one does not, also within the
+  // step. Otherwise returns false.
+  bool HoldBorders(HybridTranscription* transcription, const HybridMotion& motion) {
+    const std::vector<ModeEvent>&met = motion.exact.contacts, planned = plan_.Sequence();
+    const auto first = std::ranges::mismatch(met, planned).in1;
+    if (first == met.end()) return false;
+    const auto find = [](std::vector<HeldGuard>& in, const auto& guard) {
+      return std::ranges::find_if(
+          in, [&](const HeldGuard& one) { return one.mode == guard.mode && one.guard == guard.guard; });
+    };
+    if (const auto held = find(held_, *first); held != held_.end()) {
+      held->times.push_back(motion.exact.events[first - met.begin()].time);
+      return true;
+    }
+    std::vector<HeldGuard> at_zero = transcription->GuardsAtZero();
+    if (find(at_zero, *first) == at_zero.end()) return false;
+    for (const HeldGuard& guard : at_zero) {
+      if (find(held_, guard) == held_.end()) held_.push_back(guard);
+    }
+    return true;
+  }
+  // Names the guards that are held.
+  std::string borders() const {
+    std::string names;
+    for (const HeldGuard& one : held_) {
+      names += (names.empty() ? "" : ", ") + run_.NameOf(ModeEvent{one.mode, one.guard});
+    }
+    return names;
+  }
+
   std::unique_ptr<HybridTranscription> Make(const PlanStartOf<HybridMotion>& start, const std::vector<double>& overlaps,
                                             const std::vector<int>& steps, double margin) const {
     HybridTranscription::Start from{
@@ -142,7 +173,8 @@ class HybridPhaseRun::Transcriber {
                                                                overlaps,
                                                                steps,
                                                                run_.shooting_->simulator().steps_per_interval(),
-                                                               margin);
+                                                               margin,
+                                                               held_);
     return transcription->valid() ? std::move(transcription) : nullptr;
   }
 
@@ -196,6 +228,7 @@ class HybridPhaseRun::Transcriber {
   const HybridPhaseRun& run_;
   const PlanOf<ModeEvent>& plan_;
   double duration_;
+  std::vector<HeldGuard> held_;
 };
 
 HybridMotion MotionOf(const HybridInput& input) {
@@ -423,6 +456,16 @@ void HybridPhaseRun::PlanAlong(const std::vector<ModeEvent>& sequence, const Hyb
   const bool too_few_intervals = static_cast<int>(count) >= num_steps() && !always;
   const bool is_given = IsOnGrid(problem_) || (count == 0 && !problem_.guess.lengths.empty());
   if (is_given || too_few_intervals) AddGrid(motion.durations, plan, times);
+}
+
+std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansWithJumpsOnGrid(
+    const PlanOf<ModeEvent>& plan, const HybridMotion& motion) const {
+  const bool jumps = std::ranges::any_of(plan.cuts, [](const auto& cut) { return cut && cut->is_switch(); });
+  if (!jumps || plan.on_grid || std::ranges::any_of(problem_.terms, &HybridTerm::always)) return {};
+  std::pair<PlanOf<ModeEvent>, std::vector<double>> on_grid;
+  PlanAlong(plan.Sequence(), motion, &on_grid.first, &on_grid.second);
+  if (!on_grid.first.on_grid) AddGrid(motion.durations, &on_grid.first, &on_grid.second);
+  return {on_grid};
 }
 
 std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::PlansThroughTouches(

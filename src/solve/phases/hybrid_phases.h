@@ -87,6 +87,10 @@ class HybridPhaseRun final : public SequenceRun {
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PlanOf<ModeEvent>&, const HybridMotion&) const {
     return {};
   }
+  // Returns the plan on the intervals of the motion that it starts from, with the times of its cuts, if the control
+  // jumps into other modes at their ends.
+  std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> PlansWithJumpsOnGrid(const PlanOf<ModeEvent>& plan,
+                                                                                      const HybridMotion& motion) const;
   // Returns plans with one event more, each with the times of its cuts, for every guard that the motion meets at zero
   // without an event: guards are held above zero at the ends of steps.
   std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> PlansThroughTouches(const HybridMotion& motion) const;

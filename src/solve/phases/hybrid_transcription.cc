@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <set>
 
 #include "base/statistics.h"
 #include "hybrid/greatest_values.h"
@@ -200,6 +201,54 @@ class GuardRows final : public Rows {
   Divided control_;
   TimeOf time_;
   mutable Eigen::VectorXd u_;
+};
+
+// The row margin - g / size of a guard where it is least within a step, before its end, of a system of one part.
+// Blocks: state at the beginning, control and parameters if there are any, begin and end of the phase.
+class LeastGuardRow final : public Rows {
+ public:
+  LeastGuardRow(const HybridFunctions& functions, const HeldGuard& guard, int index, int count, double margin,
+                double size)
+      : Rows(1, {}), functions_(functions), guard_(guard), index_(index), count_(count), margin_(margin), size_(size) {
+    const HybridLayout& layout = functions.layout();
+    for (const int block : {functions.state_size(guard.mode), layout.num_controls, layout.num_parameters, 1, 1}) {
+      if (block > 0) mutable_parameter_block_sizes()->push_back(block);
+    }
+  }
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const int n = functions_.state_size(guard_.mode), m = functions_.layout().num_controls,
+              P = functions_.layout().num_parameters;
+    const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
+    const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
+    FlowStep step{{guard_.mode, begin + part * (end - begin), blocks[0]}, (end - begin) / count_};
+    if (m > 0) step.u = blocks[of_control];
+    if (P > 0) step.p = blocks[of_parameters];
+    GreatestValues greatest(functions_, 1, 1, [&](const ModePoint& at, double, double* value, Matrix* by) {
+      by->setZero();
+      *value = -functions_.GuardGradient(at, guard_.guard, by->data());
+      *by = -*by;
+      return true;
+    });
+    double values[2];
+    Matrix by;
+    if (!greatest.Find(step, values, jacobians != nullptr ? &by : nullptr)) return false;
+    rows[0] = margin_ + values[0] / size_;
+    if (jacobians == nullptr) return true;
+    const Matrix row = by.row(0) / size_;
+    Put(jacobians, 0, row.leftCols(n));
+    if (m > 0) Put(jacobians, of_control, row.middleCols(n + 1 + P, m));
+    if (P > 0) Put(jacobians, of_parameters, row.middleCols(n + 1, P));
+    Put(jacobians, times, (1 - part) * row.col(n) - row.rightCols(1) / count_);
+    Put(jacobians, times + 1, part * row.col(n) + row.rightCols(1) / count_);
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  const HeldGuard guard_;
+  const int index_, count_;
+  const double margin_, size_;
 };
 
 // The defect of a reset of the parts that it changes. Blocks: state before, parameters if there are any, time, state
@@ -450,6 +499,12 @@ std::vector<BoundRows::Bound> BoundsOf(const std::vector<int>& components, const
   return bounds;
 }
 
+// Whether some of the events are of a guard in a mode.
+template <typename Event>
+bool IsOfGuard(const std::vector<Event>& events, int mode, int guard) {
+  return std::ranges::any_of(events, [&](const Event& e) { return e.mode == mode && e.guard == guard; });
+}
+
 // Sets `x` to the value at a part of the whole time, in [0, 1], of states at equal times, linear in between.
 void Interpolate(const std::vector<double>& states, double part, std::vector<double>* x) {
   const size_t n = x->size(), rows = states.size() / n;
@@ -493,7 +548,7 @@ void HybridScales::Finish() {
 HybridTranscription::HybridTranscription(const HybridProblem& problem, const HybridScales& scales,
                                          const PlanOf<ModeEvent>& plan, const Start& start,
                                          const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
-                                         double margin)
+                                         double margin, const std::vector<HeldGuard>& held)
     : problem_(problem),
       functions_(problem.system.functions()),
       scales_(scales),
@@ -524,7 +579,8 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
   HoldWhatIsGiven();
   if (plan.on_grid) HoldGrid();
   AddEvents(overlaps);
-  AddGuards(margin);
+  AddGuards(margin, held);
+  AddGuardsWithinSteps(margin, held);
   AddTerms();
   AddBounds();
 }
@@ -838,7 +894,7 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
 
 // At the ends of steps; where the phase ends with an event, not of its guard. Those that depend on the control are
 // evaluated together, as they depend on the same forces.
-void HybridTranscription::AddGuards(double margin) {
+void HybridTranscription::AddGuards(double margin, const std::vector<HeldGuard>& held) {
   for (int j = 0; j < num_phases(); ++j) {
     const Phase& phase = phases_[j];
     const int count = phase.intervals * substeps_;
@@ -859,9 +915,7 @@ void HybridTranscription::AddGuards(double margin) {
         std::vector<GuardRows::Row> rows;
         for (const int guard : guards) {
           if (k == count && EndsWithEvent(j) && plan_.cuts[j]->guard == guard) continue;
-          const bool apart = std::any_of(plan_.apart.begin(), plan_.apart.end(), [&](const ModeEvent& event) {
-            return event.mode == phase.mode && event.guard == guard;
-          });
+          const bool apart = IsOfGuard(plan_.apart, phase.mode, guard) || IsOfGuard(held, phase.mode, guard);
           rows.push_back({guard, apart ? margin : 0.0, -1 / scales_.guard[phase.mode][guard]});
         }
         if (rows.empty()) return;
@@ -888,6 +942,55 @@ void HybridTranscription::AddGuards(double margin) {
       for (int k = 0; reads_control && k < phase.intervals; ++k) add(k * substeps_, phase.first_control + k);
     }
   }
+}
+
+// In the steps in which the times are, of systems of one part.
+void HybridTranscription::AddGuardsWithinSteps(double margin, const std::vector<HeldGuard>& held) {
+  for (int j = 0; j < num_phases() && IsOnePart(); ++j) {
+    const Phase& phase = phases_[j];
+    const int count = phase.intervals * substeps_;
+    const double begin = *Begin(j), length = *End(j) - begin;
+    for (const HeldGuard& one : held) {
+      std::set<int> steps;
+      for (const double time : one.times) {
+        const bool inside = one.mode == phase.mode && length > 0 && time > begin && time < begin + length;
+        if (inside) steps.insert(std::min(static_cast<int>(count * (time - begin) / length), count - 1));
+      }
+      for (const int k : steps) {
+        std::vector<double*> blocks = NodesAt(all_, j, k), control = ControlBlocks(phase.first_control + k / substeps_);
+        blocks.insert(blocks.end(), control.begin(), control.end());
+        if (!parameters_.empty()) blocks.push_back(parameters_.data());
+        blocks.insert(blocks.end(), {Begin(j), End(j)});
+        lagrangian_.Add(
+            std::make_unique<LeastGuardRow>(functions_, one, k, count, margin, scales_.guard[phase.mode][one.guard]),
+            {.inequalities = 1},
+            blocks);
+      }
+    }
+  }
+}
+
+std::vector<HeldGuard> HybridTranscription::GuardsAtZero() {
+  constexpr double kAtZero = 1e-8;  // of the size of a guard
+  std::vector<HeldGuard> found;
+  for (int j = 0; j < num_phases(); ++j) {
+    const Phase& phase = phases_[j];
+    const int count = phase.intervals * substeps_;
+    for (int step = 0; step < count; ++step) {
+      const std::vector<double> u = JoinedControl(phase.first_control + step / substeps_);
+      for (const int k : {step, step + 1}) {
+        const std::vector<double> x = StateAt(j, k);
+        const double t = *Begin(j) + (*End(j) - *Begin(j)) * k / count;
+        for (int guard = 0; guard < functions_.num_guards(phase.mode); ++guard) {
+          if (k == count && EndsWithEvent(j) && plan_.cuts[j]->guard == guard) continue;
+          if (IsOfGuard(found, phase.mode, guard)) continue;
+          const double value = functions_.Guard({phase.mode, t, x.data(), u.data(), parameters_.data()}, guard);
+          if (std::abs(value) <= kAtZero * scales_.guard[phase.mode][guard]) found.push_back({phase.mode, guard});
+        }
+      }
+    }
+  }
+  return found;
 }
 
 Divided HybridTranscription::DividedState(const std::vector<int>& parts, int mode) const {

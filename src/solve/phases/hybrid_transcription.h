@@ -43,6 +43,13 @@ struct ModeEvent {
   bool operator==(const ModeEvent&) const = default;
 };
 
+// A guard that stays above zero in a mode, and times at which it does so within a step, where it may be least between
+// the ends.
+struct HeldGuard {
+  int mode = 0, guard = 0;
+  std::vector<double> times = {};
+};
+
 // Sizes of states and guards over a motion, by mode, and of its loss.
 struct HybridScales {
   std::vector<std::vector<double>> state, guard;
@@ -68,10 +75,11 @@ class HybridTranscription {
   // length. `substeps` steps of the integration make an interval. Nodes start at the states of the start, or without
   // any on the motion from it in which the resets happen at the times of the cuts, whatever the guards. By `overlaps`,
   // relative to the sizes of the guards, events come early; by `margin` the guards of events of plan.apart stay above
-  // zero inside phases. The problem must outlive this object. Precondition: some phase has steps.
+  // zero inside phases, and those of `held`. The problem must outlive this object. Precondition: some
+  // phase has steps.
   HybridTranscription(const HybridProblem& problem, const HybridScales& scales, const PlanOf<ModeEvent>& plan,
                       const Start& start, const std::vector<double>& overlaps, std::vector<int> steps, int substeps,
-                      double margin);
+                      double margin, const std::vector<HeldGuard>& held);
   HybridTranscription(const HybridTranscription&) = delete;
 
   // Whether the motion that the nodes start on is finite and has the modes of the plan.
@@ -82,6 +90,8 @@ class HybridTranscription {
   std::vector<double> CutTimes() const;
   // The rates of the guards before the events, negative if they fall, times the duration, relative to their sizes.
   std::vector<double> CutSpeeds();
+  // Returns the guards that are at zero, within rounding, at nodes inside phases, each once.
+  std::vector<HeldGuard> GuardsAtZero();
   double Duration() const { return times_.back(); }
   std::vector<double> InitialState() const;
   const std::vector<double>& Parameters() const { return parameters_; }
@@ -131,7 +141,8 @@ class HybridTranscription {
   bool Projects(int phase, int step) const;
   int IntervalBefore(int node, const Phase& phase) const;
   void AddEvents(const std::vector<double>& overlaps);
-  void AddGuards(double margin);
+  void AddGuards(double margin, const std::vector<HeldGuard>& held);
+  void AddGuardsWithinSteps(double margin, const std::vector<HeldGuard>& held);
   void AddTerms();
   void AddBounds();
   void HoldWhatIsGiven();

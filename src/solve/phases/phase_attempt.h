@@ -173,7 +173,7 @@ class TranscribedPlan {
         GoOnFrom(attempt);
         if (!Solve(margin, may_go_on, &attempt)) return attempt;
       }
-      if (!attempt.converged || (!TouchesApart(attempt) && (!tied || attempt.realized))) break;
+      if (!attempt.converged || (!TouchesApart(attempt) && !crosses_ && (!tied || attempt.realized))) break;
       GoOnFrom(attempt);
     }
     return attempt;
@@ -236,6 +236,9 @@ class TranscribedPlan {
     transcriber_.TakeControl(*transcription, &attempt->trial);
     SimulatePlan(transcriber_, plan_, attempt);
     if (!plan_.on_grid) FollowEvents(transcriber_, plan_, steps_, attempt);
+    crosses_ = plan_.holds_borders && attempt->converged && !attempt->realized && !plan_.HasTies() &&
+               transcriber_.HoldBorders(transcription.get(), attempt->trial);
+    attempt->borders = transcriber_.borders();
     attempt->violation = transcriber_.ViolationOf(attempt->trial);
     return true;
   }
@@ -255,6 +258,7 @@ class TranscribedPlan {
   PlanStart start_;
   std::vector<bool> empty_;  // by phase: without steps
   std::vector<int> steps_;   // of each phase; none if there are too few
+  bool crosses_ = false;     // the last motion, a guard that stays at zero along the plan
 };
 
 template <typename Run>

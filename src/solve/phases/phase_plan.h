@@ -34,6 +34,7 @@ struct PlanOf {
   std::vector<std::optional<int>> regimes;  // by cut: the regime in which the event is held, of discs a ContactMode
   std::vector<Event> apart;                 // events that do not happen, by an inequality, but where they are cuts
   bool only_violation = false;              // hard terms as costs, and hardly any others
+  bool holds_borders = false;               // guards that stay at zero along it do not cross
   bool on_grid = false;                     // the instants are the ends of all control intervals: no event ends one
 
   std::vector<Event> Sequence() const {
@@ -69,6 +70,7 @@ struct PlanAttemptOf {
   bool realized = false;           // the exact roll-out has the plan's events and no others
   double violation = 0;            // of hard constraints, on the exact roll-out
   double planned_loss = INFINITY;  // along the plan, whatever the exact roll-out
+  std::string borders = {};        // that the motion keeps to, by margins: guards that stay at zero
   int jacobians = 0;
 
   bool feasible() const { return realized && violation <= kFeasible; }  // within what may be left of hard constraints

@@ -85,6 +85,9 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const PhasePlan& plan, const Trial& trial) const;
   // Nothing but the exact roll-out holds gaps of discs open, so that they do not just close at an optimum.
   std::vector<std::pair<PhasePlan, std::vector<double>>> PlansThroughTouches(const Trial&) const { return {}; }
+  std::vector<std::pair<PhasePlan, std::vector<double>>> PlansWithJumpsOnGrid(const PhasePlan&, const Trial&) const {
+    return {};
+  }
   // The transcription of discs has no plans on a grid.
   std::vector<std::pair<PhasePlan, std::vector<double>>> PlansOnGrid(const Trial&) const { return {}; }
 
@@ -134,6 +137,9 @@ class PhaseRun::Transcriber : public DiscMotions {
   double duration() const { return scene_.duration; }
   // Pairs that must not touch, except at the cuts.
   const ContactSequence& apart() const { return apart_; }
+  // Gaps that stay at zero are those of events, or apart.
+  bool HoldBorders(PhaseTranscription* /*transcription*/, const Trial& /*trial*/) { return false; }
+  std::string borders() const { return ""; }
   std::unique_ptr<PhaseTranscription> Make(const PlanStart& start, const std::vector<double>& overlaps,
                                            const std::vector<int>& steps, double margin) const;
   void TakeControl(const PhaseTranscription& transcription, Trial* trial) const;

@@ -85,6 +85,7 @@ class SequenceUpdate {
       if (tasks_.empty()) LeaveSaddleOfBest();
       if (tasks_.empty() && mends) LeaveKinkOfBest();
       if (tasks_.empty()) LeaveNodesOfBest();
+      if (tasks_.empty() && mends) HoldBordersOfUnrealized();
       if (tasks_.empty() && !best_) Restore();
       if (tasks_.empty()) break;
       const Task task = TakeNext();
@@ -204,7 +205,7 @@ class SequenceUpdate {
     Remember(task, attempt, left);
     const double least_planned = unrealized_ ? unrealized_->first.planned_loss : INFINITY;
     if (attempt.converged && !attempt.realized && attempt.planned_loss < least_planned) {
-      unrealized_ = {attempt, task.plan.Sequence()};
+      unrealized_ = {attempt, task.plan};
     }
     const bool better = attempt.feasible() && IsBetter(task.plan, attempt);
     const double least = std::min(Merit(task.start.trial), Merit(attempt.trial));
@@ -276,6 +277,12 @@ class SequenceUpdate {
     DropGrazes(task.plan, attempt, start, keeps_apart, &moves);
     Reorder(task.plan, attempt, start, &moves);
     SplitRegimes(task.plan, attempt, start, &moves);
+    // Where phases of free lengths have no optimum, the intervals as they are may have one.
+    if (!attempt.converged) {
+      for (auto& [plan, times] : run_.PlansWithJumpsOnGrid(task.plan, task.start.trial)) {
+        moves.push_back(WithApart({std::move(plan), {std::move(times), task.start.trial}}, task.plan.apart));
+      }
+    }
     if (attempt.converged && attempt.feasible()) {
       for (auto& [plan, times] : run_.PlansThroughTouches(trial)) {
         moves.push_back(WithApart({std::move(plan), {std::move(times), trial}}, task.plan.apart));
@@ -396,7 +403,8 @@ class SequenceUpdate {
 
   // Whether the best optimum is held where the loss has a kink, and no certificate speaks for it.
   bool IsAtKink() {
-    const bool kinks = best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty();
+    const bool kinks =
+        best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty() || !best_->borders.empty();
     return kinks && !(run_.HasCertificate() && run_.Certify(best_->trial).IsStationary());
   }
 
@@ -449,6 +457,17 @@ class SequenceUpdate {
     for (auto& [plan, times] : run_.PlansOnGrid(best_->trial)) {
       Add({std::move(plan), {std::move(times), best_->trial}});
     }
+  }
+
+  // An optimum that is better than all real motions may become one beside the borders at which its guards stay.
+  void HoldBordersOfUnrealized() {
+    if (!Run::kHoldsGuards || !unrealized_ || unrealized_->second.holds_borders) return;
+    const auto& [attempt, plan] = *unrealized_;
+    if (HasOptimum() && !(attempt.planned_loss < best_->loss() - kHardlyBetter * std::abs(best_->loss()))) return;
+    Task task{plan, {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial}};
+    task.plan.holds_borders = true;
+    idle_ = 0;
+    Add(std::move(task));
   }
 
   // Adds the tasks along the sequences of better motions, best first.
@@ -543,8 +562,8 @@ class SequenceUpdate {
     }
     if (reason->empty()) *reason = "no solve along the sequences tried ended at an optimum";
     if (unrealized_ && unrealized_->first.planned_loss < lowest_.exact.loss) {
-      *reason +=
-          "; lower is the loss of a plan, but " + run_.WhyNotRealized(unrealized_->first.trial, unrealized_->second);
+      *reason += "; lower is the loss of a plan, but " +
+                 run_.WhyNotRealized(unrealized_->first.trial, unrealized_->second.Sequence());
     }
     return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
   }
@@ -566,14 +585,19 @@ class SequenceUpdate {
     return events == "none" ? "without events" : "with the sequence " + events;
   }
 
+  std::string Kinks() const {
+    const std::string kinks = run_.KinksOf(best_plan_);
+    if (best_->borders.empty()) return kinks;
+    return (kinks.empty() ? "" : kinks + ", ") + "the guards of " + best_->borders + " stay at zero";
+  }
+
   // Beside the conditions of events at different times in between, whose gaps close: where the loss has a kink.
   void Certify() {
     if (!run_.HasCertificate()) return;
     Certificate certificate = run_.Certify(best_->trial);
     if (IsAtKink()) {
       certificate = {};
-      certificate.reason =
-          run_.KinksOf(best_plan_) + ", where the loss has a kink: the certificate checks conditions of a smooth loss";
+      certificate.reason = Kinks() + ", where the loss has a kink: the certificate checks conditions of a smooth loss";
     }
     run_.report().certificate = std::move(certificate);
   }
@@ -590,7 +614,7 @@ class SequenceUpdate {
   std::vector<Tried> tried_;
   std::vector<PhasePlan> passed_;
   std::optional<PlanAttempt> best_, last_;
-  std::optional<std::pair<PlanAttempt, Sequence>> unrealized_;  // the best optimum along a plan that is no real motion
+  std::optional<std::pair<PlanAttempt, PhasePlan>> unrealized_;  // the best optimum along a plan that is no real motion
   PhasePlan best_plan_, last_plan_;
   Trial lowest_;                 // the best of all motions met
   int saddles_ = 0, kinks_ = 0;  // that were left

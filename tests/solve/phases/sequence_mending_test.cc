@@ -319,6 +319,9 @@ class PlainRun {
   std::vector<std::pair<size_t, int>> RegimesAtBorders(const Plan&, const Motion&) const { return {}; }
   std::vector<std::pair<Plan, std::vector<double>>> PlansOnGrid(const Motion&) const { return {}; }
   std::vector<std::pair<Plan, std::vector<double>>> PlansThroughTouches(const Motion&) const { return {}; }
+  std::vector<std::pair<Plan, std::vector<double>>> PlansWithJumpsOnGrid(const Plan&, const Motion&) const {
+    return {};
+  }
   bool HasCertificate() const { return true; }
   Certificate Certify(const Motion& motion) const {
     Certificate certificate;
