@@ -933,3 +933,24 @@ def test_ipopt_if_interrupted_returns_something_better_than_its_guess(iterations
                 c = flow(x + 0.0025 * b)
                 x = x + 0.005 / 6 * (a + 2 * b + 2 * c + flow(x + 0.005 * c))
         assert not costs or max(speeds) < 3 + 1e-6
+
+
+@pytest.mark.parametrize("optimize", [["control"], ["control", "duration", "gain"]])
+def test_costs_of_intervals_are_rows_of_their_own_variables(optimize):
+    """Three controls, which blocks of eight variables cut, on intervals of different lengths: two solvers agree."""
+    system = saltus.HybridSystem(
+        states={"move": ["x", "y", "z"]}, controls=["a", "b", "c"], parameters=["gain"],
+        flow={"move": lambda x, u, p: [p[0] * u[0], u[1] + 0.3 * x[0], u[2] - x[1] ** 2]})
+    problem = saltus.HybridProblem(
+        system, mode="move", initial=[0.0, 0.5, 0.0], duration=1.0, parameters=[0.8], control=np.full((11, 3), 0.1),
+        durations=np.linspace(1, 2, 11) / np.linspace(1, 2, 11).sum(),
+        costs=[saltus.residuals(lambda x: [5 * (x[0] - 1), 5 * (x[1] - 2), 5 * (x[2] + 1)]), saltus.effort(0.1),
+               saltus.residuals(lambda u: [0.2 * (u[0] - u[1] * u[2])], at="steps"),
+               saltus.residuals(lambda p: [0.5 * (p[0] - 1)])])
+    if "duration" in optimize:
+        problem.costs = [*problem.costs, saltus.residuals(lambda t: [0.4 * t])]
+    shot, phases = (saltus.solve(problem, solver=solver, optimize=optimize, bounds={"duration": (0.2, 5)} if "duration" in optimize else {})
+                    for solver in ("ceres_lm", "ceres_phases"))
+    assert shot.termination == phases.termination == "converged"
+    assert_allclose(shot.loss, phases.loss, rtol=1e-8)
+    assert_allclose(shot.control, phases.control, atol=1e-4)

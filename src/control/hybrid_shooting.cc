@@ -55,12 +55,33 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
   for (const FreeVariable& variable : variables_) {
     guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
   }
+  CountResiduals();
+}
+
+bool HybridShooting::HasRows(const HybridTerm& term) const {
+  if (!term.IsCost() || (term.at == HybridTerm::At::kEvent && term.occurrence < 0)) return false;
+  return !(leaves_out_ && IsOfIntervalAlone(term));
+}
+
+void HybridShooting::CountResiduals() {
+  num_residuals_ = 0;
   for (const HybridTerm& term : problem_.terms) {
-    if (!term.IsCost() || (term.at == HybridTerm::At::kEvent && term.occurrence < 0)) continue;
+    if (!HasRows(term)) continue;
     const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
-    const int times = repeats ? start_.num_intervals : 1;
-    num_residuals_ += times * term.function->num_residuals();
+    num_residuals_ += (repeats ? start_.num_intervals : 1) * term.function->num_residuals();
   }
+}
+
+bool HybridShooting::IsOfIntervalAlone(const HybridTerm& term) {
+  return term.role == HybridTerm::Role::kCost && term.mode < 0 && term.with_control && !term.with_state &&
+         !term.with_initial && !term.with_parameters && !term.with_time;
+}
+
+bool HybridShooting::LeaveOutCostsOfIntervals() {
+  leaves_out_ = std::ranges::any_of(
+      problem_.terms, [this](const HybridTerm& term) { return HasRows(term) && !IsOfIntervalAlone(term); });
+  CountResiduals();
+  return leaves_out_;
 }
 
 HybridInput HybridShooting::InputAt(std::span<const double> z) const {
@@ -126,14 +147,14 @@ bool HybridShooting::FindPlaces() {
                       " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
                       std::to_string(state_size));
         }
-        const int first_row = term.occurrence < 0 ? -1 : rows;
+        const int first_row = HasRows(term) ? rows : -1;
         places.push_back({&term, term.function, -1, static_cast<int>(i), state, events[i].time, 0, first_row});
       }
       if (term.occurrence >= found) {
         return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
                     "' in the motion, expected at least " + std::to_string(term.occurrence + 1) + "; " + kWayToEvents);
       }
-      if (is_cost && term.occurrence >= 0) rows += count;
+      if (HasRows(term)) rows += count;
       continue;
     }
     const bool at_end = term.at == HybridTerm::At::kEnd;
@@ -150,9 +171,10 @@ bool HybridShooting::FindPlaces() {
       // Rows of intervals in another mode stay zero.
       if (counts && fits) {
         const double length = at_end ? 0 : times[k + 1] - times[k];
-        places.push_back({&term, InMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, rows});
+        const int first_row = HasRows(term) ? rows : -1;
+        places.push_back({&term, InMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, first_row});
       }
-      if (is_cost) rows += count;
+      if (HasRows(term)) rows += count;
     }
   }
   return true;

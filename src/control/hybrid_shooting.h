@@ -40,6 +40,13 @@ class HybridShooting : public ShootingFunction {
   std::string WhyFailed() const override { return why_; }
   bool stopped() const override { return stopped_; }
 
+  // Costs that read nothing but the control and the length of their interval, in any mode: their residuals have a
+  // derivative by few variables, which is not dense as that of others is.
+  static bool IsOfIntervalAlone(const HybridTerm& term);
+  // Leaves the residuals of such costs out; the loss has them. Returns false, and leaves none out, if there are no
+  // others.
+  bool LeaveOutCostsOfIntervals();
+
   // Costs at each event have no residuals, because their number changes with the motion.
   int num_residuals() const override { return num_residuals_; }
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
@@ -141,6 +148,9 @@ class HybridShooting : public ShootingFunction {
   bool FailAt(const Place& place);
   bool FailAtDerivatives();
 
+  bool HasRows(const HybridTerm& term) const;
+  void CountResiduals();
+
   const HybridProblem problem_;
   HybridSimulator simulator_;
   std::function<bool()> stop_;
@@ -150,6 +160,7 @@ class HybridShooting : public ShootingFunction {
   std::vector<double> guess_;
   HybridInput input_;  // of the last rollout
   std::vector<Place> places_, constraint_places_;
+  bool leaves_out_ = false;  // the residuals of costs of intervals alone
   int num_residuals_ = 0;
   std::string why_;
   int num_adjoints_ = 0;

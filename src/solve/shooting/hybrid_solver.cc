@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <optional>
 #include <utility>
 
 #include "base/table.h"
@@ -173,9 +174,84 @@ SolveReport SolveByLbfgs(const HybridProblem& problem, const SolverOptions& opti
   return AcceptOptimum(problem, MinimizeByLbfgs(&run));
 }
 
+// The residuals of a cost that reads the control of one interval, and perhaps its length, as a function of the blocks
+// of variables that this control is in and, if it is free, of the final time.
+class IntervalCost final : public ceres::CostFunction {
+ public:
+  // The control begins `offset` variables after the first of these blocks. Its interval lasts `part` of the final time,
+  // which is the last block, or `duration` if there is none.
+  IntervalCost(const HybridTerm& term, std::vector<int> sizes, int offset, double part, std::optional<double> duration)
+      : term_(term), offset_(offset), part_(part), duration_(duration) {
+    set_num_residuals(term.function->num_residuals());
+    *mutable_parameter_block_sizes() = std::move(sizes);
+  }
+
+  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
+    const std::vector<int>& sizes = parameter_block_sizes();
+    std::vector<double> variables;
+    for (size_t i = 0; i < sizes.size(); ++i) variables.insert(variables.end(), blocks[i], blocks[i] + sizes[i]);
+    const double length = part_ * duration_.value_or(variables.back());
+    const double* const arguments[] = {&variables[offset_], &length};
+    const int rows = num_residuals(), width = term_.function->parameter_block_sizes()[0];
+    std::vector<double> by_control(rows * width), by_length(rows);
+    double* by[] = {by_control.data(), by_length.data()};
+    if (!term_.function->Evaluate(arguments, residuals, jacobians == nullptr ? nullptr : by)) return false;
+    int first = -offset_;  // of the block, counted from the control
+    for (size_t i = 0; jacobians != nullptr && i < sizes.size(); first += sizes[i++]) {
+      if (jacobians[i] == nullptr) continue;
+      const bool is_time = !duration_ && i + 1 == sizes.size();
+      for (int row = 0; row < rows; ++row) {
+        for (int k = 0; k < sizes[i]; ++k) {
+          const bool inside = !is_time && first + k >= 0 && first + k < width;
+          jacobians[i][row * sizes[i] + k] = inside ? by_control[row * width + first + k] : 0;
+        }
+        if (is_time && term_.with_length) jacobians[i][row] = part_ * by_length[row];
+      }
+    }
+    return true;
+  }
+
+ private:
+  const HybridTerm& term_;
+  const int offset_;
+  const double part_;
+  const std::optional<double> duration_;
+};
+
+// Adds a block of residuals for each interval of each cost that reads nothing else.
+void AddCostsOfIntervals(const HybridProblem& problem, const VariableBlocks& variables, ceres::Problem* ceres) {
+  const HybridInput& guess = problem.guess;
+  const std::vector<double> times = guess.Times();
+  const int width = problem.system.num_controls();
+  for (const HybridTerm& term : problem.terms) {
+    if (!HybridShooting::IsOfIntervalAlone(term)) continue;
+    size_t block = 0;
+    int first = 0;  // variable of this block
+    for (int k = 0; k < guess.num_intervals; ++k) {
+      if (term.interval >= 0 && term.interval != k) continue;
+      for (; first + variables.sizes[block] <= k * width; ++block) first += variables.sizes[block];
+      std::vector<int> sizes;
+      std::vector<double*> blocks;
+      for (int end = first; end < (k + 1) * width; end += sizes.back()) {
+        blocks.push_back(variables.blocks[block + sizes.size()]);
+        sizes.push_back(variables.sizes[block + sizes.size()]);
+      }
+      std::optional<double> duration = guess.duration;
+      if (problem.free.duration) {
+        duration.reset();
+        blocks.push_back(variables.blocks.back());
+        sizes.push_back(1);
+      }
+      const double part = (times[k + 1] - times[k]) / guess.duration;
+      ceres->AddResidualBlock(new IntervalCost(term, sizes, k * width - first, part, duration), nullptr, blocks);
+    }
+  }
+}
+
 SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("ceres_lm", problem, options);
-  const HybridShooting& shooting = run.shooting();
+  HybridShooting& shooting = run.shooting();
+  const bool apart = problem.free.control && shooting.LeaveOutCostsOfIntervals();
   const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
     std::size_t at = 0;
     for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
@@ -185,6 +261,7 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
         if (std::isfinite(max)) ceres->SetParameterUpperBound(variables.blocks[block], i, max);
       }
     }
+    if (apart) AddCostsOfIntervals(problem, variables, ceres);
   };
   return AcceptOptimum(
       problem, MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds));
