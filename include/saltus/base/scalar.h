@@ -13,7 +13,7 @@
 #include <ceres/jet.h>
 
 // Marks functions of Jets into which all calls are inlined, because a call costs more than the arithmetic of the Jets.
-// Not used under a sanitizer, whose checks in so large a function compile for minutes.
+// It is empty under the address sanitizer, whose checks in so large a function take minutes to compile.
 #if defined(__SANITIZE_ADDRESS__)
 #define SALTUS_FLATTEN
 #else

@@ -12,8 +12,8 @@
 namespace saltus {
 
 namespace internal {
-// Returns v / s for derivatives v, by one quotient and products; in single precision by quotients, so that derivatives
-// have the bits of the published programs.
+// Returns v / s for derivatives v: in double precision as the product with 1 / s, in single precision by a quotient for
+// each entry, so that derivatives have the bits of the published programs.
 template <typename V, typename S>
 auto Over(const V& v, const S& s) {
   if constexpr (std::is_same_v<S, float>) {

@@ -13,13 +13,14 @@ template <typename T>
 using Vec2 = Eigen::Matrix<T, 2, 1, Eigen::DontAlign>;
 using Vec2d = Vec2<double>;
 
-// Returns a . b; one of the two may have the base scalar.
+// Returns the scalar product a . b; one of the two may have the base scalar (double beside Jets).
 template <typename A, typename B>
 auto Dot(const Vec2<A>& a, const Vec2<B>& b) -> decltype(a[0] * b[0]) {
   return a[0] * b[0] + a[1] * b[1];
 }
 
-// Returns a rotated by a quarter turn, counter-clockwise: the tangent that belongs to a normal.
+// Returns a rotated counter-clockwise by a quarter turn. Perpendicular(normal) is the tangent t of a contact everywhere
+// in the library, except in rigid_bodies.h.
 template <typename T>
 Vec2<T> Perpendicular(const Vec2<T>& a) {
   return Vec2<T>(-a[1], a[0]);
@@ -50,13 +51,14 @@ struct HalfPlane {
   S offset;  // m
 };
 
-// One side of something that never moves: of a straight line, or of a circle, which may be a point.
+// One side of a straight line or of a circle, which may be a point. A disc with centre x touches it where Separate() is
+// the radius of the disc.
 template <typename S>
 struct Wall {
   Vec2<S> normal = Vec2<S>::Zero();  // of a line, |normal| = 1; discs are where normal . x >= offset
   S offset = S(0);                   // m
   int side = 0;                      // 0: a line; 1: discs are outside a circle, -1: inside
-  int material = 0;                  // as of a disc in a step (step_input.h)
+  int material = 0;                  // 0: none; else 1 + the index into Scene::materials (as BodyConstants has it)
   Vec2<S> center = Vec2<S>::Zero();  // m, of the circle
   S radius = S(0);                   // m; 0: a point
 
@@ -67,10 +69,11 @@ struct Wall {
 template <typename T>
 struct Separation {
   T distance;      // m, between the centres, or from the centre to the wall; negative behind it
-  Vec2<T> normal;  // unit vector towards the first disc; constant for a line, (1, 0) for coinciding centres
+  Vec2<T> normal;  // unit vector towards the first disc, `a`; constant for a line, (1, 0) for coinciding centres
 };
 
-// Returns the separation of a disc at `a` from a disc at `b`.
+// Returns the separation of a disc with centre `a` from a disc with centre `b`. Radii are not subtracted: the gap is
+// `distance` less both radii.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const Vec2<T>& b) {
   const Vec2<T> d = a - b;
@@ -79,13 +82,13 @@ Separation<T> Separate(const Vec2<T>& a, const Vec2<T>& b) {
   return {distance, Quotient(d, distance)};
 }
 
-// Returns the separation of a disc at `a` from a half-plane.
+// Returns the separation of a disc with centre `a` from a half-plane.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const HalfPlane<Base<T>>& plane) {
   return {Dot(plane.normal, a) - plane.offset, plane.normal.template cast<T>()};
 }
 
-// Returns the separation of a disc at `a` from a wall.
+// Returns the separation of a disc with centre `a` from a wall; within an arc the normal points towards its centre.
 template <typename T>
 Separation<T> Separate(const Vec2<T>& a, const Wall<Base<T>>& wall) {
   using S = Base<T>;

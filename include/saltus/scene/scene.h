@@ -20,9 +20,10 @@ namespace saltus {
 inline constexpr double kLargestMagnitude = 1e24;
 inline constexpr double kSmallestPositive = 1e-24;
 inline constexpr int kMaxSteps = 10'000'000;
-inline constexpr double kOverlapTolerance = 1e-12;  // of the scene's length (units.h), allowed at the start
+// The overlap that is allowed at the start, relative to the natural unit of length of the scene (scene/units.h).
+inline constexpr double kOverlapTolerance = 1e-12;
 
-// A disc's moment of inertia: none, it cannot spin; that of a solid disc, m r^2 / 2; or a given number.
+// A disc's moment of inertia: kNone (the disc cannot spin), kSolid (m r^2 / 2), or kGiven.
 struct Inertia {
   enum class Kind { kNone, kSolid, kGiven };
   Kind kind = Kind::kNone;
@@ -41,8 +42,8 @@ struct PrescribedMotion {
   bool operator==(const PrescribedMotion&) const = default;
 };
 
-// A disc. A fixed disc is moved by nothing but its path: its velocity is zero here, its mass is not used, and it cannot
-// spin.
+// A disc. A fixed disc moves along its path, if it has one, and otherwise not at all: `velocity` is zero, `mass` is not
+// used, and it cannot spin.
 struct Body {
   std::string name;   // [A-Za-z0-9_.-]+
   double radius = 0;  // m, > 0
@@ -54,7 +55,7 @@ struct Body {
   double angle = 0;             // rad, counter-clockwise; zero if it cannot spin
   double angular_velocity = 0;  // rad/s, counter-clockwise; zero if it cannot spin
   int material = -1;            // index into Scene::materials; -1: none, it has the numbers of Scene::contact
-  // The prescribed motion of a fixed disc, whose position is that at time 0.
+  // The prescribed motion of a fixed disc. `position` is that of the path at time 0, which Validate() does not check.
   std::optional<PrescribedMotion> path = std::nullopt;
 
   bool Spins() const { return inertia.kind != Inertia::Kind::kNone; }
@@ -66,14 +67,14 @@ struct Body {
   bool operator==(const Body&) const = default;
 };
 
-// A half-plane. Bodies stay on the side that the normal points to. A prescribed motion is that of the point and all
-// that is solid; it does not turn.
+// A half-plane. Bodies stay on the side that the normal points to. A prescribed motion translates the half-plane, and
+// never rotates it.
 struct Plane {
-  std::string name;              // as of a body; no two bodies, planes, edges or pockets have the same
+  std::string name;              // [A-Za-z0-9_.-]+; no two bodies, planes, edges or pockets have the same name
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
   int material = -1;             // as of a body
-  std::optional<PrescribedMotion> motion = std::nullopt;  // of the point, which is that at time 0
+  std::optional<PrescribedMotion> motion = std::nullopt;  // of `point`, which is its position at time 0
 
   bool operator==(const Plane&) const = default;
 };
@@ -119,7 +120,7 @@ struct TableFriction {
   bool operator==(const TableFriction&) const = default;
 };
 
-// Linear drag: the force -linear * v on a disc that moves.
+// Linear drag: the force -linear * v on a disc that is not fixed; at most one for each disc.
 struct Drag {
   int body = 0;
   double linear = 0;  // N s/m, >= 0
@@ -127,16 +128,18 @@ struct Drag {
   bool operator==(const Drag&) const = default;
 };
 
-// A spring with a damper from the centre of a disc to a point or to the centre of another disc, at the distance d of
-// which the velocities differ by w. With n the direction of d, the force on the disc along n is
+// A spring with a damper from the centre of a disc to a point or to the centre of another disc. Let d be the vector
+// from that point or centre to the disc, n = d / |d|, and w the velocity of the disc relative to it. The force on
+// `body` is
 //
-//   -(stiffness * (|d| - length) + damping * n.w)
+//   -(stiffness * (|d| - length) + damping * n.w) n       if length > 0
+//   -(stiffness * d + damping * w)                        if length = 0: linear in the state, with a damper in every
+//                                                         direction
 //
-// and a spring of length 0 has the force -(stiffness * d + damping * w), which is linear in the state: its damper acts
-// in every direction.
+// and the opposite force acts on `to`.
 struct Spring {
-  int body = 0;
-  int to = -1;                     // another body; -1: the point
+  int body = 0;                    // not fixed
+  int to = -1;                     // another body, which may be fixed; -1: the point
   Vec2d point = Vec2d::Zero();     // m; not used with another body
   double stiffness = 0;            // N/m, >= 0
   double length = 0, damping = 0;  // m and N s/m, >= 0
@@ -144,7 +147,7 @@ struct Spring {
   bool operator==(const Spring&) const = default;
 };
 
-// A force that depends on the state.
+// A force that depends on the state. Scenes with a table or pockets cannot have one.
 using StateForce = std::variant<Drag, Spring>;
 
 // A pocket. A disc whose centre reaches the circle is out of play: it stays there, at rest, has no contacts, and no
@@ -158,11 +161,11 @@ struct Pocket {
 };
 
 // Contact parameters: restitution and friction of everything without a material, and stiffness and damping of the whole
-// scene. Each contact model reads those that its law has.
+// scene. Each contact model reads only the parameters that its law has.
 struct ContactParameters {
   double restitution = 1;  // e in [0, 1]
   double friction = 0;     // mu >= 0
-  double stiffness = 1e4;  // N/m, compliant models
+  double stiffness = 1e4;  // N/m, compliant models; >= 0
   double damping = 0;      // N s/m, compliant models; >= 0
 
   bool operator==(const ContactParameters&) const = default;
@@ -184,7 +187,8 @@ struct Material {
   bool operator==(const Material&) const = default;
 };
 
-// Two materials, or twice the same, whose restitution or friction is given and not combined.
+// Two materials, or one material twice, whose restitution, friction or both are given. A number that is not given is
+// combined (Scene::combine).
 struct MaterialPair {
   int a = -1, b = -1;  // indices into Scene::materials; -1: no material
   std::optional<double> restitution = std::nullopt, friction = std::nullopt;
@@ -192,7 +196,8 @@ struct MaterialPair {
   bool operator==(const MaterialPair&) const = default;
 };
 
-// How restitution and friction of two materials are combined to those of their pair.
+// How restitution and friction of two materials, each by itself, are combined to those of their pair: the arithmetic
+// mean, the product, the smaller or the larger one.
 enum class Combine { kMean, kProduct, kMin, kMax };
 
 // The controlled bodies, and the constant force and torque on each from which optimisation starts.
@@ -202,9 +207,10 @@ enum class Combine { kMean, kProduct, kMin, kMax };
 struct Control {
   std::vector<int> bodies;     // indices into Scene::bodies, without repetition; none fixed
   std::vector<Vec2d> initial;  // N, one per controlled body
-  // Bounds of each component of the force, and of its norm, N, > 0; one per controlled body, or none.
+  // Bounds of the magnitude of each component of the force, and of its norm, N, > 0; one per controlled body, or none.
+  // Both may be given: then both hold.
   std::vector<double> max = {}, max_norm = {};
-  std::vector<int> turned = {};             // those of `bodies` with a torque control too; they spin
+  std::vector<int> turned = {};             // those of `bodies` (Scene indices) with a torque control too; they spin
   std::vector<double> initial_torque = {};  // N m, counter-clockwise, one for each of `turned`
   std::vector<double> max_torque = {};      // bound of its magnitude, N m, > 0; one for each of `turned`, or none
 
@@ -229,14 +235,14 @@ struct TerminalTerm {
   };
   int body = 0;
   Quantity quantity = Quantity::kPosition;
-  // Without a component: weight * |q(T) - target|^2. With one (0 is x, 1 is y): weight * q_component(T), linear.
+  // Without a component the term is weight * |q(T) - target|^2. With one (0 is x, 1 is y) it is weight *
+  // q_component(T), which is linear and has no target.
   std::optional<int> component = std::nullopt;
   // m or m/s; not used with a component. An angle or angular velocity is the first entry, rad or rad/s; the other is 0.
   Vec2d target = Vec2d::Zero();
-  double weight = 1;  // any sign with a component, else >= 0
+  double weight = 1;  // in 1/(unit of the quantity)^2, >= 0; with a component 1/(unit of the quantity), of any sign
   bool hard = false;  // q(T) = target is a constraint and no part of the loss; it has no component and no weight
-  // The constraint min <= q(T) <= max in place of q(T) = target; the term is hard. A component whose bounds are equal
-  // is given.
+  // The constraint min <= q(T) <= max in place of q(T) = target; `hard` must be set. Equal bounds fix a component.
   std::optional<Region> region = std::nullopt;
 
   // Returns the region of q(T); without one it is the target alone.
@@ -258,7 +264,7 @@ struct RunningTerm {
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
   std::vector<double> times;   // s, rising; at least one
   std::vector<Vec2d> targets;  // m or m/s, one per time
-  double weight = 1;           // 1/s, >= 0
+  double weight = 1;           // 1/(m^2 s) or s/m^2, >= 0
 
   bool operator==(const RunningTerm&) const = default;
 };
@@ -269,13 +275,13 @@ struct ViaTerm {
   double time = 0;  // s, in (0, duration)
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
   Vec2d target = Vec2d::Zero();
-  double weight = 1;  // >= 0
-  bool hard = false;
+  double weight = 1;  // 1/m^2 or s^2/m^2, >= 0; not used if hard
+  bool hard = false;  // whether it is a constraint
 
   bool operator==(const ViaTerm&) const = default;
 };
 
-// The constraint that the speed of a disc is at most `max`, at the final time or always.
+// The constraint that the speed of a disc that is not fixed is at most `max`, at the final time or always.
 struct SpeedLimit {
   enum class At { kEnd, kAlways };
   int body = 0;
@@ -297,15 +303,15 @@ struct FreeDuration {
 // over time, summed over the controlled bodies; u has the forces and torque / radius.
 struct Objective {
   std::vector<TerminalTerm> terminal;
-  double effort = 0;  // >= 0
+  double effort = 0;  // 1/(N^2 s), >= 0
   std::vector<RunningTerm> running = {};
   std::vector<ViaTerm> via = {};
   std::vector<SpeedLimit> limits = {};
   std::optional<FreeDuration> duration = std::nullopt;  // none: the duration is that of the scene
 
-  // Whether every term is a square (no term has a component), so that least-squares solvers apply.
+  // Returns whether every term is a square (no term has a component), so that least-squares solvers apply.
   bool IsSumOfSquares() const;
-  // Whether a term is hard, or there are limits.
+  // Returns whether a term is hard, or there are speed limits. Bounds on the control do not count.
   bool HasConstraints() const;
 
   bool operator==(const Objective&) const = default;
@@ -317,9 +323,9 @@ struct Units {
   double length = 1;             // m
   double time = 1;               // s
   double mass = 1;               // kg
-  double loss = 1;               // of the loss
-  Vec2d origin = Vec2d::Zero();  // m; where the position [0, 0] is
-  double loss_at_origin = 0;     // offset of the loss: linear terms measure positions from the origin
+  double loss = 1;               // the unit of the loss; 1 in scenes of users
+  Vec2d origin = Vec2d::Zero();  // m, in SI coordinates: the point that has the position [0, 0] in these units
+  double loss_at_origin = 0;     // the part of the loss that linear terms have at `origin`, in SI
   bool natural = false;          // whether they are the natural units of the scene (units.h)
 
   double speed() const { return length / time; }
@@ -330,7 +336,7 @@ struct Units {
   bool operator==(const Units&) const = default;
 };
 
-// A constraint: two discs, or a disc and a plane (then b is its index), must not touch.
+// A constraint: two discs a < b, or disc a and plane b (an index into Scene::planes), must not touch.
 struct NoContact {
   int a = 0, b = 0;
   bool plane = false;
@@ -359,7 +365,7 @@ struct SceneParameter {
     kSegmentAngle,   // rad, by which the segment is rotated about its middle, counter-clockwise
   };
   Kind kind = Kind::kRestitution;
-  int body = -1;  // of a mass, force, radius or position; or the index of a plane or a segment
+  int body = -1;  // the disc of a mass, force, radius, position or drag; or the index of a plane or a segment
   // The component, 0 is x and 1 is y, of gravity, a force or a position; the number of a law's parameter; or the
   // MaterialPairIndex() (materials.h) of a restitution or friction in a scene with materials.
   int component = 0;
@@ -372,12 +378,12 @@ struct SceneParameter {
 struct DesignParameter {
   SceneParameter parameter;
   std::optional<double> min = std::nullopt, max = std::nullopt;  // in the parameter's unit; min < max
-  double moved = 0;  // the offset or angle of a wall, which the scene has already
+  double moved = 0;  // the offset or angle (m or rad) by which the scene's wall has been moved from the given place
 
   bool operator==(const DesignParameter&) const = default;
 };
 
-// The unknowns of the solvers, beside Scene::design.
+// The unknowns of the solvers, beside Scene::design: the control, or velocities or positions at the start.
 enum class Optimize { kControl, kVelocity, kPosition, kNone };
 
 // Returns the word of scene files: "control", "velocity", "position", "none".
@@ -396,7 +402,7 @@ struct Scene {
   std::string name;               // [a-z0-9_]+
   double duration = 1;            // s, > 0
   int steps = 1;                  // equal steps of duration / steps; 1 to kMaxSteps
-  Vec2d gravity = Vec2d::Zero();  // m/s^2
+  Vec2d gravity = Vec2d::Zero();  // m/s^2, in the plane of the scene
   std::vector<Body> bodies;
   std::vector<Plane> planes;
   std::vector<EdgeSegment> segments = {};
@@ -408,7 +414,7 @@ struct Scene {
   ContactParameters contact;
   std::vector<Material> materials = {};  // none: everything has the restitution and friction of `contact`
   std::vector<MaterialPair> pairs = {};  // no pair twice
-  Combine combine = Combine::kMean;      // for pairs that are not there; for these a material with itself is a pair too
+  Combine combine = Combine::kMean;      // for pairs without an entry in `pairs`, of one material too
   Control control;                       // empty if nothing is pushed
   Objective objective;
   std::vector<NoContact> no_contact;
@@ -433,15 +439,15 @@ struct Scene {
   std::size_t ForceIndex(std::size_t k, int c) const { return k * control_width() + 2 * static_cast<std::size_t>(c); }
   // Returns the index in a control of torque / radius of body `control.turned[t]` in interval k.
   std::size_t TurnIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
-  // Whether a disc spins.
+  // Returns whether any disc spins.
   bool Spins() const;
-  // Whether a disc or a plane has a prescribed motion.
+  // Returns whether a disc or a plane has a prescribed motion.
   bool HasPaths() const;
   // Whether there are segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 };
 
-// A violated rule of scenes, and its key.
+// The error in a scene: the first violated rule, and its key.
 struct SceneError {
   std::string key;      // path in the scene file: "bodies[1].radius"
   std::string message;  // what was found and what was expected
@@ -449,17 +455,17 @@ struct SceneError {
   std::string ToString() const { return key + ": " + message; }
 };
 
-// The first rule that `scene` breaks, or nothing. Checked: numbers (see the top), ranges as stated above, names that
-// are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for (kNone
-// needs neither), and no overlap above kOverlapTolerance, and above what rounding makes of positions far from the
-// origin, at the start between discs or of a disc with a plane, a segment, an arc or a polygon (two fixed discs may
+// Returns the first rule that `scene` breaks, or std::nullopt. Checked: numbers (see the top), ranges as stated above,
+// names that are unique and well formed, indices in range, something to optimise and a terminal term to optimise it for
+// (kNone needs neither), and no overlap above kOverlapTolerance, and above what rounding makes of positions far from
+// the origin, at the start between discs or of a disc with a plane, a segment, an arc or a polygon (two fixed discs may
 // overlap, and a fixed disc may reach into what does not move), and no disc in a pocket there. Quadratic in the number
 // of bodies, and of the points of a polygon.
 std::optional<SceneError> Validate(const Scene& scene);
 
-// The first of those rules that `scene` breaks and a simulation relies on: numbers, ranges and indices. Names, what is
-// to be optimised and overlaps are not looked at. Linear in the size of the scene. Every entry point of the library
-// that takes a scene asks this, so that a wrong one is refused with its key.
+// Returns the first rule of Validate() that `scene` breaks and that a simulation relies on: numbers, ranges and
+// indices. Names, what is to be optimised and overlaps are not checked. Linear in the size of the scene. Every entry
+// point of the library that takes a scene calls this, and refuses a wrong scene with its key.
 std::optional<SceneError> ValidateStructure(const Scene& scene);
 
 }  // namespace saltus

@@ -28,10 +28,10 @@ struct SceneFileError {
   std::string ToString() const;
 };
 
-// Reads the scene in the file at `path`; it passes Validate.
+// Reads the scene in the file at `path`; the scene that it returns passes Validate.
 std::variant<Scene, SceneFileError> LoadSceneFile(const std::string& path);
 
-// Reads the scene in `text`; it passes Validate. Errors call the text `name`.
+// Reads the scene in `text`; it passes Validate. `name` stands for the file in errors.
 std::variant<Scene, SceneFileError> ParseScene(std::string_view text, const std::string& name);
 
 // Returns the text of a scene, which must pass Validate. ParseScene returns an equal scene from it, apart from unused

@@ -1,5 +1,5 @@
-// Parts of walls: lines and circles (geometry.h), each of which a disc can touch from one side. Planes have one part,
-// segments and arcs two sides and two ends, polygons one side for each edge and their corners.
+// Parts of walls: lines and circles (geometry.h), each of which a disc can touch from one side. A plane has one part, a
+// segment or an arc two sides and two ends, a polygon one side for each edge and one part for each corner.
 //
 // A part counts where it is the nearest part: the side of a segment between the perpendiculars through its ends, an end
 // beyond the perpendiculars of all edges that meet there. At every place near an edge exactly one part counts; in a
@@ -25,11 +25,11 @@ struct WallExtent {
     // Returns by how much x satisfies the bound, m.
     double Inside(const Vec2d& x) const { return Dot(normal, x) - offset; }
   };
-  bool endless = true;             // it counts everywhere
-  bool any = false;                // one of the bounds is enough
-  std::vector<Bound> bounds = {};  // none: all around
+  bool endless = true;             // the part counts everywhere; `bounds` are not read
+  bool any = false;                // whether x must satisfy one of the bounds, and not all
+  std::vector<Bound> bounds = {};  // none: the part counts everywhere, as a full circle does
 
-  // Whether the part counts at x, or within `tolerance` of it, m.
+  // Returns whether the part counts at x, where bounds may be violated by less than `tolerance`, m.
   bool Covers(const Vec2d& x, double tolerance = 0) const {
     if (endless || bounds.empty()) return true;
     for (const Bound& bound : bounds) {
@@ -41,13 +41,14 @@ struct WallExtent {
   }
 };
 
+// A part of a wall, the table, or a pocket.
 struct WallPart {
   Wall<double> wall = {};
   WallExtent extent = {};
-  std::string name = {};                           // of the scene's thing; of an end "name.a", "name.b"
+  std::string name = {};                           // that of the wall, table or pocket; of ends "name.a", "name.b"
   Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m, where a line that is not endless ends
   bool table = false;                              // under all discs: its distance is infinite
-  bool pocket = false;                             // met by the centres of discs, once: there they stay
+  bool pocket = false;                             // reached by the centre of a disc, which then stays there
 
   // Returns a lower bound of the distance of a disc's centre at x from the part, m; negative behind an endless one.
   double LeastDistance(const Vec2d& x) const {
@@ -75,12 +76,12 @@ struct WallPart {
   }
 };
 
-// The scene's planes, in their order, its table and its pockets, then the parts of its segments, polygons and arcs,
-// ends last. A Candidate (step_input.h) whose `plane` is true counts in these. Precondition: ValidateStructure(scene)
-// finds nothing.
+// Returns the scene's planes, in their order, its table (if any) and its pockets, then the sides of its segments,
+// polygons and arcs, and then the ends. A Candidate (step_input.h) whose `plane` is true has an index into this list.
+// Precondition: ValidateStructure(scene) finds nothing.
 std::vector<WallPart> WallPartsOf(const Scene& scene);
 
-// Returns the names of these parts.
+// Returns the names of WallPartsOf(scene), in the same order.
 std::vector<std::string> WallNamesOf(const Scene& scene);
 
 }  // namespace saltus
