@@ -2,12 +2,13 @@
 //
 // A contact model is a small class with one templated function, its step
 //
-//   x' = f(x, u)        x: positions and velocities of some discs,  u: the force on each, held over the step.
+//   x' = f(x, u)        x: positions and velocities of some discs,  u: the force on each, constant over the step.
 //
 // A model does not depend on trajectories, problems or solvers, nor on which part of a scene it is given: the same
 // function steps a whole scene in double and, with T a Jet, the discs of one contact to differentiate it. Branches
 // depend on values. Contributions of all contacts are computed from the state at the start of the step and added in the
-// order of the candidates, unless a model's header states otherwise.
+// order of the candidates, unless a model's header states otherwise. A model computes in SI units, or in
+// natural ones if it is event-driven (scene/units.h); the simulator converts.
 //
 // CONTRIBUTING.md states how to add a model.
 #pragma once
@@ -44,7 +45,7 @@ namespace saltus {
 //   using Spinning = ...                                  the model for scenes with discs that spin, with the kRotation
 //       kSpin. Without it the model does not support such scenes.
 //   static constexpr bool kLinearRotation = true          in free flight the rotation has the same Jacobian everywhere
-//   static std::string WhyNot(const Scene&)               why it does not support a scene; empty if it does
+//   static std::string WhyNot(const Scene&)               the reason why it does not support a scene; else empty
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
 //   template <typename Visit> void VisitOptions(const Visit& visit)
 //       calls visit(ModelOption, member) for each of its options; members are double, int or bool

@@ -2,11 +2,12 @@
 // Learning neural event functions). Identify() fits w to recordings, through the exact event times.
 //
 //   impact where the event function c falls to 0:   c(x(t), v(t); w) = 0,  dc/dt < 0
-//   velocity after it by the update:                v+ = U(x, v; w)
+//   velocity after it by the update:                v+ = U(x, v; w)          x, v: of the disc's centre, just before it
 //
 // Time and state of an event are differentiated by the implicit function theorem, dt = -dc / (dc/dt), by w too. Impacts
 // of two discs are those of `event`. c and a c with a > 0 are the same event function: those below have a gradient of
-// length 1, or no freedom along the plane's normal. Sustained contacts are not supported: a motion in which discs come
+// length 1, or no freedom along the plane's normal. All numbers are in SI units, whatever
+// Scene::units is. Sustained contacts are not supported: a motion in which discs come
 // to rest on something fails with this reason.
 #pragma once
 
@@ -22,6 +23,7 @@ class CostFunction;
 
 namespace saltus {
 
+// The event functions of all planes of a scene, with one vector of parameters.
 struct EventFunctions {
   // The functions of a plane, which must not keep state. The parameter blocks of both are position, velocity and radius
   // of a disc (5 numbers: m, m/s, m), and all parameters.
@@ -32,12 +34,12 @@ struct EventFunctions {
 
   std::string name = "own events";  // for messages
   std::vector<Plane> planes;        // those of the scene, in their order
-  std::vector<double> parameters;
+  std::vector<double> parameters;   // w, of all planes; a fit starts here
   // Standard deviation of the normal prior of each parameter around its start, in a fit; > 0.
   double spread = 10;
 };
 
-// Returns the first error as "found x, expected y"; empty if there is none. The scene must be valid.
+// Returns the first error as "found x, expected y"; empty if there is none. Precondition: the scene is valid.
 std::string WhatIsWrongWith(const EventFunctions& events, const Scene& scene);
 
 // Returns event functions with an angle and a distance of each plane, and a linear update:
@@ -48,12 +50,12 @@ EventFunctions AffineEvents(const Scene& scene);
 
 // Returns event functions of surfaces that are not flat, with restitution and Coulomb friction about their own normal:
 //   c = n.x - offset - radius - h(s),   h = a + sum of c_i tanh(w_i s / length + b_i)      s along the plane
-// parameters of each plane: w_i, b_i of its `width` units, all c_i, a, and the restitution by its logit; if the scene
-// has friction, the logarithm of its coefficient. The start has the planes and the contact of the scene (with a
-// restitution from 0.001 to 0.999). Precondition: width >= 1.
+// parameters of each plane: w_0, b_0, w_1, b_1, ... of its `width` units, all c_i, a (m), and the logit of the
+// restitution; if the scene has friction, the logarithm of its coefficient. The start has the planes and the contact of
+// the scene (with a restitution from 0.001 to 0.999). Precondition: width >= 1.
 EventFunctions ProfileEvents(const Scene& scene, int width);
 
-// The values of event functions for a disc.
+// The values of the event functions of one plane for one disc.
 struct EventAt {
   double value = 0;              // c, m
   Vec2d normal = Vec2d::Zero();  // of length 1, along the gradient of c by the position

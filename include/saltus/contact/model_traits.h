@@ -5,10 +5,10 @@
 
 namespace saltus {
 
-// How fast bodies separate after an impact.
+// The speed at which bodies separate after an impact.
 enum class Rebound {
   kRestitution,  // closing speed * restitution^restitution_power
-  kElasticOnly,  // closing speed with restitution 1; with less, more slowly than the restitution states
+  kElasticOnly,  // closing speed if the restitution is 1; otherwise less than restitution times closing speed
   kEmergent,     // as follows from the force law or from the correction of overlaps
   kPlastic,      // they do not separate; the restitution is not read
 };
@@ -30,16 +30,16 @@ struct ModelTraits {
   bool projects = false;         // moves bodies apart that overlap, within a step
   bool averages = false;         // momentum is not conserved when a disc touches several things at once
   bool sequential = false;       // takes the contacts of a step one after the other, so their order matters
-  bool compared = false;         // the published comparisons (2022, 2023) report it
-  double push_gap = 0;           // m, gap below which bodies repel each other
+  bool compared = false;         // a model of the published comparisons of 2022 and 2023
+  double push_gap = 0;           // m, gap > 0 below which bodies repel each other already; 0: at contact only
   bool allocates = false;        // solves with matrices of its own on the heap in steps with contact
   double accuracy = 0;           // relative error that the iterations of a step leave; 0: rounding
-  // Forces between discs depend on their relative motion only, and momentum is conserved, so that derivatives need a
-  // pass less. A model that sets this wrongly has a wrong gradient.
+  // Whether forces between discs depend on their relative motion only and momentum is conserved, so that derivatives
+  // need one pass less. A model that sets this wrongly has a wrong gradient.
   bool relative = false;
-  bool spins = false;  // discs rotate, as in the source of the model, without inertia in the scene too
-  // Reads restitution and friction of each candidate from StepInput::ContactOf(); otherwise scenes with materials are
-  // not applicable.
+  bool spins = false;  // discs without inertia in the scene rotate too, as in the source of the model
+  // Whether it reads restitution and friction of each candidate from StepInput::ContactOf(); otherwise it does not
+  // support scenes with materials.
   bool by_pair = false;
 };
 

@@ -23,11 +23,11 @@ class SolveRecord {
   }
   // Returns to the beginning, before the step is repeated.
   void Rewind() { next_ = 0; }
-  // Length, place and entries of each vector.
+  // Returns, for each vector in turn, its length, a number of its place, and its entries.
   std::span<const double> numbers() const { return numbers_; }
 
   bool AtEnd() const { return next_ == numbers_.size(); }
-  // Whether the next vector was asked for at `place`.
+  // Returns whether there is a next vector and it was asked for at `place`.
   bool Has(const std::source_location& place) const { return !AtEnd() && numbers_[next_ + 1] == Number(place); }
   // Returns the next vector, valid until the next call of Append(). Precondition: not at the end.
   std::span<const double> Next() {

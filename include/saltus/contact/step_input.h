@@ -24,8 +24,8 @@ inline constexpr int kSpin = 2;
 template <typename T, int kRotation>
 struct BodyState {
   static constexpr int kSize = 4 + kRotation;
-  Vec2<T> p;  // position, m
-  Vec2<T> v;  // velocity, m/s
+  Vec2<T> p;  // position of the centre, m
+  Vec2<T> v;  // velocity of the centre, m/s
   T rotation[kRotation];
 };
 template <typename T>
@@ -35,6 +35,7 @@ struct BodyState<T, 0> {
   Vec2<T> v;
 };
 
+// The constants of one disc in a step.
 template <typename T>
 struct BodyConstants {
   T mass;          // kg; not used if fixed
@@ -51,14 +52,15 @@ struct PairConstants {
   T restitution, friction;
 };
 
-// The numbers of ContactParameters.
+// The numbers of ContactParameters, of which T may have derivatives.
 template <typename T>
 struct ContactConstants : PairConstants<T> {
   T stiffness, damping;
 };
 
-// A pair that may touch in this step: disc `a` and either disc `b` or, if `plane` is set, wall `b` (walls.h). Normals
-// point towards `a`; a < b for two discs. One of the two can move. Parts of edges are candidates if they count at the
+// A pair that may touch in this step: disc `a` and either disc `b` or, if `plane` is set, wall `b` of WallPartsOf()
+// (walls.h). Normals point towards `a`, and impulses and relative velocities are those of `a`; a < b for two discs. At
+// least one of the two is not fixed. Parts of edges are candidates if they count at the
 // start of the step or, for event-driven models, if a disc may reach them within it.
 struct Candidate {
   int a = 0;
@@ -78,7 +80,7 @@ inline const char* ContactModeToString(ContactMode mode) {
 // grazing contact has a speed near zero, so that derivatives are one-sided.
 enum class ContactKind { kImpact, kSustained, kGrazing };
 
-// A contact that took effect in a step.
+// A contact that took effect in a step, as a model reports it.
 struct Touch {
   Candidate candidate;
   ContactMode mode = ContactMode::kFrictionless;
@@ -103,13 +105,13 @@ struct StepInput {
   Vec2<S> gravity;              // m/s^2
   ContactConstants<T> contact;  // restitution and friction of pairs without a material; see ContactOf()
   std::span<const BodyConstants<T>> bodies;
-  std::span<const Wall<S>> planes;        // half-planes, and the parts of edges (walls.h)
-  std::span<const Vec2<T>> force;         // N
-  std::span<const Candidate> candidates;  // every pair that can touch; discs by index pairs, then discs against planes
-  std::pmr::memory_resource* scratch;     // for temporaries; released after the step
-  std::vector<Touch>* touches = nullptr;  // if set, the step appends the contacts that took effect
-  SolveRecord* solved = nullptr;          // if set, the step recalls results of iterations from it
-  std::string_view* failure = nullptr;    // if set, the step writes the reason why it has no result
+  std::span<const Wall<S>> planes;           // the walls that Candidate::b indexes (walls.h)
+  std::span<const Vec2<T>> force;            // N, on each disc, without gravity
+  std::span<const Candidate> candidates;     // every pair that can touch: (a, b) of discs in rising order, then walls
+  std::pmr::memory_resource* scratch;        // for temporaries; released after the step
+  std::vector<Touch>* touches = nullptr;     // if set, the step appends the contacts that took effect
+  SolveRecord* solved = nullptr;             // if set, the step recalls results of iterations from it
+  std::string_view* failure = nullptr;       // if set, the step writes the reason why it has no result
   std::vector<TiedContact>* ties = nullptr;  // if set, event-driven models append ties
   int tie_order = 0;                         // the order in which they take tied impacts (event_ties.h); 0: their own
   // Extents of the walls, for event-driven models only.
@@ -121,8 +123,8 @@ struct StepInput {
   // Restitution and friction by MaterialPairIndex() (materials.h), if the scene has materials.
   std::span<const PairConstants<T>> pairs = {};
 
-  // Returns the result of solve(), or its result at this place when the step was computed before; valid until the end
-  // of the step. It may depend on values only.
+  // Returns the numbers that solve() returns (a container with data() and size()) or, in a repeated step, those that it
+  // returned at this place before; valid until the end of the step. The numbers must not depend on derivatives.
   template <typename Solve>
   std::span<const double> Solved(const Solve& solve,
                                  const std::source_location& place = std::source_location::current()) const {
@@ -138,14 +140,14 @@ struct StepInput {
     return keep(numbers);
   }
 
-  // Calls solve(), which is not inlined: iterations are no part of a derivative.
+  // Calls solve() without inlining it, because iterations are not differentiated.
   template <typename Solve>
   [[gnu::noinline]] static auto Find(const Solve& solve) {
     return solve();
   }
 
-  // Copies from the same step in another scalar everything that is no variable of differentiation: all but the
-  // constants of contacts and discs, the forces and the torques.
+  // Copies the scene from the same step in another scalar. Not copied are variables of differentiation (`contact`,
+  // `pairs`, `bodies`, `force`, `torque`), reports (`touches`, `failure`, `ties`) and `tie_order`.
   template <typename U>
   void ShareScene(const StepInput<U>& in) {
     h = in.h;
@@ -167,6 +169,7 @@ struct StepInput {
     return {static_cast<U*>(scratch->allocate(n * sizeof(U), alignof(U))), n};
   }
 
+  // Reports a contact that took effect, if touches are collected; `time` in s since the start of the step.
   void Report(const Candidate& candidate, ContactMode mode = ContactMode::kFrictionless, double time = -1,
               ContactKind kind = ContactKind::kImpact) const {
     if (touches != nullptr) touches->push_back({candidate, mode, time, kind});
@@ -185,9 +188,10 @@ struct StepInput {
     if (pairs.empty()) return 0;
     return MaterialPairIndex(bodies[c.a].material, c.plane ? planes[c.b].material : bodies[c.b].material);
   }
+  // Returns restitution and friction of a pair of materials, and the number of pairs (1 without materials).
   const PairConstants<T>& ContactOfPair(int pair) const { return pairs.empty() ? contact : pairs[pair]; }
   int num_pairs() const { return pairs.empty() ? 1 : static_cast<int>(pairs.size()); }
-  // Whether a candidate has friction.
+  // Returns whether any candidate has friction.
   bool HasFriction() const {
     if (pairs.empty()) return Value(contact.friction) > S(0);
     return std::any_of(candidates.begin(), candidates.end(), [this](const Candidate& c) {
@@ -211,7 +215,7 @@ struct StepInput {
   }
   T InverseMassA(const Candidate& c) const { return bodies[c.a].inverse_mass; }
   T InverseMassB(const Candidate& c) const { return c.plane ? T(S(0)) : bodies[c.b].inverse_mass; }
-  // Returns 1 / (1/m_a + 1/m_b), kg.
+  // Returns the effective mass along the normal, kg: 1 / (1/m_a + 1/m_b), with 0 for 1/m of fixed discs and walls.
   T EffectiveMass(const Candidate& c) const { return Divide(S(1), T(InverseMassA(c) + InverseMassB(c))); }
   // Returns the effective mass along the tangent, kg: 1 / (1/m_a + 1/m_b + r_a^2/I_a + r_b^2/I_b).
   T TangentialMass(const Candidate& c) const {
@@ -222,7 +226,8 @@ struct StepInput {
   }
 };
 
-// Returns distance and normal of a candidate for discs at `position(i)`.
+// Returns distance and normal of a candidate, of discs whose centres are at `position(i)`. The gap is the distance less
+// ContactDistance().
 template <typename T, typename PositionOf>
 Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const PositionOf& position) {
   if (c.plane) return Separate<T>(position(c.a), in.planes[c.b]);
@@ -239,15 +244,15 @@ T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance)
   return wall.curved() ? T(distance + S(wall.side) * wall.radius) : T(S(0));
 }
 
-// Returns the velocity of a relative to b for discs with the velocities `velocity(i)`.
+// Returns the velocity of the centre of a relative to that of b, or to a wall at rest; rotation is not included.
 template <typename T, typename VelocityOf>
 Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
   if (c.plane) return velocity(c.a);
   return velocity(c.a) - velocity(c.b);
 }
 
-// Calls apply(i, change) with the change of each angular velocity by an impulse along the tangent (t =
-// Perpendicular(n), on a).
+// Calls apply(i, change) with the change of the angular velocities of a and b by an impulse on a along the tangent t =
+// Perpendicular(n): -tangential * r / I for both, because the arms and the impulses are opposite.
 template <typename T, typename Apply>
 void ApplyTurn(const StepInput<T>& in, const Candidate& c, const T& tangential, const Apply& apply) {
   const auto turn = [&](int i) { apply(i, T(-tangential * in.bodies[i].radius * in.bodies[i].inverse_inertia)); };
@@ -255,7 +260,8 @@ void ApplyTurn(const StepInput<T>& in, const Candidate& c, const T& tangential, 
   if (!c.plane) turn(c.b);
 }
 
-// Calls apply(i, change) with impulse / m_a for disc a and -impulse / m_b for disc b.
+// Calls apply(i, change) with impulse / m_a for disc a and -impulse / m_b for disc b: the changes of their velocities
+// by an impulse on a, or of their accelerations by a force on a.
 template <typename T, typename Apply>
 void ApplyImpulse(const StepInput<T>& in, const Candidate& c, const Vec2<T>& impulse, const Apply& apply) {
   apply(c.a, Scale(in.InverseMassA(c), impulse));
