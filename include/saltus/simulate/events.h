@@ -1,4 +1,5 @@
-// The impacts and other events of a rollout, with the names of bodies and the times.
+// The impacts and other events of a rollout, with the names of bodies and the times. Only models that resolve impact
+// times (ModelTraits::event_driven) have events.
 #pragma once
 
 #include <string>
@@ -8,10 +9,11 @@
 
 namespace saltus {
 
+// An impact, or the beginning of a sustained contact.
 struct Event {
   double time = 0;  // s, since the start
   std::string a;    // a disc
-  std::string b;    // a disc or a plane, a part of an edge (walls.h), or "table"
+  std::string b;    // the other disc, or the wall, a part of a wall, a pocket or "table" (WallPart::name)
   ContactMode mode = ContactMode::kFrictionless;
 };
 
@@ -19,18 +21,20 @@ struct Event {
 // The motion is that of one order, and the loss jumps here.
 struct Tie {
   double time = 0;                  // s, since the start
-  std::vector<std::string> bodies;  // discs in the order of the scene, then planes
+  std::vector<std::string> bodies;  // names of discs in the order of the scene, then of walls
   int num_contacts = 0;
 };
 
-// Returns the touches of the last rollout that are events, in order of time: impacts, and the beginnings of sustained
-// contacts (of each of their modes). Empty for models that resolve no impact times.
+// Returns the touches of the last rollout that are events: impacts, grazing contacts, and the beginnings of sustained
+// contacts, again for each mode (slip, stick) and after each step without the contact; in order of time. Empty for
+// models that resolve no impact times.
 std::vector<StepTouch> EventTouches(const Simulator& simulator);
 
-// Returns the events of the last rollout, with discs and walls by name.
+// Returns the events of the last rollout, in order of time, with discs and walls by name.
 std::vector<Event> EventsOf(const Simulator& simulator);
 
-// Returns the ambiguous ties of the last rollout, in order of time. Empty for models that resolve no impact times.
+// Returns the ties of the last rollout whose order changes the motion, in order of time. Empty for models that resolve
+// no impact times.
 std::vector<Tie> TiesOf(const Simulator& simulator);
 
 // Returns how many steps of the last rollout an event-driven model computed by the time-stepping fallback, which is of

@@ -21,17 +21,19 @@ struct LossSpread {
 struct ExactRun {
   bool ok = false;
   std::string reason;  // why there is no result, if not ok
-  double loss = 0;
-  std::vector<double> end;  // final state, as an initial state; if not ok, that of the motion in `reason`, or empty
+  double loss = 0;     // all terms of the objective that are no constraints, with effort and duration
+  // The final state, in the layout of an initial state (simulator.h). If not ok, that of the time-stepping fallback
+  // where this is the reason, or empty.
+  std::vector<double> end;
   std::vector<Event> events;
-  std::vector<Candidate> contacts;  // of the events, by indices of the scene
+  std::vector<Candidate> contacts;  // one for each event, with indices of the scene
   // The place of an event: its control interval, and the time since the start of this interval, s.
   struct Place {
     int interval = 0;
     double time = 0;
   };
-  std::vector<Place> places;
-  bool only_impacts = true;  // no event is a resting or grazing contact
+  std::vector<Place> places;  // one for each event
+  bool only_impacts = true;   // no event is a sustained or grazing contact, or a disc that falls into a pocket
 
   // Ties of which another order leads to another final state, and the range of the losses over the orders. Each order
   // is simulated; if there are several ties, all are in orders of the same number.
@@ -40,9 +42,10 @@ struct ExactRun {
 };
 inline constexpr char kStopped[] = "interrupted";  // the reason of results that were stopped
 
-// Simulates. Shapes: initial as in simulator.h; control is K x C x 2, for any K. Its intervals last `durations` (K
-// numbers whose sum is the horizon), or equally long if there are none. Wrong shapes, numbers that are not finite and a
-// wrong scene are reported in `reason`, which is kStopped if `stop` returned true.
+// Simulates a scene exactly. `initial` is an initial state as in simulator.h (B x 4, or B x 6 with spin), `control` has
+// K rows of Scene::control_width() numbers, for any K. Its intervals last `durations` (K numbers >= 0, s, whose sum is
+// the scene's duration, or any if the duration is free), or equally long if there are none. Wrong shapes, numbers that
+// are not finite and a wrong scene are reported in `reason`, which is kStopped if `stop` returned true.
 ExactRun SimulateExactly(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                          const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 

@@ -10,7 +10,8 @@
 //   };
 //   saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = saltus::ForceContact(Springs{.stiffness = 1e5})}, {});
 //
-// The force on the second disc is the opposite one. Steps are semi-implicit Euler steps. Force is called for pairs that
+// The opposite force acts on the second disc. Forces act at the centres: a model has no torque, and supports no scenes
+// with discs that spin. Steps are semi-implicit Euler steps. Force is called for pairs that
 // the broad phase takes for candidates, which need not include discs that do not overlap: a force at a distance needs
 // the interface of contact/contact_model.h. A model that reads `friction` has `static constexpr bool kFriction = true`;
 // others do not support scenes with friction.
@@ -32,7 +33,7 @@ struct Meeting {
   T gap;                          // m, below zero where they overlap
   Vec2<T> normal;                 // unit vector, towards the first disc
   Vec2<T> velocity;               // m/s, of the first relative to the second
-  T mass;                         // kg, 1 / (1/m_a + 1/m_b)
+  T mass;                         // kg, 1 / (1/m_a + 1/m_b), with 0 for 1/m of a fixed disc or a wall
   ContactConstants<T> constants;  // restitution and friction of the two, stiffness and damping of the scene
 
   // Returns a force of zero.
@@ -84,7 +85,7 @@ struct ForceModel : F {
   }
 };
 
-// Makes a contact model of a force, with the numbers that its members have.
+// Makes a contact model of a force, with the current values of its members.
 template <typename F>
 Contact ForceContact(F force) {
   return OwnContact(ForceModel<F>{std::move(force)});

@@ -84,6 +84,7 @@ std::unique_ptr<Simulator> MakeSimulatorWithOptions(const Scene& scene, Precisio
 
 }  // namespace internal
 
+// Returns the registry entry of a model with the defaults of its options.
 template <ContactModel M>
 ContactEntry MakeContactEntry() {
   return {M::kTraits,
@@ -101,8 +102,8 @@ Contact OwnContact() {
   static const auto entry = std::make_shared<const ContactEntry>(MakeContactEntry<M>());
   return Contact(entry);
 }
-// Makes a contact of a model with the current values of its members. If discs spin, those of its Spinning have their
-// defaults.
+// Makes a contact of a model with the current values of its members. In scenes with discs that spin, M::Spinning is
+// used with the defaults of its members.
 template <ContactModel M>
 Contact OwnContact(M model) {
   ContactEntry entry = MakeContactEntry<M>();

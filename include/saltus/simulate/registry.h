@@ -14,10 +14,12 @@
 
 namespace saltus {
 
+// An option of a model, with its default.
 struct ListedOption : ModelOption {
   double initial;  // the default
   bool whole;      // whether it must be a whole number
 };
+// A value that is set for an option. `name` must outlive it.
 struct OptionValue {
   std::string_view name;
   double value;
@@ -28,7 +30,7 @@ struct ContactEntry {
   ModelTraits traits;
   std::vector<ListedOption> options;
   std::function<std::string(const Scene&)> why_not_applicable;  // returns "" if the model supports the scene
-  // Precondition: the model supports the scene, and it has these options.
+  // Makes a simulator. Preconditions: the model supports the scene, and it has these options.
   std::function<std::unique_ptr<Simulator>(const Scene&, Precision, std::span<const OptionValue>)> make;
 };
 
@@ -36,7 +38,8 @@ struct ContactEntry {
 // "ncp:kappa=1e-6:kappa_grad=1e-4". OwnContact() (own_contact.h) makes one of a model that is not in the registry.
 class Contact {
  public:
-  Contact() = default;  // without a name
+  Contact() = default;  // has no name and no model: WhyNotApplicable() reports it
+  // Takes a name with options, which is copied and not checked: WhatIsWrongWith() does that.
   template <std::convertible_to<std::string_view> Name>
   Contact(const Name& name) : name_(std::string_view(name)) {}
   explicit Contact(std::shared_ptr<const ContactEntry> own) : own_(std::move(own)), name_(own_->traits.name) {}
@@ -45,7 +48,7 @@ class Contact {
   const std::string& name() const { return name_; }
   // Returns this contact model with one more option, such as "kappa=1e-6".
   Contact With(std::string_view option) const;
-  // Returns the model; null if there is none of that name.
+  // Returns the model; null if the registry has none of that name. An own model lives as long as a copy of the Contact.
   const ContactEntry* entry() const;
 
  private:
@@ -56,7 +59,7 @@ class Contact {
 // Returns the traits of all models of the registry, in the order of src/contact/models.cmake.
 const std::vector<ModelTraits>& AllContactModels();
 
-// Returns the traits of a model, or null if there is none. Options are not checked.
+// Returns the traits of a model, or null if there is none; valid as Contact::entry() is. Options are not checked.
 const ModelTraits* FindContactModel(const Contact& contact);
 
 // Returns the options of a model. Precondition: the model exists.
@@ -65,15 +68,16 @@ const std::vector<ListedOption>& OptionsOf(const Contact& contact);
 // Returns the error in a contact model's name or options, as "found 'x', expected y"; empty if there is none.
 std::string WhatIsWrongWith(const Contact& contact);
 
-// Whether options are set that bias the derivative. Precondition: nothing is wrong with the name.
+// Returns whether an option that biases the derivative has another value than its default. Precondition:
+// WhatIsWrongWith(contact) is empty.
 bool HasBiasedDerivative(const Contact& contact);
 
 // Returns why a model cannot simulate `scene`: there is no such model (WhatIsWrongWith), the scene is wrong
 // (ValidateStructure), or the model's own reason. Empty if it can.
 std::string WhyNotApplicable(const Contact& contact, const Scene& scene);
 
-// Makes a simulator, whose numbers are in the scene's units, whatever units the model computes in (scene/units.h).
-// Precondition: WhyNotApplicable is empty.
+// Makes a simulator, which copies the scene. Its numbers are in the scene's units, whatever units the model computes in
+// (scene/units.h). Precondition: WhyNotApplicable(contact, scene) is empty.
 std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision);
 
 }  // namespace saltus

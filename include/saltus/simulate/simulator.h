@@ -1,6 +1,6 @@
 // A contact model bound to a scene: rollout, adjoint and per-step linearization, behind an interface of doubles.
 //
-// Rooms above this one do not depend on the type of a model, on its scalar, or on Jets.
+// Code that uses simulators does not depend on the type of a model, on its scalar, or on Jets.
 //
 // Shapes. A scene has B discs, C of them controlled. A model takes K steps of length step(): K = scene.steps, divided
 // by the grid steps that one step of the model covers. A body's state is [p_x p_y v_x v_y rotation...], of body_size()
@@ -30,7 +30,7 @@ namespace saltus {
 enum class Precision { kDouble, kFloat };
 
 // A function that long computations call at short intervals, from every thread that computes. It returns true to stop
-// them, and from then on always.
+// them, and must return true ever after. Null: the computation is never stopped.
 using StopRequest = std::function<bool()>;
 
 // A contact that took effect in step `step` of a rollout.
@@ -47,12 +47,12 @@ struct StepTie {
 
 // The reason why a rollout failed.
 struct RolloutFailure {
-  int step = -1;
+  int step = -1;          // -1: not known
   int body = -1;          // a disc of the contact group that failed; -1: none in particular
   std::string_view what;  // empty: a state is not finite
 };
 
-// Derivatives of one number with respect to the parameters of the scene.
+// Derivatives of one number with respect to the parameters of the scene. Those that a model does not read are 0.
 struct ParameterGradient {
   double restitution = 0;
   double friction = 0;
@@ -64,7 +64,7 @@ struct ParameterGradient {
   Vec2d gravity = Vec2d::Zero();
   std::vector<double> mass;     // B; 0 for fixed discs; the moment of inertia is constant
   std::vector<Vec2d> force;     // B; with respect to a constant force on the disc; 0 for fixed discs
-  std::vector<double> inertia;  // B, if the scene has discs that spin; 0 for the others
+  std::vector<double> inertia;  // B, if the scene has discs that spin; 0 for discs that do not
   // B, in scenes with drag, springs or prescribed motions: by the coefficient of a linear drag of each disc.
   std::vector<double> drag;
   // The total derivatives by Scene::design, in its order: the mass or radius of a solid disc changes its moment of
@@ -72,7 +72,8 @@ struct ParameterGradient {
   std::vector<double> design;
 };
 
-// Returns the derivative by restitution or friction; in a scene with materials, of the pair that the parameter names.
+// Returns the entry of `gradient` for a parameter of kind kRestitution or kFriction; in a scene with materials, that of
+// the pair that the parameter names.
 double ByContact(const SceneParameter& parameter, const ParameterGradient& gradient);
 
 // Derivatives of one number with respect to all inputs of a rollout.
@@ -83,7 +84,8 @@ struct Sensitivity {
   ParameterGradient parameters;  // if asked for
 };
 
-// The memory into which a sensitivity is written. Parts that are empty or null are not computed.
+// The memory into which a sensitivity is written (overwritten, not added). Parts that are empty or null are not
+// computed.
 struct SensitivityView {
   std::span<double> initial;                // of the shape of the initial state
   std::span<double> control;                // of the shape of the control
@@ -117,12 +119,13 @@ class StepLinearization {
   FreeFlight free{};
   std::vector<Island> islands;
   std::vector<int> flying;                // discs that are in no island
-  std::vector<Eigen::MatrixXd> rotation;  // of each flying disc, rotation' by rotation; empty without rotation
+  std::vector<Eigen::MatrixXd> rotation;  // of each flying disc: d(next rotation)/d(rotation); empty without rotation
   std::vector<double> inverse_mass;       // of all discs, 1/kg; 0 if fixed
   bool turns = false;                     // whether a disc of the scene has a torque control
-  std::vector<Eigen::Vector2d> turning;   // with torque controls, of each flying disc: rotation' by torque / radius
+  std::vector<Eigen::Vector2d>
+      turning;  // with torque controls, of each flying disc: d(next rotation)/d(torque / radius)
 
-  // Returns the size of the forces in a step.
+  // Returns the size of the forces in a step, as Simulator::force_size().
   std::size_t force_size() const { return (turns ? 3 : 2) * inverse_mass.size(); }
   // Computes next = A x + B force, with x of state_size() and force of force_size() numbers.
   void Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const;
@@ -132,16 +135,18 @@ class StepLinearization {
   void ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const;
 };
 
-// Free flight for some time, and its derivative by that time.
+// The free flight of a step of some length, and its derivative by that length.
 struct FlightOver {
   StepLinearization::FreeFlight flight, by_time;
   // The free flight of the angle, by the angular velocity and the angular acceleration, of discs that spin.
   StepLinearization::FreeFlight turn = {}, turn_by_time = {};
 };
 
-// Returns the size of the initial state of a scene.
+// Returns the size of the initial state of a scene: 4 B, or 6 B if a disc spins.
 int InitialSize(const Scene& scene);
 
+// The simulator of one scene under one contact model. It holds the states and contacts of its last rollout. Not
+// thread-safe, apart from Step() and Linearize().
 class Simulator {
  public:
   virtual ~Simulator() = default;
@@ -152,7 +157,7 @@ class Simulator {
   int num_bodies() const { return scene_.num_bodies(); }
   int num_controlled() const { return scene_.num_controlled(); }
   int num_steps() const { return num_steps_; }
-  double step() const { return scene_.duration / num_steps_; }
+  double step() const { return scene_.duration / num_steps_; }  // s
   virtual int body_size() const = 0;
   int state_size() const { return num_bodies() * body_size(); }
   int initial_size() const { return InitialSize(scene_); }
@@ -179,12 +184,14 @@ class Simulator {
   // steps and discs; discs without a control cost time in steps with contacts only, unless parameters are asked for.
   // Precondition: Rollout returned true.
   virtual void AdjointInto(std::span<const double> cotangent, const SensitivityView& out) = 0;
+  // Computes it into a Sensitivity, which is resized; the parameters only if they are asked for.
   void Adjoint(std::span<const double> cotangent, bool with_parameters, Sensitivity* sensitivity);
 
   // Limits the memory of a rollout for states, and for the states of the two discs of each contact and step. States
   // that do not fit are simulated again for the adjoint, at the cost of one more rollout and with the same bits. In
-  // addition a rollout has touches() (48 bytes each), the control (16 bytes per step and controlled disc) and
-  // LeastMemory() (about 2 sqrt(K) states). Takes effect with the next rollout.
+  // addition a rollout has touches() (40 bytes each), the control (16 bytes per step and controlled disc) and
+  // LeastMemory() (about 2 sqrt(K) states; all K + 1 in scenes with drag, springs or prescribed motions). Takes effect
+  // with the next rollout. The default is 1 GiB.
   void set_memory_limit(std::size_t bytes) { memory_limit_ = bytes; }
   std::size_t memory_limit() const { return memory_limit_; }
   // Sets the order of tied impacts of event-driven models: 0 for their own, or a number of event_ties.h, with which
@@ -199,7 +206,8 @@ class Simulator {
   bool stopped() const { return stop_ && stop_(); }
 
   // Computes one step from any state under any force (force_size() numbers, on all discs), its contacts, and its
-  // linearization. `next` is not a number where a rollout would fail. Both functions are thread-safe.
+  // linearization; `touches` is overwritten unless null. `next` is NaN where a rollout would fail. Both functions are
+  // thread-safe, and independent of the last rollout.
   virtual void Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
                     std::vector<Touch>* touches = nullptr) const = 0;
   virtual void Linearize(std::span<const double> x, std::span<const double> force, bool with_parameters,
@@ -212,10 +220,11 @@ class Simulator {
   // discs are at rest.
   virtual void ExpandInitial(std::span<const double> initial, std::span<double> x) const = 0;
 
-  // Writes the force on every disc (force_size() numbers) in step k of a control; zero on discs that are not
-  // controlled.
+  // Writes the force on every disc (force_size() numbers) in step k of a control of k + 1 rows or more; zero on discs
+  // that are not controlled.
   void ExpandForce(std::span<const double> control, int k, std::span<double> force) const;
-  // Selects from numbers for every disc, such as derivatives by the force, those of a row of a control.
+  // Selects the control_width() numbers of one row of a control from force_size() numbers for all discs, such as
+  // derivatives by the force.
   void SelectControl(std::span<const double> force, std::span<double> row) const;
 
  protected:
@@ -240,7 +249,8 @@ class Simulator {
 std::vector<double> ToInitial(std::span<const double> state, int num_bodies);
 std::vector<double> ToState(std::span<const double> initial, int num_bodies);
 
-// Return the scene's initial state, and its initial control, which is constant over K steps.
+// Return the scene's initial state and its initial control, which is the same in all `num_steps` steps. A fixed disc
+// with a path has the velocity of the path at time 0.
 std::vector<double> InitialState(const Scene& scene);
 std::vector<double> InitialControl(const Scene& scene, int num_steps);
 
