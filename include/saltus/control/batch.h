@@ -17,10 +17,12 @@
 
 namespace saltus {
 
+// Evaluates the loss of one scene under one contact model at many points. Not thread-safe itself.
 class Batch {
  public:
   // Makes a batch of points that are decision variables of `scene` (single_shooting.h), on at most `threads` threads; 0
-  // is one per core. The preconditions are those of MakeSimulator.
+  // is one per core. A free final time and design parameters keep their values. The preconditions are those of
+  // MakeSimulator.
   Batch(const Contact& contact, const Scene& scene, Precision precision, int threads = 0,
         SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
 

@@ -13,26 +13,28 @@
 
 namespace saltus {
 
+// Pairs by indices of the scene: two discs a < b, or disc a and plane b.
 using ContactSequence = std::vector<Candidate>;
 
-// Reads `text` into `sequence`. A pair is two names of `scene` with a hyphen between them, in any order; at least one a
-// disc that is not fixed. Names with hyphens may leave two readings: that is refused. Returns what is wrong, and what
-// was expected; empty if nothing is.
+// Reads `text` into `sequence`. A pair is two names of `scene` with a hyphen between them, in any order; at least one
+// is that of a disc that is not fixed. A pair that names with hyphens make ambiguous is refused. Returns the error and
+// what was expected; empty if there is none.
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence);
 
 // Returns the text of a sequence, with the discs of a pair in scene order and planes last.
 std::string ContactSequenceToString(const Scene& scene, const ContactSequence& sequence);
 
-// Returns every pair that could collide: discs by index pairs, then discs with planes.
+// Returns every pair that could collide: discs (a, b) in rising order, then discs with planes; not two fixed ones.
 ContactSequence AllPairs(const Scene& scene);
 
-// Returns the name of a part of `scene` beyond discs and planes, which alone sequences, closed forms and conditions of
-// optimality support; empty if there is none.
+// Returns the name of a part of `scene` besides discs and planes (segments, polygons, arcs, pockets or a table), which
+// sequences, closed forms and conditions of optimality do not support; empty if there is none.
 std::string BeyondPlanes(const Scene& scene);
-// Returns the name of what makes flights of a scene other than those of constant acceleration, drag or springs or
-// prescribed motions; empty if there is nothing.
+// Returns the name of the part of a scene, drag or springs or prescribed motions, because of which flights have no
+// constant acceleration; empty if there is none.
 std::string BeyondBallistic(const Scene& scene);
-// Returns the name of either, or of discs that spin, for methods without rotation; empty if there is none.
+// Returns what BeyondPlanes() or BeyondBallistic() returns, or else names discs that spin, for methods without
+// rotation; empty if there is none.
 std::string BeyondPlainDiscs(const Scene& scene);
 
 }  // namespace saltus

@@ -1,7 +1,8 @@
 // Conversion of controls between the rows of files and Python, and the layout of the library (Scene::control_width()).
 //
 // Rows are K x C x 2 numbers [u_x u_y] or, in scenes with torque controls, K x C x 3 numbers [u_x u_y torque], in N and
-// N m. The third number is 0 for discs without a torque control.
+// N m; the library has torque / radius, in N, behind all forces of an interval. The third number is 0 for discs without
+// a torque control.
 #pragma once
 
 #include <span>
@@ -18,7 +19,8 @@ int ControlColumns(const Scene& scene);
 // Returns the error in such rows, with the number of the interval and the disc; empty if there is none.
 std::string WhyNoControl(const Scene& scene, std::span<const double> rows);
 
-// Convert a control to rows and back. Preconditions: the scene is valid, a whole number of intervals.
+// Convert a control to rows and back. Preconditions: the scene is valid; there are numbers for a whole number of
+// intervals, and WhyNoControl(scene, rows) is empty.
 std::vector<double> RowsOfControl(const Scene& scene, std::span<const double> control);
 std::vector<double> ControlOfRows(const Scene& scene, std::span<const double> rows);
 

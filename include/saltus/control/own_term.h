@@ -24,8 +24,9 @@ class CostFunction;
 
 namespace saltus {
 
+// A user-defined term. Its residuals are evaluated in the exact motion, in each control interval or at the end.
 struct OwnTerm {
-  enum class At { kEachStep, kEnd };
+  enum class At { kEachStep, kEnd };  // at the beginning of each control interval, which is called a step here; or at T
   // The role of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
   enum class Role { kCost, kEquality, kInequality };
 
@@ -33,8 +34,9 @@ struct OwnTerm {
   At at = At::kEnd;
   Role role = Role::kCost;
 
-  // The function's parameter blocks, in this order, in SI units:
-  //   [p_x p_y v_x v_y] of each of these discs, at the beginning of the step, or at the final time, after impacts there
+  // The function's parameter blocks, in this order, in SI units; one block for each disc that a list below names:
+  //   [p_x p_y v_x v_y] of each of these discs, which are not fixed, at the beginning of the step, or at the final
+  //   time, after impacts there
   std::vector<int> states = {};
   //   [u_x u_y] on each of these discs, which are controlled, constant over the step; kEachStep only
   std::vector<int> forces = {};
@@ -43,7 +45,7 @@ struct OwnTerm {
   std::vector<int> rotations = {};
   //   [torque] on each of these discs, which have a torque control, N m, constant over the step; kEachStep only
   std::vector<int> torques = {};
-  //   if set, the length of the step, or the final time
+  //   if set, the length of the step, or the final time, s (1 number)
   bool with_length = false;
 
   // The function, which must not keep state, because it is evaluated for every step.
@@ -54,7 +56,8 @@ struct OwnTerm {
   double scale = 1;
 };
 
-// Returns the first error as "found x, expected y"; empty if there is none.
+// Returns the first error as "found x, expected y" behind the name of the term; empty if there is none. The sizes of
+// the function's blocks are checked.
 std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene);
 
 }  // namespace saltus

@@ -1,7 +1,7 @@
-// A scene of discs as a problem of a hybrid system: what solvers of users' systems take, such as costs at events, costs
-// and constraints that a user writes and any number of terms, then works for scenes too.
+// Conversion of a scene of discs to a problem of a hybrid system (hybrid/hybrid_problem.h), to which a user can add
+// costs at events and user-defined costs and constraints, and whose solvers then apply.
 //
-// The system has the bodies of the scene in its units. Its state is
+// The system has the bodies of the scene in its units, fixed ones too. Its state is
 //
 //   [x y v_x v_y] of each body, then [angle, angular velocity] of each body if one spins, then the integral of the
 //   running terms if there are any
@@ -10,8 +10,8 @@
 // (Scene::control_width), with names as "striker.fx", "striker.fy", "striker.turn". Events have the names of pairs, as
 // "striker-puck". Between events the motion has a closed form, so that a step of the integration has any length and no
 // error, unless there are springs that have a length, drag or springs beside prescribed motions, or running terms
-// beside either. A waypoint is an event whose time is given, "waypoint 1", behind which the motion goes on in another
-// mode.
+// beside either. A waypoint is an event "waypoint 1" at a given time, after which the system is in another mode with
+// the same flow.
 #pragma once
 
 #include <string>
@@ -21,8 +21,9 @@
 
 namespace saltus {
 
-// Returns the part of a scene that such a problem does not have; empty if it has all: walls that end, pockets, a table
-// that slows discs, and terms and springs of a fixed disc whose position is a design parameter.
+// Returns the part of a scene that such a problem does not support; empty if it supports all. Not supported are walls
+// that end, pockets, a table that slows discs, and terms and springs of a fixed disc whose position is a design
+// parameter.
 std::string WhyNoHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and

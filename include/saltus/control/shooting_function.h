@@ -8,6 +8,7 @@
 
 namespace saltus {
 
+// A loss of num_variables() decision variables z. What z consists of is documented by each implementation.
 class ShootingFunction {
  public:
   virtual ~ShootingFunction() = default;
@@ -23,14 +24,15 @@ class ShootingFunction {
   virtual bool stopped() const = 0;
 
   // Computes the num_residuals() residuals whose squares, without a half, add up to the loss (apart from the effort and
-  // the price of time, which solvers add), and their Jacobian by z (row-major). ResidualJacobian() is that at the last
-  // evaluation, which returned true. A Jacobian may be not finite nevertheless; WhyFailed() may then give the reason.
+  // the weight of a free final time, which solvers add), and their Jacobian by z (num_residuals() x num_variables(),
+  // row-major) unless null. ResidualJacobian() computes the Jacobian at the last evaluation, which returned true. A
+  // Jacobian may be not finite nevertheless; WhyFailed() may then give the reason.
   virtual int num_residuals() const = 0;
   virtual bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) = 0;
   virtual void ResidualJacobian(double* jacobian) = 0;
 
-  // Return the parts of z: initial state, control, lengths of the control intervals (empty if the final time is given),
-  // and parameters.
+  // Return the parts of z, or the given values of what is no part of it: initial state, control, lengths of the control
+  // intervals in s (empty if the final time is not a variable), and parameters.
   virtual std::vector<double> InitialStateAt(std::span<const double> z) const = 0;
   virtual std::vector<double> ControlAt(std::span<const double> z) const = 0;
   virtual std::vector<double> DurationsAt(std::span<const double> z) const = 0;

@@ -1,14 +1,14 @@
 // Single shooting: the loss as a function of the decision variables alone, with states eliminated by rollout.
 //
 // The decision variables z depend on Scene::optimize:
-//   control    the whole control, K x C x 2
+//   control    the whole control, K x Scene::control_width() numbers (K x C x 2 without torque controls)
 //   velocity   the initial velocities of Scene::free, in that order, 2 each; then the angular velocities of
 //              Scene::free_spin
 //   position   the initial positions of Scene::free, in that order, 2 each
 //   none       empty
-// They are followed by the final time if it is free, and by the values of Scene::design. With Variables::kInitialState
-// they are the whole initial state instead: the positions of all discs that move, their velocities, and angle and
-// angular velocity of those that spin.
+// They are followed by the final time, s, if it is free, and by the values of Scene::design. With
+// Variables::kInitialState they are the whole initial state instead: the positions of all discs that are not fixed,
+// then all their velocities, then [angle, angular velocity] of each disc that spins.
 #pragma once
 
 #include <Eigen/Core>
@@ -36,9 +36,9 @@ class SingleShooting final : public ShootingFunction {
   // null if the contact model does not support that scene.
   using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene; the final time,
-  // and design parameters of a scene with path costs, in exact dynamics only. Otherwise they have the values of the
-  // scene.
+  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, and otherwise
+  // have the values of the scene. Design parameters of a scene with path costs are variables in exact dynamics only.
+  // Preconditions, with `of_scene` and a free final time: the control is optimized, and the dynamics are exact.
   explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
                           OfScene of_scene = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
@@ -48,7 +48,7 @@ class SingleShooting final : public ShootingFunction {
   const Simulator& simulator() const { return *simulator_; }
   // Sets the limit of Simulator::set_memory_limit.
   void set_memory_limit(std::size_t bytes) { simulator_->set_memory_limit(bytes); }
-  // Sets the request of Simulator::set_stop. Functions that return false "if not finite" do so too if stopped.
+  // Sets the request of Simulator::set_stop. Evaluations return false when it stops them.
   void set_stop(StopRequest stop) {
     stop_ = stop;
     simulator_->set_stop(std::move(stop));
@@ -58,8 +58,9 @@ class SingleShooting final : public ShootingFunction {
   const std::vector<double>& initial_guess() const override { return guess_; }
 
   // Computes the loss at z, and its gradient (num_variables() numbers) unless null. Returns false if the rollout or the
-  // loss is not finite; the gradient may be infinite nevertheless. In single precision the gradient is rounded to
-  // float, as that of automatic differentiation in float is.
+  // loss is not finite, a design parameter is out of its bounds, or discs overlap at positions in z; the gradient may
+  // be infinite nevertheless. In single precision the gradient is rounded to float, as that of automatic
+  // differentiation in float is.
   bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
 
   // Returns how many points EvaluateTogether evaluates at once; 1 if that is not faster than one after the other.
@@ -75,24 +76,25 @@ class SingleShooting final : public ShootingFunction {
   // stopped.
   std::string WhyFailed() const override;
 
-  // Computes the num_residuals() residuals of all terms but the effort and the price of time at z, and their Jacobian
-  // with respect to z (rows x num_variables(), row-major) unless null, by one adjoint for each residual. Returns false
-  // if Evaluate() does. Precondition: the objective is a sum of squares.
+  // Computes the num_residuals() residuals of all terms but the effort and the weight of a free final time at z, and
+  // their Jacobian with respect to z (rows x num_variables(), row-major) unless null, by one adjoint for each residual.
+  // Returns false if Evaluate() does. Preconditions: the objective is a sum of squares and has no hard terms.
   int num_residuals() const override;
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
 
-  // Computes this Jacobian at the last evaluation, which returned true, without another rollout. It has no meaning if
-  // stopped().
+  // Computes the Jacobian of the residuals at the last evaluation, which returned true, without another rollout. It has
+  // no meaning if stopped().
   void ResidualJacobian(double* jacobian) override;
 
   // Computes the loss at z and its derivatives with respect to initial state, control (effort included) and parameters.
   // Returns false if Evaluate() does.
   bool EvaluateAll(std::span<const double> z, double* loss, Sensitivity* gradient);
 
-  // Return the initial state and the control (K x C x 2) of z.
+  // Return the initial state and the control (K x control_width()) of z, or those of the scene where z has none.
   std::vector<double> InitialStateAt(std::span<const double> z) const override;
   std::vector<double> ControlAt(std::span<const double> z) const override;
-  // Whether the final time is a variable. DurationsAt() then returns the lengths of the steps, and otherwise nothing.
+  // Returns whether the final time is a variable. DurationsAt() then returns the lengths of the K steps, s, which are
+  // equal, and otherwise an empty vector.
   bool has_duration() const { return has_duration_; }
   std::vector<double> DurationsAt(std::span<const double> z) const override;
   // Returns the values of the scene's design parameters, the last num_design() variables.

@@ -2,8 +2,9 @@
 //
 //   r(x, u, x') = x' - f(x, u)
 //
-// Parameter blocks: the state x (Simulator::state_size() numbers), the forces u on the controlled discs (2 each, in
-// their order; no such block if none is controlled), the next state x'. Jacobians are those of Simulator::Linearize.
+// Parameter blocks: the state x (Simulator::state_size() numbers), one row u of a control (Scene::control_width()
+// numbers, torque controls among them; no such block if no disc is controlled), the next state x'. Jacobians are those
+// of Simulator::Linearize.
 #pragma once
 
 #include <ceres/cost_function.h>
@@ -16,7 +17,7 @@ namespace saltus {
 
 class StepCost final : public ceres::CostFunction {
  public:
-  // Takes a simulator, which several costs in several threads may share.
+  // Shares the simulator, with other costs and other threads too: only its Step and Linearize are called.
   explicit StepCost(std::shared_ptr<const Simulator> simulator);
 
   // Returns false, so that Ceres rejects the point, if step or linearization are not finite, or the simulator stopped.

@@ -24,12 +24,13 @@ enum class SurrogateKind { kComplementarityAware, kSmoothedZeroth, kSmoothedFirs
 struct Surrogate {
   SurrogateKind kind = SurrogateKind::kSmoothedZeroth;
 
-  // Options of smoothing alone.
+  // The members below are options of smoothing, and not used otherwise.
   double sigma = 0.01;     // standard deviation of samples about the point, in the variables' units: m, m/s, N; > 0
   int samples = 2000;      // even, at least 4
   std::uint64_t seed = 1;  // of the first estimate of a run; the k-th after it takes seed + k
   int segments = 0;        // a control is perturbed alike within each of so many parts of the horizon; 0: in each step
 
+  // Returns whether it is an estimate from samples.
   bool smooths() const { return kind != SurrogateKind::kComplementarityAware; }
 };
 
@@ -40,6 +41,7 @@ struct SurrogateEntry {
 };
 
 const std::vector<SurrogateEntry>& AllSurrogates();
+// Returns SurrogateEntry::name.
 std::string_view SurrogateToString(SurrogateKind kind);
 
 // Returns the error in the numbers of `surrogate` and what was expected; empty if there is none.
@@ -48,7 +50,8 @@ std::string WhyNotValid(const Surrogate& surrogate);
 // Returns why there is no such surrogate of the model's gradient, or no such model; empty if there is.
 std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene);
 
-// Returns the contact model whose adjoint is the surrogate, or is smoothed.
+// Returns the contact model whose adjoint is the surrogate (kComplementarityAware sets its option), or is smoothed;
+// `contact` itself without a surrogate.
 Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact);
 
 }  // namespace saltus
