@@ -25,13 +25,13 @@ struct GradientAudit {
 
   const ModelAudit& model() const { return report.models.front(); }
 };
-// Prints the tables of saltus_audit.
+// Prints the tables that the program saltus_audit prints.
 std::ostream& operator<<(std::ostream& out, const GradientAudit& audit);
 
-// Audits the gradient of the scene's loss under a contact model. Throws std::invalid_argument if the model cannot take
-// the scene.
+// Audits the gradient of the scene's loss under a contact model, in double precision. Throws std::invalid_argument if
+// the model does not support the scene.
 GradientAudit AuditGradient(const Contact& contact, const Scene& scene, const AuditOptions& options = {});
-// Audits that of a struct with Force (force_model.h), or of one as contact/contact_model.h describes.
+// Audits the gradient under a struct with Force (force_model.h), or under a model as contact/contact_model.h describes.
 template <typename M>
 requires(!std::convertible_to<M, Contact>) GradientAudit
     AuditGradient(M model, const Scene& scene, const AuditOptions& options = {}) {

@@ -40,10 +40,10 @@ struct Place {
 inline const Place kEnd{};
 // The whole motion. Costs are integrated over time, by their value at the beginning of each control interval.
 // Inequalities hold at all times, between the ends of intervals too, as far as their greatest values are found
-// (HybridTerm::always). Equalities hold at the beginning of each interval and at the end, so that their accuracy
-// depends on the number of intervals.
+// (HybridTerm::always). Equalities hold at the beginning of each interval and, unless they read the control, at
+// the end, so that their accuracy depends on the number of intervals.
 inline const Place kAlways{HybridTerm::At::kEachInterval};
-// Every event of a guard, with the state after it; or with the state before it.
+// Return the place of every event of a guard, with the state after it (OnEvent) or before it (BeforeEvent).
 inline Place OnEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard)}; }
 inline Place BeforeEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard), true}; }
 
@@ -53,20 +53,22 @@ struct Bounded {
   double min = -std::numeric_limits<double>::infinity(), max = std::numeric_limits<double>::infinity();
 };
 
-// The unknowns of a problem. Names are those of the system, or "x[0]", "u[0]", "p[0]" where it has none.
+// The unknowns of a problem. Names are those of the system, or "x[0]", "u[0]", "p[0]" where it has none. An unknown
+// that is listed by its name alone has no bounds.
 struct FreeVariables {
   bool control = false;                // all components, in all intervals
   std::vector<Bounded> controls = {};  // bounds of components; frees the control
   std::vector<Bounded> initial = {};   // components of the initial state
   std::vector<Bounded> parameters = {};
-  std::optional<Bounded> duration = {};  // positive; its name is not read
+  std::optional<Bounded> duration = {};  // in the system's unit of time, > 0; its name is not read
 };
 
-// A motion of a hybrid system, and what is asked of it.
+// A hybrid system, the input of a motion as initial guess, costs, constraints and unknowns. Functions that add
+// something return *this, and throw if it is wrong.
 class Problem {
  public:
-  // Takes a struct with kSizes (compact_system.h) or as of hybrid_system.h, or a MechanicalSystem, and the input of a
-  // motion, which solvers start from.
+  // Takes a struct with kSizes (compact_system.h), a struct as hybrid_system.h describes, or a HybridSystem (that of a
+  // MechanicalSystem is hybrid()); and the input of the motion from which solvers start.
   template <typename S>
   Problem(S system, HybridInput guess)
       : Problem(HybridProblem{MakeHybridSystem(std::move(system)), std::move(guess)}) {}
@@ -102,10 +104,10 @@ class Problem {
   // The loss gains weight T of the final time T.
   Problem& AddDuration(double weight);
 
-  // Declares what solvers may change, in the place of what was free before.
+  // Sets the unknowns, in place of those that were set before. Without it nothing is free.
   Problem& Free(const FreeVariables& free);
 
-  // The problem that all this makes, to read or to change.
+  // Returns the problem that all this makes, to read or to change.
   HybridProblem& parts() { return parts_; }
   const HybridProblem& parts() const { return parts_; }
 

@@ -19,11 +19,11 @@ namespace saltus {
 
 // The solver, and limits of a solve.
 struct RunOptions {
-  std::string solver = "auto";  // solvers of hybrid_solver.h, or of scenes those of solver.h
-  Contact contact = "event";    // of scenes
+  std::string solver = "auto";  // a name of hybrid_solver.h or, for scenes, of solver.h
+  Contact contact = "event";    // for scenes only
   int iterations = 1000;        // largest number of iterations
-  double seconds = 0;           // limit of time; 0: none
-  std::function<bool(int iteration, double loss)> callback = nullptr;  // false interrupts
+  double seconds = 0;           // limit of time, s; 0: none
+  std::function<bool(int iteration, double loss)> callback = nullptr;  // SolverOptions::callback; false interrupts
 };
 
 // A number with its name.
@@ -44,7 +44,8 @@ class Run {
   const SolveReport& report() const { return report_; }
   // Returns the certificate of the solution; kNotApplicable if there is nothing to certify.
   const Certificate& certificate() const { return certificate_; }
-  // Returns the values of the unknowns with names: components of the initial state, parameters, the duration.
+  // Returns the values of the unknowns with names: components of the initial state, parameters, "duration"; of a scene
+  // its design parameters and "duration" only.
   const std::vector<NamedValue>& found() const { return found_; }
   // Returns the value of that name. Throws std::invalid_argument if nothing of that name was free.
   double operator[](const std::string& name) const;

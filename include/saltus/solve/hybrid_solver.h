@@ -9,6 +9,7 @@
 
 namespace saltus {
 
+// A solver of hybrid problems, in the registry.
 struct HybridSolverEntry {
   std::string_view name;
   std::string_view summary;  // one line
@@ -17,6 +18,7 @@ struct HybridSolverEntry {
   SolveReport (*solve)(const HybridProblem&, const SolverOptions&);
 };
 
+// Returns all solvers of hybrid problems.
 const std::vector<HybridSolverEntry>& HybridSolvers();
 
 // Runs the solver of that name. The report is kNotApplicable with the reason if the name is unknown, the problem or an
@@ -42,7 +44,8 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               sequence in SolveReport::optima is {mode, guard}, or {mode, -1} of a control jump.
 SolveReport Solve(std::string_view solver, const HybridProblem& problem, const SolverOptions& options);
 
-// Returns the input of the solution of a report. Precondition: the report has losses.
+// Returns the guess of the problem with the initial state, control, interval lengths, duration and parameters of the
+// report. Precondition: the report is one of this problem and has losses.
 HybridInput SolutionOf(const HybridProblem& problem, const SolveReport& report);
 
 }  // namespace saltus

@@ -1,6 +1,9 @@
 // Solvers of scenes: request, options, report, and the registry.
 //
-// Solvers do not depend on contact models: they get a simulator from the registry of simulate/ by the model's name.
+// Solvers do not depend on contact models: they make simulators from a Contact (simulate/registry.h). In this file, C
+// is the number of controlled discs; a control has K rows of Scene::control_width() numbers, [u_x u_y] of each of these
+// discs and then torque / radius of each disc with a torque control (K x C x 2 without); and an initial state is B x 4,
+// or B x 6 in scenes with discs that spin (simulate/simulator.h).
 #pragma once
 
 #include <cstddef>
@@ -20,7 +23,10 @@
 
 namespace saltus {
 
+// Why a solver ended. kNoProgress: without an optimum, because no step lowers the loss further, or because the
+// certificate or the exact model denies the solution.
 enum class Termination { kConverged, kIterationLimit, kNoProgress, kFailed, kInterrupted, kNotApplicable };
+// Returns the name that JSON uses, such as "iteration_limit".
 const char* TerminationToString(Termination termination);
 
 // A problem, and the dynamics under which it is solved.
@@ -35,11 +41,11 @@ struct SolveRequest {
 
 // Limits and starts of a search over collision sequences. The limit that is reached first ends it.
 struct SearchOptions {
-  // Limit of the work of all solves: gradients and Jacobians, each counted with about as many microseconds as it takes
-  // one core. No clock is read, so that the result depends neither on the machine nor on the number of threads. 0: no
-  // limit.
+  // Limit of the work of all solves, in units of about one microsecond on one core: each gradient or Jacobian counts as
+  // an estimate of its time. No clock is read, so that the result depends neither on the machine nor on the number of
+  // threads. 0: no limit.
   double work = 2e7;
-  double seconds = 0;  // limit of time; 0: none. A result that it ends depends on the machine and its load
+  double seconds = 0;  // limit of time, s; 0: none. The result then depends on the machine and its load
   std::size_t memory = std::size_t{200} << 20;  // limit of the memory, bytes
   int starts = 8;                               // number of random starts, in addition to the initial guess
   std::uint64_t seed = 1;                       // of the random starts
@@ -47,17 +53,17 @@ struct SearchOptions {
 // Returns the error in the options and what was expected; empty if there is none.
 std::string WhyNotValid(const SearchOptions& options);
 
-// An initial guess of the control: K x C x 2 forces in N, for any K, on intervals that last `durations` (K numbers, s),
-// or on equal intervals if there are none.
+// An initial guess of the control: K rows of control_width() forces in N, for any K, on intervals that last `durations`
+// (K numbers >= 0, s), or on equal intervals if there are none.
 struct ControlGuess {
   std::vector<double> control, durations;
 };
 
 struct SolverOptions {
-  int iterations = 1000;        // largest number of iterations
+  int iterations = 1000;        // largest number of iterations; of mode_search: of solves
   double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
-  // Whether the learning rate is divided by the length of a step, because a force that acts for a shorter time has a
-  // smaller derivative. For controls only.
+  // Whether the learning rate is divided by the length of a step (s), because a force that acts for a shorter time has
+  // a smaller derivative. For controls only.
   bool rate_per_time = false;
 
   bool keep_iterates = false;  // whether SolveReport::iterates is filled (single shooting)
@@ -66,20 +72,20 @@ struct SolverOptions {
   // whose number they double up to that of the guess, each time from the solution before.
   bool coarse_to_fine = true;
 
-  // The sequence of solvers along a collision sequence; if none is given, that of the initial guess. `search` lets
-  // mode_search change it, and without a given sequence also solvers with an active-set update of it. The sequence of a
-  // hybrid system is {mode, guard}..., {last mode, -1}.
+  // The collision sequence of solvers that need one; if none is given, that of the motion of the initial guess.
+  // `search` lets mode_search change it, and without a given sequence also solvers with an active-set update of it.
+  // Events of a hybrid system are {a = mode, b = guard}, and {a = last mode, b = -1} ends the sequence.
   std::optional<ContactSequence> sequence = std::nullopt;
   bool search = true;
   SearchOptions search_options = {};  // of mode_search
 
-  // An initial guess that replaces that of the scene, if a control is optimized. Solvers on a grid of equal steps take
-  // its mean over each of them. The sum of the intervals is the scene's duration or, if that is free, its initial
+  // An initial guess that replaces that of the scene; only if a control is optimized. Solvers on a grid of equal steps
+  // take its mean over each of them. The sum of the intervals is the scene's duration or, if that is free, its initial
   // guess.
   std::optional<ControlGuess> guess = std::nullopt;
 
-  // A replacement of the gradient, for solvers that support one. `threads` threads evaluate its samples, and the solves
-  // of a search; results do not depend on their number.
+  // A replacement of the gradient, for solvers that support one. The number of threads is that for its samples, and for
+  // the solves of a search; results do not depend on it.
   std::optional<Surrogate> surrogate = std::nullopt;
   int threads = 1;
 
@@ -90,7 +96,7 @@ struct SolverOptions {
   // Called after each iteration with its number (0 is the initial guess) and the loss there. If it returns false, the
   // solver stops with kInterrupted and reports the result so far.
   std::function<bool(int iteration, double loss)> callback = nullptr;
-  // Interrupts within an iteration; the result of the last complete iteration is reported.
+  // Interrupts within an iteration as soon as it returns true; the result of the last complete iteration is reported.
   StopRequest stop = nullptr;
   // Receives lines about what is being computed, for a user to read, from solvers that take long.
   std::function<void(const std::string&)> status = nullptr;
@@ -105,11 +111,12 @@ struct LocalOptimum {
 
 // Statistics of a search over sequences, and bounds that it has proved.
 struct Searched {
-  int sequences = 0;       // number of sequences along which it solved
-  int starts = 0;          // number of motions from which it started, with the initial guess
-  double work = 0;         // counted as SearchOptions::work
-  bool complete = false;   // whether the search ended by its own rule, and no limit restricted it
-  double lower_bound = 0;  // of the loss of any control on as many intervals, whatever its impacts; 0 with parameters
+  int sequences = 0;      // number of sequences along which it solved
+  int starts = 0;         // number of motions from which it started, with the initial guess
+  double work = 0;        // counted as SearchOptions::work
+  bool complete = false;  // whether the search ended by its own rule, and no limit restricted it
+  double lower_bound =
+      0;  // of the loss of any control on as many intervals, with any impacts; 0 if parameters are free
   // The result of branch and bound over all controls, if it was run: the loss less the bound, and the number of boxes.
   struct Proof {
     double gap = 0;
@@ -122,46 +129,46 @@ struct Searched {
 struct BestIterate {
   double loss = 0;
   int iteration = 0;                  // its number
-  std::vector<double> initial_state;  // B x 4; this and the rest are empty if the last iterate is the best
-  std::vector<double> control;        // K x C x 2
+  std::vector<double> initial_state;  // as in SolveReport; this and the rest are empty if the last iterate is the best
+  std::vector<double> control;        // SolveReport::control
   std::vector<double> durations;      // SolveReport::durations
   std::vector<double> parameters;     // SolveReport::parameters
 };
 
-// The result of a solver. kConverged refers to the loss under the contact model and to the solver's own measure; under
-// the exact model, if a certificate applies, its conditions hold too, and the solution is no saddle.
+// The result of a solver. kConverged means that the solver's own measure is met for the loss under the contact model;
+// under the exact model, if a certificate applies, its conditions hold too, and the solution is no saddle.
 //
 // Losses are sums of squares without the half of Ceres. A kNotApplicable run has names and reason only; a kFailed run
 // may have no losses, if the initial guess has none.
 struct SolveReport {
-  std::string contact;
-  std::string solver;
+  std::string contact;                 // Contact::name(); empty for a hybrid problem
+  std::string solver;                  // the name of the solver that was used, also by `auto`
   std::optional<Surrogate> surrogate;  // if set, the run is biased: the surrogate replaced the derivative of the loss
   Termination termination = Termination::kFailed;
   std::string reason;  // the reason of kFailed and kNotApplicable; otherwise a remark, if there is one
   double initial_loss = 0;
   double final_loss = 0;  // at `initial_state` and `control`, under the contact model
   // The violation of the constraints at the initial guess and at the solution: the largest of hard terms and bounds on
-  // the control, in natural units of the scene (units.h), and of constraints of the user. It is infinite if discs touch
-  // that must not. Residuals of a hybrid problem that change by less than 0.1 or more than 500 as the states, controls
-  // and parameters that they read change by their sizes in the motion of the guess are divided by this change. Only
-  // solvers that support constraints set them.
+  // the control, in natural units of the scene (units.h), and of constraints of the user. It is infinite if discs that
+  // must not touch do so. Residuals of a hybrid problem that change by less than 0.1 or more than 500 as the states,
+  // controls and parameters that they read change by their sizes in the motion of the guess are divided by this change.
+  // Only solvers that support constraints set them.
   double initial_violation = 0, final_violation = 0;
   std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
   std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
   std::optional<BestIterate> best;            // of gradient descent, which returns its last iterate
   int iterations = 0;
-  int evaluations = 0;  // number of computed gradients or Jacobians
-  double seconds = 0;
+  int evaluations = 0;                 // number of computed gradients or Jacobians
+  double seconds = 0;                  // time of the solve, s
   std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
   // Step shooting: the largest component of the defect of each step, in natural units of the scene (units.h); one
   // vector each time that defects were computed, the last one at the solution. The loss is that of a rollout, with any
   // defects.
   std::vector<std::vector<double>> defects;
-  std::vector<double> initial_state;  // B x 4
-  std::vector<double> control;        // K x C x 2
+  std::vector<double> initial_state;  // the solution: B x 4 or B x 6, or the state of a hybrid system
+  std::vector<double> control;        // K x control_width() forces, N; K x m for a hybrid system
   std::vector<double> durations;      // of the K control intervals, s; none if they are equal
-  std::vector<double> parameters;     // of a hybrid system; or the values of Scene::design
+  std::vector<double> parameters;     // all of a hybrid system; or the values of Scene::design
   double integration_error = 0;       // of a hybrid system: relative error of final state and event times
   std::optional<Certificate>
       certificate;                        // of solvers with a certificate, and of runs that converged in exact dynamics
@@ -170,12 +177,13 @@ struct SolveReport {
   std::optional<Searched> searched;       // of mode_search
 };
 
-inline constexpr double kFeasible = 1e-8;  // the largest violation of a feasible motion
+inline constexpr double kFeasible = 1e-8;  // the largest violation (SolveReport::final_violation) of a feasible motion
 
-// Whether a run ends worse than it began by more than rounding: by the violation of constraints or, if both motions are
-// feasible, by the loss.
+// Returns whether a run ends worse than it began, with a larger violation of constraints above kFeasible or, if both
+// motions are feasible, with a loss that is larger by more than 1e-9, relatively.
 bool EndsWorse(const SolveReport& report);
 
+// A solver of scenes, in the registry.
 struct SolverEntry {
   std::string_view name;     // the value of --solver
   std::string_view summary;  // one line
@@ -183,16 +191,18 @@ struct SolverEntry {
   std::string (*why_not)(const SolveRequest&);
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
   bool exact_only = false;       // supports the event-driven contact model only
-  bool takes_surrogate = false;  // uses the gradient as a direction only
+  bool takes_surrogate = false;  // supports surrogates, because it uses the gradient as a direction only
   bool any_units = false;        // has no thresholds; the others compute in the natural units of the scene (units.h)
   bool constraints = false;      // supports what BeyondTerminalCost() names, with exceptions by why_not
   bool own_terms = false;        // supports SolveRequest::terms
   bool design = false;           // supports Scene::design
-  // Whether a scene with Scene::design and a control is solved as a hybrid problem, of which these are parameters.
+  // Whether it solves a scene with Scene::design and a control as a hybrid problem whose parameters are Scene::design.
   bool given_design = false;
 };
 
+// Returns the solvers without those of SolversByName().
 const std::vector<SolverEntry>& AllSolvers();
+// Returns the solver of that name, of AllSolvers() or SolversByName(); null if there is none.
 const SolverEntry* FindSolver(std::string_view name);
 
 // Runs the solver of that name. The report is kNotApplicable with the reason if the model or the solver does not
