@@ -11,19 +11,19 @@
 //   stationarity    the force on an interval is the one within the bounds that is nearest to the mean of
 //                   -lambda_v / (2 effort m): 2 effort m u + lambda_v is opposite to an outward normal of the bounds
 //   Hamiltonian     its mean over each phase is the same, apart from its change by moving targets of running costs; at
-//   a
-//                   free final time it is -weight. (For piecewise constant forces on a grid that moves with the impacts
-//                   this condition is exact, and not the pointwise one; they differ by O(h^2).)
+//                   a free final time it is -weight. (For piecewise constant forces on a grid that moves with the
+//                   impacts this condition is exact, and not the pointwise one; they differ by O(h^2).)
 //   transversality  multipliers of bounds have their sign: the loss does not fall into the region that they allow
 //
 // On a fixed grid the condition of the Hamiltonian is replaced. With an impact on a node and a force that jumps there,
 // the loss has a kink, with the gradients `early` and `late` as if the impact were just before and just after the node.
 // Each belongs to a nu; at a minimum theta early + (1 - theta) late = 0 with theta in [0, 1] (Clarke).
 //
-// With design parameters, the derivatives of the loss by them vanish too, or point out of their bounds. The curvature
-// is that along controls, with constant parameters.
+// With design parameters, the derivatives of the loss by them vanish too, or point out of their bounds. Certify() then
+// computes the curvature along controls and parameters together (a direction still lists the control alone);
+// CurvatureAt() keeps parameters constant.
 //
-// First-order conditions compare with motions of the same sequence of impacts only.
+// First-order conditions compare a control with those of the same sequence of impacts only.
 //
 // Hu, Long, Zang, E, Han, "Solving optimal control of rigid-body dynamics with collisions using the hybrid minimum
 // principle" (arXiv 2205.08622). Residuals are relative to the size of the terms that cancel.
@@ -38,30 +38,32 @@
 
 namespace saltus {
 
+// The largest relative residual with which a condition holds.
 inline constexpr double kCertificateTolerance = 1e-6;
 
+// The conditions at one impact. Residuals are relative.
 struct ImpactCertificate {
   double time = 0;              // s
   std::string a, b;             // as in Event
   double speed = 0;             // of approach along the normal, m/s
-  double multiplier = 0;        // nu, 1/m
+  double multiplier = 0;        // nu of the gap psi, 1/m (the loss has no unit)
   double jump = 0;              // residual of the costate jump; zero except in certificates of hmp
-  double hamiltonian = 0;       // residual: the Hamiltonian after less that before
+  double hamiltonian = 0;       // residual: the Hamiltonian after the impact less that before it
   bool on_node = false;         // the impact is at the boundary of two control intervals
-  std::optional<double> theta;  // if the force jumps there
+  std::optional<double> theta;  // of a kink (see above); if the force jumps there
   bool concave = false;  // the force jumps there, and the loss falls as the impact leaves the node to either side
   bool jumps = false;    // the loss is not continuous as the impact leaves the node
 
-  // Whether the loss falls, or jumps, as the impact leaves the node, to one side at least, with the intervals as they
-  // are: the multiplier of a minimum is between those of the two one-sided gradients, of which the early one is the
-  // smaller.
+  // Returns whether the loss falls, or jumps, as the impact leaves the node, to one side at least, with the intervals
+  // as they are: the multiplier of a minimum is between those of the two one-sided gradients, of which the early one is
+  // the smaller.
   bool LeavesNode() const { return jumps || (theta && (concave || *theta < 0 || *theta > 1)); }
 };
 
 // The multiplier of a hard term or of a limit: if its target, or the bounds that are active, move by a small d, the
 // loss of the optimum decreases by multiplier . d.
 struct ConstraintCertificate {
-  std::string body;
+  std::string body;  // its name
   TerminalTerm::Quantity quantity = TerminalTerm::Quantity::kPosition;
   // 1/m or s/m; 0 of a bound that is not active. That of an angle, angular velocity or limit of the speed is the first,
   // 1/rad, s/rad or s/m.
@@ -91,10 +93,13 @@ struct Curvature {
     kFlat,     // nearly zero along one control: undecided
   };
   Kind kind = Kind::kFlat;
-  double smallest = 0;            // at most 1 if the control has more numbers than the motion depends on
-  std::vector<double> direction;  // of the shape of the control, N; its largest component is positive
+  double smallest = 0;  // at most 1 if the control has more numbers than the motion depends on
+  // A direction of that curvature, in the shape of the control, N; its largest component is positive. Its integral
+  // |d|^2 dt is 1 without design parameters.
+  std::vector<double> direction;
 };
 
+// The residuals of all conditions, and the verdict that follows from them.
 struct Certificate {
   enum class Verdict {
     kStationary,        // all conditions hold, each theta is in [0, 1], and no kink is concave
@@ -110,6 +115,7 @@ struct Certificate {
   std::string reason;
   std::vector<Tie> ambiguous;  // if the verdict is kAmbiguous
 
+  // The largest relative residual of each condition at the top of this file.
   double stationarity = 0;
   double costate_jump = 0;
   double hamiltonian = 0;
@@ -129,8 +135,9 @@ struct Certificate {
   std::optional<double> gradient;
 
   // The curvature at a stationary control (on the grid too). Absent without effort, with an impact at the final time,
-  // and where active bounds have multipliers of zero.
+  // and where active bounds with multipliers of zero leave its sign open.
   std::optional<Curvature> curvature;
+  // Returns whether all conditions hold. A stationary control may be a saddle.
   bool IsStationary() const {
     return verdict == Verdict::kStationary || verdict == Verdict::kStationaryOnGrid || verdict == Verdict::kGlobal;
   }
@@ -143,7 +150,7 @@ struct Certificate {
   // kBestOfSearched: no other sequence of impacts among those searched is better. kLocal: there was no search.
   enum class Scope { kLocal, kBestOfSearched };
   Scope scope = Scope::kLocal;
-  int sequences_searched = 0;
+  int sequences_searched = 0;  // 0 if there was no search
 };
 
 // Return the names that JSON uses: "stationary", "stationary_on_grid", "not_stationary", "ambiguous", "not_applicable",
@@ -152,21 +159,26 @@ const char* VerdictToString(Certificate::Verdict verdict);
 const char* ScopeToString(Certificate::Scope scope);
 const char* CurvatureToString(Curvature::Kind kind);
 
-// Returns verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary".
+// Returns verdict and curvature in a few words: "minimum", "saddle on the grid", "not stationary"; empty for
+// kNotApplicable.
 std::string VerdictInWords(const Certificate& certificate);
-// Explains the verdict on the control, in a sentence or two.
+// Returns an explanation of the verdict in a sentence or two.
 std::string MeaningOf(const Certificate& certificate);
-// Returns the relative residual of the certificate: the worst one under its verdict, std::nullopt if there is nothing
-// to certify.
+// Returns the largest relative residual: that of `gradient` for kStationaryOnGrid, otherwise that of all conditions.
+// Returns std::nullopt for kAmbiguous and kNotApplicable.
 std::optional<double> ResidualOf(const Certificate& certificate);
 
-// Certifies the control (K x C x 2) from the initial state (B x 4) on intervals of `durations`, or on equal intervals
-// if there are none. If the arguments or the scene are wrong, `stop` returned true, or memory ran out, the certificate
-// is kNotApplicable with the reason.
+// Certifies the control from the initial state on intervals of `durations`, s, or on equal intervals if there are none;
+// shapes as in SimulateExactly() (exact_run.h). The certificate is kNotApplicable with the reason if
+//   - the arguments or the scene are wrong, `stop` returned true, or memory ran out;
+//   - neither a control nor a design parameter is optimized, or the motion has sustained or grazing contacts;
+//   - a control is optimized and it has neither a cost of effort nor bounds, or the scene has segments, polygons, arcs,
+//     pockets or a table, or a pair that must not touch is at its limit;
+//   - no control is optimized and the objective has constraints or path costs.
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
-// Returns the certificate in other units; residuals have no unit.
+// Converts a certificate from the units `from` to `to`. Residuals have no unit, and stay.
 Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
 
 // Returns the curvature at a control that need not be stationary, with the intervals as they are; impacts at their ends
@@ -174,7 +186,8 @@ Certificate InUnits(Certificate certificate, const Units& from, const Units& to)
 std::optional<Curvature> CurvatureAt(const Scene& scene, const std::vector<double>& initial,
                                      const std::vector<double>& control, const std::vector<double>& durations = {});
 
-// Sets verdict and reason from the residuals, the thetas and the curvature.
+// Sets the verdict from the residuals and the thetas, and the reason from these and the curvature. The verdict does not
+// depend on the curvature; it is kNotApplicable if a residual is not finite or the loss jumps at a node.
 void Judge(Certificate* certificate);
 // Sets the verdict to kAmbiguous if there are ties.
 void JudgeTies(const std::vector<Tie>& ambiguous, Certificate* certificate);

@@ -4,10 +4,9 @@
 // H = l + lambda f. The conditions are those of the steps of the integration:
 //
 //   costate         lambda_k = lambda_{k+1} F_x + the derivatives of the terms, backwards through the steps; at the end
-//   it
-//                   is the derivative of the terms there
-//   costate jump    lambda- = lambda+ D_x R + nu D_x g at each event; with the nu that keeps the loss stationary as
-//                   the event moves this is the transpose of the saltation matrix
+//                   it is the derivative of the terms there (lambda is a row, F the map of one step)
+//   costate jump    lambda- = lambda+ D_x R + nu D_x g at each event with reset R and guard g; with the nu that keeps
+//                   the loss stationary as the event moves this is the transpose of the saltation matrix
 //   Hamiltonian     moving the time of an event, and the intervals of the phases on both sides with it, does not change
 //                   the loss. If neither guards nor flows depend on time, the mean of H over each phase is the same;
 //                   otherwise it jumps by nu D_t g + lambda+ D_t R
@@ -38,10 +37,10 @@
 
 namespace saltus {
 
-// Certifies the motion of an input. In ImpactCertificate `a` is the name of the mode, `b` that of the guard, and
-// `speed` the rate at which the guard falls. The verdict is kNotApplicable if the input has no motion, one with
-// transitions at once or grazing guards, or more than 1000 multipliers. With kAmbiguous the reason names the guards,
-// and Certificate::ambiguous is empty.
+// Certifies the motion of an input, under the unknowns HybridProblem::free. In ImpactCertificate `a` is the name of the
+// mode, `b` that of the guard, and `speed` the rate at which the guard falls (unit of the guard per time). The verdict
+// is kNotApplicable if the input has no motion, one with transitions at once or grazing guards, or more than 1000
+// multipliers. With kAmbiguous the reason names the guards, and Certificate::ambiguous is empty.
 Certificate Certify(const HybridProblem& problem, const HybridInput& input);
 
 }  // namespace saltus
