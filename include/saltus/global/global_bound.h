@@ -23,7 +23,7 @@ namespace saltus {
 // The bound of the motions of a sequence.
 struct SequenceBound {
   ContactSequence sequence;    // of the relevant impacts
-  std::vector<char> repeated;  // by impact: the pair may touch again before one of its discs touches another one
+  std::vector<char> repeated;  // for each impact: 1 if the pair may touch again before one of its discs touches another
   bool open = false;           // whether one or more relevant impacts follow
   double lower = 0;            // no motion in these boxes has a loss below the smaller of this and GlobalBound::upper
   std::size_t boxes = 0;       // number of boxes that are excluded, or left
@@ -32,7 +32,7 @@ struct SequenceBound {
 // The result of branch and bound, at its end or at any time before.
 struct GlobalBound {
   double upper = 0;                     // the loss of the known motion, as given
-  double lower = 0;                     // no control has a smaller loss; never decreases
+  double lower = 0;                     // no control has a smaller loss; never decreases; at most `upper`
   std::size_t boxes = 0;                // bounded so far
   std::vector<SequenceBound> excluded;  // their bounds are above `upper`
   std::vector<SequenceBound> left;      // their bounds are below; the least first
@@ -43,8 +43,8 @@ struct GlobalBound {
 
 // Limits of branch and bound, and a callback for its progress.
 struct GlobalOptions {
-  double gap = 1e-6;                          // of the loss: ends as soon as upper - lower is at most this
-  double seconds = 0;                         // limit of the CPU time of the process; 0: no limit
+  double gap = 1e-6;                          // in the unit of the loss: ends as soon as upper - lower <= gap
+  double seconds = 0;                         // limit of the CPU time of the process, s; 0: no limit
   std::size_t boxes = 0;                      // limit of boxes; 0: no limit
   std::size_t memory = std::size_t{2} << 30;  // approximate limit of the queue, bytes
   StopRequest stop = nullptr;                 // ends the search

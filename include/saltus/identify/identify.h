@@ -1,7 +1,7 @@
 // Identification of parameters of a scene from recordings of its motion, by nonlinear least squares through impacts.
 //
 //   min over parameters, and the initial state of each segment, of   sum over samples of 1/2 rho(|r|^2)
-//   r = (x(time) - position) / sigma                                  and of velocities, where they were measured
+//   r = [(x(time) - position) / sigma, (v(time) - velocity) / sigma_velocity]     the latter where it was measured
 //
 // x(time) is the motion under a contact model. Derivatives are forward sensitivities of its steps, which with `event`
 // are exact through every impact. Parameters with bounds are transformed, so that all iterates satisfy the bounds. The
@@ -30,12 +30,13 @@
 
 namespace saltus {
 
-// A number to identify: a contact parameter, a mass, a component of gravity or of a force, or a parameter of a law.
+// A number to identify: a parameter of a scene (scene_parameter.h), or a parameter of a law.
 using Unknown = SceneParameter;
 // Parses names separated by commas; "gravity" and "force.ball" are both components. Returns the unknowns, or the error
 // with what was found and expected.
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene);
 
+// The loss rho of a sample: rho(s) = s, ceres::HuberLoss or ceres::CauchyLoss, with IdentifyOptions::loss_scale.
 enum class RobustLoss { kNone, kHuber, kCauchy };
 
 struct IdentifyOptions {
@@ -43,18 +44,19 @@ struct IdentifyOptions {
   double loss_scale = 2;       // |r|, in sigmas, beyond which the weight of a sample decreases
   double segment = 0;          // length of the segments, s; 0: recordings are not divided
   bool initial_states = true;  // whether the initial states of measured discs are unknown; otherwise those of the scene
-  int starts = 12;             // largest number of starts
+  int starts = 12;             // largest number of starts, >= 1
   double outlier = 4;          // |r|, in sigmas, beyond which a sample is an outlier
   int max_iterations = 100;    // of each fit
   // A law of impact, whose parameters are additional unknowns; with the contact model `event` only.
   std::optional<ImpactLaw> law = std::nullopt;
   // Event functions of the scene's planes, whose parameters are additional unknowns; not together with a law.
   std::optional<EventFunctions> events = std::nullopt;
-  int threads = 1;
+  int threads = 1;  // simulate segments at the same time; 0: one per core; results do not depend on it
   StopRequest stop = nullptr;
   std::function<void(const std::string&)> status = nullptr;  // receives lines about what is being computed
 };
 
+// How well the data determine an unknown.
 enum class Determination {
   kDetermined,
   kCombined,      // the data determine only a combination of this parameter with others
@@ -63,10 +65,11 @@ enum class Determination {
 };
 const char* DeterminationToString(Determination determination);
 
+// An identified number.
 struct Estimate {
   Unknown unknown;  // of a scene
   std::string name;
-  double start = 0;  // value in the scene
+  double start = 0;  // value in the scene, in the scene's units
   // These have no meaning if the parameter is not determined.
   double value = 0;
   double standard_error = 0;
@@ -75,6 +78,7 @@ struct Estimate {
   std::vector<std::string> with;  // kCombined: names of the other parameters
 };
 
+// The residual of one sample in the motion at the minimum.
 struct SampleResidual {
   int recording = 0, sample = 0;          // indices
   int quantity = 0;                       // into IdentifyReport::quantities
@@ -116,12 +120,12 @@ struct LearnedLaw {
 
 // An impact with a plane by fitted event functions.
 struct LearnedImpact {
-  int segment = 0, body = 0, plane = 0;
-  Vec2d position = Vec2d::Zero();  // m, of the disc
-  Vec2d before = Vec2d::Zero();    // m/s, its velocity
-  Vec2d after = Vec2d::Zero();
-  Vec2d normal = Vec2d::Zero();  // of the event function there
-  double scene_gap = 0;          // m, gap to the scene's plane; 0 if both surfaces agree
+  int segment = 0, body = 0, plane = 0;  // indices: of IdentifyReport::initial, of Scene::bodies and planes
+  Vec2d position = Vec2d::Zero();        // m, of the disc
+  Vec2d before = Vec2d::Zero();          // m/s, its velocity
+  Vec2d after = Vec2d::Zero();           // m/s
+  Vec2d normal = Vec2d::Zero();          // of the event function there
+  double scene_gap = 0;                  // m, gap to the scene's plane; 0 if both surfaces agree
 };
 
 // Fitted event functions.
@@ -130,13 +134,14 @@ struct LearnedEventFunctions {
   std::vector<LearnedImpact> impacts;  // of the motion; the first of each step
 };
 
+// The result of a fit. Estimates have no meaning if the verdict is kFailed or kNotApplicable.
 struct IdentifyReport {
   FitVerdict verdict = FitVerdict::kFailed;
   std::string reason;
   std::vector<std::string> remarks;  // that sigma was estimated, that residuals are systematic, and similar
   std::vector<Estimate> estimates;
-  std::vector<std::vector<double>> correlation;  // of the determined parameters, in their order
-  std::vector<std::vector<double>> initial;      // of each segment, B x 4
+  std::vector<std::vector<double>> correlation;  // D x D, of the D determined parameters, in their order
+  std::vector<std::vector<double>> initial;      // of each segment, in the layout of simulator.h (B x 4 or B x 6)
   std::vector<double> segment_begin;             // s, of each segment
   std::vector<int> segment_recording;            // of each segment
   std::vector<SampleResidual> residuals;         // of all samples, in order
@@ -155,6 +160,8 @@ struct IdentifyReport {
   double seconds = 0;
 };
 
+// Fits the unknowns, and the initial states of measured discs, to recordings of a scene under a contact model. Errors
+// in the arguments, and a model that does not support the scene, are reported as kNotApplicable with the reason.
 IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
                         const std::vector<Unknown>& unknowns, const IdentifyOptions& options = {});
 
