@@ -26,13 +26,14 @@
 
 namespace saltus {
 
-// Part of a linearization, named by its rows and columns.
+// A block of a linearization: "velocity from position" is d(velocity at the end)/d(position at the beginning).
 enum class Block { kPositionFromPosition, kVelocityFromPosition, kPositionFromVelocity, kVelocityFromVelocity };
 const char* BlockToString(Block block);  // "velocity from position"
 
+// The error of one contact of the model's rollout.
 struct ContactError {
   int first_step = 0, last_step = 0;  // first and last step in which the model reports the contact
-  Candidate pair = {};                // a disc, and a disc or plane; the first pair if there are several
+  Candidate pair = {};                // the first pair if there are several; indices of the scene
   std::string a, b;                   // their names
   int exact_impacts = 0;              // number of impacts of the exact flow in the interval
   double error = 0;                   // relative error of the costate, defined at the top of this file
@@ -44,7 +45,7 @@ struct ContactError {
 struct Attribution {
   std::string reason;                  // why there is no attribution: no exact flow, or a rollout that fails
   std::vector<ContactError> contacts;  // in order of time, at most kMostContacts of them
-  int first_wrong = -1;  // index of the first contact whose error is not small and stays; -1 if there is none
+  int first_wrong = -1;  // index into `contacts` of the first whose error is not small and stays; -1: none
   std::string sequence;  // how the contacts differ from the exact ones; empty if they do not
   std::string limit;     // what was not compared because of the limit of time, in words; empty if nothing
 

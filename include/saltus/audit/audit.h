@@ -19,8 +19,9 @@
 
 namespace saltus {
 
-// How far a gradient is from the exact one, over initial positions, initial velocities and the control. So that entries
-// can be compared, those by velocities are divided by the duration, those by forces by its square over the mass.
+// The difference of a gradient from the exact one, over initial state and control. So that all entries have one unit,
+// those by velocities are divided by the duration, those by forces by its square over the mass, those by angles and
+// angular velocities by the length and by the length times the duration (ModelGradient::SetScales).
 // Controls on different grids are compared as forces held over the coarser intervals. Entries whose exact derivative
 // exists from one side only, or from none, are left out.
 struct GradientError {
@@ -34,8 +35,8 @@ struct GradientError {
 // Compares two gradients. Precondition: both are ok() and of one scene; one control grid is a refinement of the other.
 GradientError CompareGradients(const ModelGradient& gradient, const ModelGradient& exact);
 
-// The gradient with respect to forces held over `intervals` equal parts of the horizon: the sum over the steps of each.
-// `control` is K x C x 2 with K = steps, a multiple of `intervals`.
+// Returns the gradient with respect to forces held over `intervals` equal parts of the horizon: the sum over the steps
+// of each part. `control` has `steps` rows of the control's width; steps is a multiple of `intervals`.
 std::vector<double> CoarsenControl(const std::vector<double>& control, int steps, int intervals);
 
 // Whether a gradient is the derivative of the model's own loss.
@@ -45,11 +46,12 @@ enum class Agreement {
   kUndecided  // the differences do not converge
 };
 
+// The comparison of a gradient with differences of the model's own loss.
 struct OwnDifferences {
   Agreement agreement = Agreement::kUndecided;
   // The quantity of the direction that differs most; if none differs, that of the last direction.
   Quantity quantity = Quantity::kPosition;
-  double gradient = 0, difference = 0;
+  double gradient = 0, difference = 0;  // the derivative along this direction, by the gradient and by differences
 };
 
 // A derivative by a parameter of the scene, and the difference of the model's own loss.
@@ -60,6 +62,7 @@ struct ParameterAudit {
   Verdict verdict = Verdict::kUnknown;  // kRight, kWrong, kWrongSign; kUnknown without differences
 };
 
+// Options of an audit of one model.
 struct AuditOptions {
   RefinementOptions refinement = {};
   bool attribution = true;         // whether errors of wrong gradients are attributed to contacts
@@ -84,27 +87,28 @@ struct BlackBoxFindings {
     int steps = 0;
     double e = 0;     // speed of separation over closing speed
     double keep = 0;  // fraction of a displacement before the impact that is left just after it
-    double feed = 0;  // derivative of the speed of separation, times the step, by that displacement
+    double feed = 0;  // step * d(speed of separation) / d(that displacement)
   };
 
-  std::string says;         // the name that it reports
+  std::string says;         // the name that the black box reports (BlackBoxTraits::name)
   bool refused = false;     // it reports that it does not support the scene
   int precision_found = 0;  // bits of its arithmetic
   double noise = 0;         // relative noise of its answers
   bool own_gradient = false;
-  Motion motion = Motion::kUnknown;     // whether its loss converges to the exact one
-  std::vector<RefinementLevel> levels;  // of the error of its loss, relative to the scene's
-  std::optional<HeadOn> head_on, finer;
-  std::vector<std::string> remarks;  // sentences, the most important first
+  Motion motion = Motion::kUnknown;      // whether its loss converges to the exact one
+  std::vector<RefinementLevel> levels;   // of the error of its loss, over ModelGradient::loss_scale
+  std::optional<HeadOn> head_on, finer;  // at the scene's own step, and at a finer one
+  std::vector<std::string> remarks;      // sentences, the most important first
 };
 const char* MotionToString(BlackBoxFindings::Motion motion);  // "converges", "does not converge", "exact", "unknown"
 
+// The audit of one model.
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
-  // The verdict of the refinement; without a reference that of the width sweep; kBiased of a surrogate; kNotApplicable
-  // if the reference has another motion than the model (WhyNotComparable). kAmbiguous if the exact gradient is
-  // ambiguous; then there is no error, and no study but the width sweep.
+  // The verdict of the refinement or, without a reference, of the width sweep. It is kBiased for a surrogate,
+  // kNotApplicable if the reference has another motion than the model (WhyNotComparable), and kAmbiguous if the exact
+  // gradient is ambiguous: then there is no error, and no study but the width sweep.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // of a gradient that the refinement finds wrong, if asked for
@@ -126,13 +130,15 @@ struct ModelAudit {
   std::string Why() const;
 };
 
+// The audits of several models of one scene.
 struct AuditReport {
   std::optional<ModelGradient> reference;  // contact is "event", or "closed form"
   std::vector<ModelAudit> models;
 };
 
-// Audits one model. `reference` is ExactGradientOf(scene). If the model does not support the scene, if there is no such
-// model or if the scene is wrong, the audit has only the gradient, whose reason states this.
+// Audits one model. `reference` is ExactGradientOf(scene), also where that is nothing. If the model does not support
+// the scene, if there is no such model or if the scene is wrong, the audit has only the gradient, whose reason states
+// this.
 ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
@@ -140,7 +146,8 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
 // scene: friction rotates the model's discs, and the exact ones do not spin. Empty if they can be compared.
 std::string WhyNotComparable(const Contact& contact, const Scene& scene);
 
-// Returns the exact gradient of a scene, or nothing if there is none or if it was stopped.
+// Returns the exact gradient of a scene: that of the event-driven model or, if that does not support the scene, of a
+// closed form. Returns std::nullopt if there is none or if it was stopped.
 std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

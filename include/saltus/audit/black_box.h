@@ -3,7 +3,8 @@
 //
 // ContactOf() makes a contact model of a black box. Its rollouts are requests, and its gradients are those of the
 // simulator or else differences of final states, of a width that its precision allows. AuditBlackBox() audits them.
-// Shapes are those of simulate/simulator.h, with four numbers for a disc.
+// Shapes are those of simulate/simulator.h, with four numbers [p_x p_y v_x v_y] for each of the B discs and two for
+// each of the C controlled discs: spin and torques are not supported.
 #pragma once
 
 #include <functional>
@@ -21,36 +22,37 @@ namespace saltus {
 struct Question {
   enum class Kind {
     kSimulate,  // the final state
-    kGradient,  // the final state, and the derivatives of of_final . (final state)
+    kGradient,  // the final state, and the derivatives of the scalar product of `of_final` and the final state
     kStep       // the state after one step of length `duration` from any state, under the forces `control` on all discs
   };
   Kind kind = Kind::kSimulate;
   int steps = 1;                 // of the scene's time grid, a multiple of BlackBoxTraits::grid_steps
   double duration = 0;           // s, of all steps
   std::vector<double> initial;   // B x 4
-  std::vector<double> control;   // steps x C x 2; of kStep, B x 2
+  std::vector<double> control;   // N: steps x C x 2; of kStep, B x 2
   std::vector<double> of_final;  // kGradient: B x 4
   bool states = false;           // kSimulate: asks for intermediate states, if the simulator has them
   bool parameters = false;       // kGradient: asks for derivatives by parameters, if the simulator has them
 };
 
+// An answer. Members that were not asked for are empty.
 struct Answer {
-  std::string error;            // why there is no answer
+  std::string error;            // why there is no answer; empty if there is one
   std::vector<double> final;    // B x 4
   std::vector<double> states;   // (steps / grid_steps + 1) x B x 4, if asked for
-  std::vector<double> initial;  // kGradient: B x 4
-  std::vector<double> control;  // kGradient: steps x C x 2
+  std::vector<double> initial;  // kGradient: derivatives by the initial state, B x 4
+  std::vector<double> control;  // kGradient: derivatives by the control, steps x C x 2
   // kGradient: derivatives by parameters with their names (scene_parameter.h), if asked for and available.
   std::vector<std::pair<std::string, double>> parameters;
 };
 
 // Properties that a black box reports of itself, for a scene.
 struct BlackBoxTraits {
-  std::string name;            // the name that it reports; may be empty
-  std::string not_applicable;  // why it does not support the scene; empty if it does
-  std::string error;           // why it gives no answers; empty if it does
-  bool gradient = false, step = false, states = false;
-  bool simulate = true;   // whole motions
+  std::string name;                                     // the name that it reports; may be empty
+  std::string not_applicable;                           // why it does not support the scene; empty if it does
+  std::string error;                                    // why it gives no answers; empty if it does
+  bool gradient = false, step = false, states = false;  // answers kGradient, kStep, Question::states
+  bool simulate = true;                                 // answers kSimulate
   bool names = false;     // steps of states by name (blackbox/protocol.h), in place of rows of discs
   bool jacobian = false;  // Jacobians of steps; of hybrid systems
   int grid_steps = 1;     // numbers of steps are multiples of this

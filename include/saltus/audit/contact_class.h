@@ -31,6 +31,7 @@
 
 namespace saltus {
 
+// The class of a contact model by its behaviour.
 enum class ContactClass {
   kUnclear,
   kImpactTimeResolved,
@@ -45,14 +46,15 @@ const char* ContactClassToString(ContactClass contact_class);  // "impulse at a 
 // Returns in one sentence how the class affects gradients.
 const char* MeaningOf(ContactClass contact_class);
 
+// The class, and the numbers that it follows from.
 struct ContactRecognition {
   ContactClass contact_class = ContactClass::kUnclear;
   std::string words;  // the numbers that decided the class, in one sentence; or why they did not
 
   // The measured numbers; empty if they were not measured.
-  int step = -1;     // step of the rollout in which the contact begins; -1 if there is none
-  std::string a, b;  // a disc, and a disc or plane
-  double restitution = 0;
+  int step = -1;                                 // step of the rollout in which the contact begins; -1 if there is none
+  std::string a, b;                              // names: a disc, and a disc or wall
+  double restitution = 0;                        // that of the scene for this pair
   std::optional<double> rebound, finer_rebound;  // at the model's own step, and at up to 16 times finer ones
   std::optional<double> concentration, finer_concentration;  // at its own step, and at the finest that was run
   std::optional<double> onset_order;                         // p in: first full change ~ h^p
@@ -60,8 +62,8 @@ struct ContactRecognition {
   std::optional<double> velocity_from_position;              // limit of h dv'/dx for decreasing h
 };
 
-// Recognises the class of a model. If it does not support the scene, `words` states the reason. A result that was
-// stopped has no meaning.
+// Recognises the class of a model in a scene, at its first contact. If the model does not support the scene, `words`
+// states the reason. A result that was stopped has no meaning.
 ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

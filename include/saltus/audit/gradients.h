@@ -13,6 +13,7 @@
 
 namespace saltus {
 
+// The gradient of a scene's loss under one contact model, in the scene's units.
 struct ModelGradient {
   std::string contact;
   std::string
@@ -24,7 +25,7 @@ struct ModelGradient {
   // unit.
   double duration = 1, mass = 1, length = 1, loss_scale = 1;
   double loss = 0;
-  Sensitivity gradient;       // of the loss, effort included
+  Sensitivity gradient;       // of the loss, effort included; shapes as in simulator.h with K = num_steps
   std::vector<Event> events;  // if the model resolves impact times
   int num_touches = 0;        // pairs that touch, summed over all steps
   int unresolved_steps = 0;   // steps by the time-stepping fallback (events.h); with any, the gradient is not exact
@@ -37,17 +38,19 @@ struct ModelGradient {
 
   // If set, `gradient` is this surrogate of the derivative of the loss, and is biased.
   std::optional<Surrogate> surrogate;
-  // Standard errors of the entries of a smoothed gradient, which has no derivatives by parameters; otherwise empty.
+  // Standard errors of the entries of a smoothed gradient, in the shapes of gradient.initial and gradient.control; it
+  // has no derivatives by parameters. Empty for other gradients.
   std::vector<double> initial_error, control_error;
 
   bool ok() const { return reason.empty(); }
 };
 
-// Sets the scales of a gradient to those of the scene.
+// Sets spins, duration, mass, length and loss_scale: the natural units of the scene (scene/units.h) in its units.
 void SetScales(const Scene& scene, ModelGradient* gradient);
 
 // Computes the gradient. ModelGradient::reason also reports an unknown model, a wrong scene, and with kStopped that it
-// was stopped. A `control` (K x C x 2) replaces the initial guess; one of another size is reported in the reason.
+// was stopped. A `control` of K rows of control_width() numbers replaces the initial guess; one of another size is
+// reported in the reason, as are path costs, a free duration and constraints, which have no gradient here.
 ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
                               const StopRequest& stop = nullptr, const std::vector<double>* control = nullptr);
 

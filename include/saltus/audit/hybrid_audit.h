@@ -28,6 +28,7 @@ struct SchemeStep {
   const double *x = nullptr, *u = nullptr, *p = nullptr;
 };
 
+// A time-stepping scheme. A step depends on its arguments only. Schemes are called from one thread.
 class HybridScheme {
  public:
   virtual ~HybridScheme() = default;
@@ -40,10 +41,11 @@ class HybridScheme {
   virtual bool HasJacobian() const { return true; }
 };
 
-// Computes a step of `function` and, unless `jacobian` is null, its Jacobian by central differences, or by one-sided
-// ones beside a jump of the state. `precision` is the relative one of the new state. Returns as HybridScheme::Step
-// does.
+// A step without a Jacobian: returns the next mode, or -1 and the reason, as HybridScheme::Step does.
 using StepFunction = std::function<int(const SchemeStep&, double* next, std::string* error)>;
+// Computes a step of `function` and, unless `jacobian` is null, its Jacobian by central differences, or by one-sided
+// differences beside a jump of the state. `precision` is the relative precision of the new state. Returns what
+// HybridScheme::Step returns.
 int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const StepFunction& function, double* next,
                    double* jacobian, std::string* error, double precision = std::numeric_limits<double>::epsilon());
 
@@ -85,6 +87,7 @@ class HybridSchemeOf final : public HybridScheme {
   const std::string name_;
 };
 
+// Options of AuditScheme().
 struct HybridAuditOptions {
   int steps = 100;                    // least number of steps; rounded up to a multiple of the control intervals
   RefinementOptions refinement = {};  // on one thread
@@ -105,6 +108,7 @@ struct SegmentError {
   bool stays = false;  // whether more than a quarter of the error is left with eight times the steps
 };
 
+// The audit of a scheme.
 struct HybridAudit {
   std::string scheme;
   std::string reason;  // why there is no verdict: the problem, the exact motion or the scheme fails, and where
@@ -118,7 +122,7 @@ struct HybridAudit {
   std::vector<SegmentError> segments;         // of a wrong gradient
   int first_wrong = -1;                       // index of the first segment whose error is not small and stays
   std::optional<WidthSweepStudy> widths;
-  bool interrupted = false;
+  bool interrupted = false;  // whether HybridAuditOptions::stop ended it
 
   bool ok() const { return reason.empty(); }
   // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient that agrees with

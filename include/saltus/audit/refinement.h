@@ -12,8 +12,7 @@
 //   unknown      the error falls, but is still above one percent at the finest steps that the budget allows
 //   biased       the gradient is a surrogate; there is no study of it
 //   ill-conditioned   the error does not exceed the effect of rounding on the exact gradient, or rounding leaves no
-//   digit
-//                     of the exact gradient (Conditioning)
+//                     digit of the exact gradient (Conditioning)
 //   not applicable    the exact gradient is that of another motion; there is no study of it
 //   ambiguous    there is no gradient: the order of simultaneous impacts changes the motion (simulate/events.h, Tie)
 //   one-sided    every derivative by the initial state exists from one side only, or from none, and none is judged
@@ -37,6 +36,7 @@
 
 namespace saltus {
 
+// The verdict on a gradient, by the table above.
 enum class Verdict {
   kRight,
   kConsistent,
@@ -50,7 +50,7 @@ enum class Verdict {
   kOneSided
 };
 const char* VerdictToString(Verdict verdict);  // the names in the table above
-// Whether it is kWrong or kWrongSign.
+// Returns whether a verdict is kWrong or kWrongSign.
 bool IsWrong(Verdict verdict);
 
 // A part of the gradient whose entries have one unit, judged on its own.
@@ -70,20 +70,23 @@ enum class Quantity {
   kSystemControl,
   kSystemParameter
 };
+// Returns the name that outputs use, such as "position".
 const char* QuantityToString(Quantity quantity);
 inline bool IsOfSystem(Quantity quantity) { return quantity >= Quantity::kSystemState; }
 
-// Names of the entries of a quantity, and the entries themselves: two for each disc that moves (position, velocity),
-// two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), one for each
-// design parameter of that kind, or one number. Precondition: the gradient's number of steps is a multiple of
+// Return the names of the entries of a quantity, and the entries themselves: two for each disc that moves (position,
+// velocity), two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), one for
+// each design parameter of that kind, or one number. Precondition: the gradient's number of steps is a multiple of
 // `intervals`, and the quantity is one of a scene.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
-// Returns the factor that takes derivatives of the loss by that quantity from the units `from` to those of `to`.
+// Returns the factor by which a derivative of the loss by that quantity in the units `from` is multiplied to have it in
+// the units `to`.
 double GradientFactor(Quantity quantity, const Units& from, const Units& to);
 
+// Options of a refinement study.
 struct RefinementOptions {
-  int levels = 7;               // at least 4 are run
+  int levels = 7;               // number of levels, each with twice the steps; at least 4 are run
   int most_levels = 11;         // run while the error is large and still falls
   int samples = 9;              // step counts per level
   double tolerance = 1e-6;      // relative error of a right gradient
@@ -102,12 +105,14 @@ struct RefinementOptions {
   std::function<int()> threads_now = nullptr;
 };
 
+// The errors at one level of refinement.
 struct RefinementLevel {
-  double steps = 0;  // geometric mean of the step counts
-  double error = 0;  // median over the step counts, relative to the exact norm
-  double smallest = 0, largest = 0;
+  double steps = 0;                  // geometric mean of the step counts
+  double error = 0;                  // median over the step counts, relative to the exact norm
+  double smallest = 0, largest = 0;  // errors over the step counts
 };
 
+// The study of one quantity.
 struct QuantityStudy {
   Quantity quantity = Quantity::kPosition;
   Verdict verdict = Verdict::kUnknown;
@@ -146,6 +151,7 @@ struct Conditioning {
 // initial state and the rounding of every step may change the leading digits of the derivative.
 std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop = nullptr);
 
+// The studies of all quantities, and the verdict on the model's gradient.
 struct RefinementStudy {
   std::string reason;  // why there is no study: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;
@@ -158,6 +164,7 @@ struct RefinementStudy {
   std::optional<Conditioning> conditioning;  // of the exact gradient, measured if a quantity is not right
 
   bool ok() const { return reason.empty(); }
+  // Returns the study of a quantity; null if there is none.
   const QuantityStudy* Find(Quantity quantity) const;
 };
 

@@ -18,9 +18,10 @@
 
 namespace saltus {
 
+// Options of a width sweep.
 struct WidthSweepOptions {
-  int refine = 8;  // factor on the scene's steps, which separates the grid width from the scale of the motion
-  int per_decade = 6;
+  int refine = 8;      // factor on the scene's steps, which separates the grid width from the scale of the motion
+  int per_decade = 6;  // widths per factor of 10
   double smallest = 1e-4, largest = 100;        // widths, in grid widths
   double narrow_from = 1e-4, narrow_to = 1e-2;  // the plateaus, in grid widths
   double wide_from = 5, wide_to = 50;
@@ -40,14 +41,15 @@ enum class WidthFinding {
 };
 const char* WidthFindingToString(WidthFinding finding);
 
+// The sweep of one entry.
 struct WidthSweep {
   Quantity quantity = Quantity::kPosition;
-  std::string entry;      // a name of EntryNames()
-  double gradient = 0;    // derivative by the model, at the refined steps
-  double grid_width = 0;  // m, m/s or N
-  std::vector<double> widths, slopes;
+  std::string entry;                           // a name of EntryNames()
+  double gradient = 0;                         // derivative by the model, at the refined steps
+  double grid_width = 0;                       // m, m/s or N
+  std::vector<double> widths, slopes;          // w, in m, m/s or N, rising; and slope(w)
   double narrow = 0, wide = 0;                 // plateaus: medians of the slopes
-  double narrow_spread = 0, wide_spread = 0;   // medians of the distance to them
+  double narrow_spread = 0, wide_spread = 0;   // medians of the distance of the slopes to them
   std::optional<double> exact = std::nullopt;  // derivative of the exact motion, if it is known
   WidthFinding finding = WidthFinding::kUndecided;
 };
