@@ -6,7 +6,8 @@
 //
 //   P_{k+1} = (A - B K) P_k (A - B K)' + B (K V K' + U) B' + W,
 //
-// with K = 0 in open loop. A and B have the saltation matrices of the events, P+ = Xi P- Xi', in them.
+// with K = 0 in open loop, where ' is the transpose. A and B contain the saltation matrices Xi of the events, across
+// which P+ = Xi P- Xi'.
 #pragma once
 
 #include <Eigen/Core>
@@ -17,7 +18,8 @@
 
 namespace saltus {
 
-// Independent normal errors with mean zero: covariance matrices, symmetric and positive semidefinite. None: no error.
+// Independent normal errors with mean zero, by their covariance matrices, which are symmetric and positive
+// semidefinite. An empty matrix: no error.
 struct Noise {
   Eigen::MatrixXd initial = {};      // P_0, of the initial state
   Eigen::MatrixXd control = {};      // U, of the control in each interval
@@ -25,7 +27,8 @@ struct Noise {
   Eigen::MatrixXd measurement = {};  // V, of the measured state at the beginning of each interval
 };
 
-// Checks sizes, symmetry, and that matrices are positive semidefinite. Returns "found x, expected y", or an empty text.
+// Checks sizes, symmetry, and that matrices are positive semidefinite. Returns the first error as "found x, expected
+// y"; empty if there is none.
 std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
 
 // A possible change of the sequence of events.
@@ -35,6 +38,7 @@ struct SequenceRisk {
   double probability = 0;  // to first order
 };
 
+// The covariance of the state along a motion, and the risks that the sequence of events changes.
 struct Covariance {
   std::vector<Eigen::MatrixXd> nodes = {};  // K + 1: at the beginning of each interval, and at the end
   std::vector<double> event_times = {};     // standard deviations of the times of the events, s
@@ -49,7 +53,8 @@ struct Covariance {
   std::string Warning(double small = 0.01) const;
 };
 
-// Propagates the covariance, without a regulator in open loop. Precondition: WhatIsWrongWith is empty, and sizes match.
+// Propagates the covariance under a regulator, or in open loop if it is null. Preconditions: WhatIsWrongWith() is empty
+// for noise and regulator, and the motion has an interval.
 Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator = nullptr);
 
 }  // namespace saltus

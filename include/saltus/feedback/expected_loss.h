@@ -17,14 +17,15 @@ namespace saltus {
 
 // Covariance matrices of the errors, symmetric and positive semidefinite, one of them not zero. Empty: no error.
 struct Errors {
-  // Covariance of the initial state of a hybrid system, or of a scene as in simulator.h (initial_size() numbers).
-  // In a scene, only of positions, velocities and angular velocities.
+  // Covariance of the initial state of a hybrid system, or of a scene in the layout of its initial state (simulator.h,
+  // initial_size() numbers). Angles of a scene must have no error.
   Eigen::MatrixXd initial = {};
   // Covariance of the variables of SingleShooting or HybridShooting, such as of the velocity of a shot.
   Eigen::MatrixXd variables = {};
 };
 
-// Minimises the expected loss by L-BFGS, states eliminated by simulation, on the variables of the request or problem.
+// Minimise the expected loss by L-BFGS, with states eliminated by simulation, over the variables of the request or
+// problem.
 // Options: iterations, callback, stop. The report's losses are expected losses. kNotApplicable with a reason for a
 // problem that ceres_lbfgs cannot take.
 SolveReport SolveExpectedLoss(const SolveRequest& request, const Errors& errors, const SolverOptions& options);

@@ -4,9 +4,10 @@
 //
 //   dx_{k+1} = A_k dx_k + B_k du_k,
 //
-// from state to state at the fixed times at which the intervals begin. Events within an interval contribute their
-// saltation matrices, so that A_k has the size of the state at the end times that at the beginning. Hybrid systems,
-// mechanical ones among them, and scenes of discs supply the same form.
+// from state to state at the fixed times at which the intervals begin. A state of a scene has the numbers of each disc
+// in turn, as Simulator::GetState(). Events within an interval contribute their saltation matrices, so that A_k has the
+// size of the state at the end times that at the beginning. Hybrid systems, mechanical ones among them, and scenes of
+// discs supply the same form.
 //
 // Sources: Kong, Payne, Council, Johnson 2021, The salted Kalman filter and hybrid iLQR; Kong, Payne, Zhu, Johnson
 // 2024, Saltation matrices, section V.
@@ -33,8 +34,8 @@ struct LinearEvent {
   bool follows = false;  // whether it follows the event before it without time passing
 };
 
-// The least value of a number that stays above zero in an interval: a guard of a hybrid system; in a scene the gap of a
-// pair without contact, or the overlap of the paths of a pair with an impact.
+// The least value of a quantity that stays above zero in an interval, and its derivatives. The quantity is a guard of a
+// hybrid system; in a scene, the gap of a pair without contact, or the overlap of the paths of a pair with an impact.
 struct LinearGuard {
   std::string name = {};
   double time = 0;                                    // s
@@ -42,14 +43,16 @@ struct LinearGuard {
   Eigen::RowVectorXd by_state = {}, by_control = {};  // by x_k and u_k
 };
 
+// The linearization over one control interval.
 struct LinearInterval {
-  double begin = 0;  // s
-  int mode = 0;      // at the beginning
-  Eigen::MatrixXd A = {}, B = {};
+  double begin = 0;                // s
+  int mode = 0;                    // at the beginning
+  Eigen::MatrixXd A = {}, B = {};  // A: (size at the end) x (size at the beginning); B: (size at the end) x m
   std::vector<LinearEvent> events = {};
   std::vector<LinearGuard> guards = {};
 };
 
+// The linearization of a motion.
 struct LinearMotion {
   std::vector<LinearInterval> intervals = {};  // K
   double end = 0;                              // s
@@ -57,20 +60,21 @@ struct LinearMotion {
 
 // Linearizes the last rollout, which succeeded, of `input`. Precondition: WhyNotDifferentiable() is empty.
 LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input);
-// Linearizes a rollout of a scene under a control (K rows of its control width); du_k is a row. The event-driven
-// model has its saltation matrices in A_k and B_k; other models have what they make of contact.
-// Precondition: Rollout returned true.
+// Linearizes a rollout of a scene under a control (K rows of its control width); du_k is a row. Under the
+// event-driven model A_k and B_k contain the saltation matrices; under other models they are the derivatives of its
+// step. Precondition: Rollout returned true.
 LinearMotion Linearize(const Simulator& motion, std::span<const double> control);
 
-// Sum over the intervals of dx' Q dx + du' R du, plus dx_K' QT dx_K, without a factor 1/2. For TrackContinuously the
-// sum is an integral over time. Q: one symmetric matrix for all modes, or one for each mode. R: symmetric and positive
-// definite.
+// The cost that a regulator minimises: the sum over the intervals of dx' Q dx + du' R du, plus dx_K' QT dx_K, without a
+// factor 1/2. For TrackContinuously the sum is an integral over time. Q: one symmetric matrix for all modes, or one for
+// each mode. R: symmetric and positive definite.
 struct TrackingCost {
   std::vector<Eigen::MatrixXd> Q = {};
   Eigen::MatrixXd R = {}, QT = {};
   bool per_time = false;  // for Track: Q and R are multiplied by the length of each interval
 };
 
+// Gains and cost matrices along a motion of K intervals.
 struct Regulator {
   std::vector<Eigen::MatrixXd> gains = {};        // K: du = -gains[k] dx at the beginning of interval k
   std::vector<Eigen::MatrixXd> cost_to_go = {};   // K + 1: dx' cost_to_go[k] dx, symmetric
@@ -83,7 +87,8 @@ struct Regulator {
   std::vector<AtEvent> events = {};
 };
 
-// Returns "found x, expected y", or nothing: checks sizes, symmetry, and that R is positive definite.
+// Checks sizes, symmetry, and that R is positive definite. Returns the first error as "found x, expected y"; empty if
+// there is none.
 std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
 // Checks gains in the same way: their number, their shapes, and whether they are finite.
 std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
