@@ -46,7 +46,7 @@ struct Sizes {
   int switches = 0;  // at most 6, where the flow jumps or has a kink
 };
 
-// A view of the numbers of a point, which checks its index.
+// A view of the numbers of a point, which checks its index. `name` is the letter in messages.
 template <typename T>
 class Numbers {
  public:
@@ -83,7 +83,7 @@ struct At {
   Numbers<T> u{'u', nullptr, 0};  // control; none in guards, resets and terms that are not in each interval
   Numbers<T> p{'p', nullptr, 0};  // parameters of the system
   T h = T(0);                     // terms in each interval: the length of the interval; 0 elsewhere
-  int mode = 0;                   // terms: 0
+  int mode = 0;                   // mode of the motion; always 0 in terms
   int number = 0;                 // index of the guard or switch to evaluate
   const bool* above = nullptr;    // flows of systems with switches: whether each of them is above zero
 };
@@ -205,7 +205,8 @@ struct CompactSwitchedSystem : CompactSystem<S> {
   }();
 };
 
-// Makes a hybrid system of a struct with kSizes, of one of hybrid_system.h, or of a system that is one already.
+// Makes a hybrid system of a struct with kSizes or of a struct as hybrid_system.h describes; returns a HybridSystem as
+// it is.
 template <typename S>
 HybridSystem MakeHybridSystem(S system) {
   if constexpr (std::derived_from<S, HybridSystem>) {

@@ -42,14 +42,14 @@
 
 namespace saltus {
 
-// The data that a motion depends on.
+// The data that a motion depends on. Times are in the system's unit of time.
 struct HybridInput {
   int mode = 0;                         // at the beginning
   std::vector<double> initial = {};     // state at the beginning, of the size of that mode
   std::vector<double> parameters = {};  // P
   double duration = 0;                  // > 0
   int num_intervals = 1;                // K > 0 intervals, on each of which the control is constant
-  std::vector<double> control = {};     // K x m, row-major; none: zeros
+  std::vector<double> control = {};     // K x m, row-major: row k acts in interval k; none: zeros
   // K positive numbers, proportional to the lengths of the intervals; none: the intervals have equal lengths.
   // Derivatives by the duration are those with constant proportions.
   std::vector<double> lengths = {};
@@ -59,6 +59,7 @@ struct HybridInput {
   std::vector<double> Times() const;
 };
 
+// Options of the integration and of events.
 struct HybridOptions {
   // Tolerance of the integration for the relative error of the final state and of the event times. The first rollout
   // chooses the number of steps for it, which then stays the same; RolloutAccurately checks it again.
@@ -66,8 +67,9 @@ struct HybridOptions {
   // Integration steps in each control interval; 0: the simulator chooses. IntegrationError and WhyInaccurate report the
   // error of a given number. A motion fails if its steps are so long that they leave the equations of closed contacts.
   int steps_per_interval = 0;
-  // Times within the motion, as parts of the duration, in order, that divide control intervals: each part has as many
-  // steps. The simulator adds those between which steps see pulses of recorded functions, if it chooses their number.
+  // Times within the motion, as fractions of the duration in (0, 1), rising, that divide control intervals: each part
+  // of an interval has as many steps as an interval that is not divided. The simulator adds those between which steps
+  // see pulses of recorded functions, if it chooses their number.
   std::vector<double> divided = {};
   // Whether a guard below zero at the start is armed once it is above zero, instead of an error.
   bool wait_behind_guards = false;
@@ -78,13 +80,14 @@ struct HybridOptions {
   std::function<bool()> stop = {};  // called at each step of the integration; true ends the rollout, which fails
 };
 
+// An event of a motion.
 struct HybridEvent {
   double time = 0;
-  int mode = 0, guard = 0, next_mode = 0;
-  double rate = 0;                        // derivative of the guard by time, just before the event
-  std::span<const double> before, after;  // states, valid until the next rollout
-  bool at_once = false;                   // whether it follows the event before it without time passing
-  bool is_switch = false;                 // whether only the flow changes (HybridFunctions::num_switches)
+  int mode = 0, guard = 0, next_mode = 0;  // guard -1: the control jumps (HybridSimulator::switches())
+  double rate = 0;                         // derivative of the guard by time, just before the event
+  std::span<const double> before, after;   // states, valid until the next rollout
+  bool at_once = false;                    // whether it follows the event before it without time passing
+  bool is_switch = false;                  // whether only the flow changes (HybridFunctions::num_switches)
 };
 
 // A guard that reaches zero without crossing it. The motion goes on without an event.
@@ -106,30 +109,31 @@ struct HybridTie {
   bool ambiguous = false;
 };
 
-// Derivatives by the input of a motion, of the sizes of HybridInput.
+// The derivatives of one number by the input of a motion: n0, K x m (row-major) and P numbers, and the duration.
 struct HybridGradient {
   std::vector<double> initial, control, parameters;
   double duration = 0;
 };
 
-// The derivatives of a function of a motion by its arguments. Empty vectors are zero.
+// The derivatives of a function of a motion by its arguments, which the adjoint takes. Empty vectors are zero.
 struct HybridCotangent {
   std::vector<double> final_state;
-  std::vector<std::vector<double>> nodes;          // by the state at the beginning of each control interval
-  std::vector<std::vector<double>> before, after;  // by the states before and after each event
+  std::vector<std::vector<double>> nodes;          // K: by the state at the beginning of each control interval
+  std::vector<std::vector<double>> before, after;  // by the states before and after each event of events()
   std::vector<double> event_times;                 // by the time of each event
 };
 
 // The derivatives of states and events; row-major, D = n0 + K m + P + 1 columns [initial control parameters
-// duration].
+// duration], where n0 is the size of the initial state.
 struct HybridSensitivity {
-  int columns = 0;
+  int columns = 0;                         // D
   std::vector<double> final_state;         // (size of the final state) x D
-  std::vector<std::vector<double>> nodes;  // of the states at the beginning of each control interval
-  std::vector<std::vector<double>> after;  // of the states after the events, at the events' own times
+  std::vector<std::vector<double>> nodes;  // K: of the states at the beginning of each control interval
+  std::vector<std::vector<double>> after;  // of the states after the events, whose times vary as well
   std::vector<std::vector<double>> times;  // of the times of the events, D each
 };
 
+// Simulates a system, and differentiates its last motion. Not thread-safe; several simulators may share a system.
 class HybridSimulator {
  public:
   explicit HybridSimulator(HybridSystem system, HybridOptions options = {});
@@ -144,12 +148,14 @@ class HybridSimulator {
   // Simulates, and chooses the number of steps anew if that of an earlier rollout does not suffice for the tolerance.
   // The check costs about half a rollout.
   bool RolloutAccurately(const HybridInput& input);
+  // Returns the reason why the last rollout returned false; empty if it returned true.
   const std::string& WhyFailed() const;
   // Returns the approximate time at which events accumulate (Zeno behaviour). Rollout has then returned false, unless
   // the system names a mode in which the motion goes on.
   std::optional<double> accumulation() const;
 
   // Results of the last rollout or, if it failed, of the part of the motion before the failure.
+  // Spans are valid until the next rollout.
   int final_mode() const;
   std::span<const double> final_state() const;
   const std::vector<HybridEvent>& events() const;
@@ -158,15 +164,15 @@ class HybridSimulator {
   const std::vector<HybridEvent>& switches() const;
   const std::vector<HybridGrazing>& grazings() const;
   const std::vector<HybridTie>& ties() const;
-  // Mode and state at the beginning of control interval k, or at the end for k = K, after events there.
+  // Return mode and state at the beginning of control interval k, or at the end for k = K, after events there.
   int ModeAt(int k) const;
   std::span<const double> StateAt(int k) const;
-  // Times, modes and states at the beginning of each step of the integration.
+  // Return time, mode and state at the beginning of each step of the integration, 0 <= step < num_steps().
   int num_steps() const;
   double StepTime(int step) const;
   int StepMode(int step) const;
   std::span<const double> StepState(int step) const;
-  // Whether a step is the reset of the next event; it takes no time, and its state is that before the reset.
+  // Returns whether a step is the reset of the next event; it takes no time, and its state is that before the reset.
   bool IsReset(int step) const;
 
   // Returns why the motion has no derivative by its input, or only one-sided ones; empty if it has. Reasons are guards
@@ -204,11 +210,12 @@ class HybridSimulator {
   // Returns the gradient of a function of the final state with this cotangent.
   HybridGradient Adjoint(std::span<const double> final_cotangent);
 
-  // Returns all derivatives, by forward sweeps, which cost D times more.
+  // Returns all derivatives of the last motion, by forward sweeps, at about D times the cost of a rollout.
+  // Precondition: the rollout succeeded.
   HybridSensitivity Sensitivity();
-  // Returns the derivatives over each control interval k. Its columns are [state at its beginning, its control],
-  // final_state is that at its end, and `after` and `times` are of its events. The first interval has the events at the
-  // start, too. There are no nodes.
+  // Returns the derivatives over each control interval. Their columns are [state at its beginning, its control],
+  // final_state is that at its end, and `after` and `times` are those of its events. The first interval has the events
+  // at the start, too. There are no nodes.
   std::vector<HybridSensitivity> IntervalSensitivities();
 
  private:
@@ -223,8 +230,8 @@ std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system
 //
 //   Xi = D_x R + (f+ - D_x R f- - D_t R) D_x g / (D_t g + D_x g f-),     n+ x n-, row-major,
 //
-// at the state x before it, with control u. The adjoint does not use it. Precondition: the reset leads to a mode that
-// exists, and the guard's rate is not zero.
+// at the state x before it, with control u, where R is the reset, g the guard, and f- and f+ the flow before and after.
+// The adjoint does not use it. Precondition: the reset leads to a mode that exists, and the guard's rate is not zero.
 std::vector<double> SaltationMatrix(const HybridSystem& system, int mode, int guard, double t,
                                     std::span<const double> x, std::span<const double> u, std::span<const double> p);
 

@@ -71,7 +71,8 @@
 
 namespace saltus {
 
-// A system, whatever its type: what simulates, differentiates and optimises it is compiled once.
+// A hybrid system of any type, so that simulation, differentiation and optimisation are compiled once. Copies share the
+// functions.
 class HybridSystem {
  public:
   template <typename S>
@@ -94,7 +95,7 @@ class HybridSystem {
   int num_modes() const { return functions_->num_modes(); }
   int num_controls() const { return layout().num_controls; }
   int num_parameters() const { return layout().num_parameters; }
-  // Precondition: 0 <= mode < num_modes().
+  // Return the sizes of a mode. Precondition: 0 <= mode < num_modes().
   int state_size(int mode) const { return functions_->state_size(mode); }
   int num_guards(int mode) const { return functions_->num_guards(mode); }
 

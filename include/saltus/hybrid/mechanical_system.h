@@ -3,8 +3,9 @@
 //
 //   M(q) dv/dt = h(t, q, v, u) + sum_i (N_i^T f_n,i + T_i^T f_t,i),   dq/dt = v,   gap phi_i(q) >= 0
 //
-// with N = dphi/dq and T = dgamma/dq of a tangential coordinate gamma. A system is a struct with constants and
-// functions that are templates on the scalar T:
+// with the rows N_i = dphi_i/dq and T_i = dgamma_i/dq of a tangential coordinate gamma_i; v_n = N v is positive where a
+// contact separates, v_t = T v, and f_n >= 0. A system is a struct with constants and functions that are templates on
+// the scalar T:
 //
 //   struct BouncingRod {                          // SI units; members are constants of the system
 //     static constexpr int kNumCoordinates = 3;   // n: q = [x y th]
@@ -12,7 +13,7 @@
 //     static constexpr int kNumParameters = 2;    // e, mu
 //     static constexpr int kNumContacts = 1;
 //
-//     // M, n x n, symmetric and positive definite.
+//     // M, n x n, row-major, symmetric and positive definite.
 //     template <typename T> void Mass(const T* q, const T* p, T* M) const;
 //     // h, n numbers: all forces but those of contacts, and minus the terms of M dv/dt that are quadratic in v.
 //     template <typename T> void Force(const T& t, const T* q, const T* v, const T* u, const T* p, T* h) const;
@@ -88,31 +89,31 @@ class MechanicalHybrid;
 
 struct MechanicalOptions {
   enum class Law { kNewton, kPoisson } law = Law::kNewton;
-  // The speed of separation below which a contact with a closing force closes in an impact, in units of the gap per
-  // time.
+  // The speed of separation below which a contact with a closing force closes in an impact, in the unit of the gap per
+  // unit of time.
   double rest_speed = 1e-5;
 };
 
 // One impact of a motion.
 struct MechanicalImpact {
   struct Contact {
-    int contact = 0;
+    int contact = 0;  // its index
     // 'o': has no impulse; 'n': without friction; 's', '+', '-': sticks or slides at the end of the impact.
     char status = 'o';
     double normal_before = 0, normal_after = 0;          // v_n
     double tangential_before = 0, tangential_after = 0;  // v_t; zero without friction
-    double normal_impulse = 0, tangential_impulse = 0;
+    double normal_impulse = 0, tangential_impulse = 0;   // p_n >= 0 and p_t, which change M v by N^T p_n + T^T p_t
   };
   double time = 0;
   std::vector<Contact> contacts;  // contacts that hit, and those that are coupled with them
-  double energy = 0;              // gain of energy, negative for a loss
+  double energy = 0;              // change of the kinetic energy by the impact, negative for a loss
   // Whether its restitution is zero because bounces accumulate; they would have ended at about accumulates_at.
   bool ends_bouncing = false;
   double accumulates_at = 0;
   // Whether several coupled contacts hit at the same instant. The state then depends on the order of the impacts, and
-  // has no derivative; this impact has no order. The velocities are those after the simultaneous impact and, for two
-  // contacts, after impacts in sequence that begin with the first or the second, until none approaches; coupling:
-  // |W_ij| / sqrt(W_ii W_jj).
+  // has no derivative. The velocities v (n numbers each) are those after the simultaneous impact and, for two contacts,
+  // after impacts in sequence that begin with the first or the second, until none approaches. The coupling is |W_ij| /
+  // sqrt(W_ii W_jj) with W = N M^-1 N^T.
   bool simultaneous = false;
   std::vector<double> together, first_first, second_first;
   double coupling = 0;
@@ -123,17 +124,18 @@ struct MechanicalReport {
   std::vector<MechanicalImpact> impacts;
   double slowest_impact = 0;       // smallest |v_n| before an impact, of contacts that hit; infinite if there is none
   double largest_gain = 0;         // of energy, at an impact
-  std::vector<int> energy_gains;   // impacts that gain energy beyond rounding, as by Newton's law with friction
-  std::vector<int> accumulations;  // impacts at which bounces end
+  std::vector<int> energy_gains;   // indices of impacts that gain energy beyond rounding, as Newton's law can
+  std::vector<int> accumulations;  // indices of impacts at which bounces end
 };
 
-// A solution of the problem of accelerations: a status for each contact (letters as of modes), and normal and
-// tangential forces.
+// A solution of the complementarity problem of the accelerations: a status for each contact (a letter as in the names
+// of modes), and normal and tangential forces, one for each contact.
 struct ContactForces {
   std::string status;
   std::vector<double> normal, tangential;
 };
 
+// A mechanical system as a hybrid system, whose modes are created as motions need them.
 class MechanicalSystem {
  public:
   template <typename S>
@@ -154,12 +156,14 @@ class MechanicalSystem {
   // Whether the text has a letter for each contact, each a status that the contact can have.
   bool IsStatus(const std::string& status) const;
 
-  // Checks the mass matrix at x = [q v], which is symmetric and positive definite, each gap, which is not constant,
-  // each restitution, from 0 to 1, and friction, of 0 or more: "found x, expected y"; empty if there is nothing wrong.
+  // Checks at x = [q v] that the mass matrix is symmetric and positive definite, that no gap is constant, and that each
+  // restitution is from 0 to 1 and each friction >= 0. Returns the first error as "found x, expected y"; empty if there
+  // is none.
   std::string WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const;
 
-  // The mode in which a motion starts from x = [q v] under control u. The accelerations determine whether contacts with
-  // a gap of zero and a normal velocity of zero are closed. If there is no mode, it is -1 and `why` is the reason.
+  // The result of FindMode: the mode in which a motion starts from x = [q v] under control u at time t. The
+  // accelerations determine whether contacts with a gap of zero and a normal velocity of zero are closed. If there is
+  // no mode, it is -1 and `why` is the reason.
   struct Start {
     int mode = -1;
     std::string why;
@@ -171,15 +175,16 @@ class MechanicalSystem {
                                             std::span<const double> p, double t = 0) const;
   // Forces and accelerations in a mode.
   struct Motion {
-    std::vector<double> acceleration, normal, tangential;  // of each coordinate, of each contact
+    std::vector<double> acceleration, normal, tangential;  // dv/dt (n numbers); f_n and f_t of each contact, 0 if open
   };
   Motion MotionIn(int mode, std::span<const double> x, std::span<const double> u, std::span<const double> p,
                   double t = 0) const;
-  // Returns the impact at x of a mode in which contact `contact` has a gap of zero and approaches.
+  // Returns the impact at x of a mode in which contact `contact` has a gap of zero and approaches; without contacts if
+  // the impact has no solution, or several.
   MechanicalImpact ImpactAt(int mode, int contact, std::span<const double> x, std::span<const double> u,
                             std::span<const double> p, double t = 0) const;
 
-  // Examines the last rollout of a simulator of hybrid().
+  // Computes the impacts of the last rollout, of `input`, of a simulator of hybrid().
   MechanicalReport Examine(const HybridSimulator& simulator, const HybridInput& input) const;
 
  private:

@@ -9,7 +9,11 @@
 // Contacts: each vertex or disc against each plane; each vertex of a polygon against each edge of another; each disc
 // against each polygon and disc. A vertex that slides off the end of an edge opens its contact. Bodies may lie flush on
 // each other, as boxes of one width in a column, and slide over the joint of two others that are flush.
-// Restitution and friction are the same at all contacts. Units are SI; angles are in rad.
+// Restitution and friction are the same at all contacts. Units are SI; angles are in rad, counterclockwise.
+//
+// The normal n of a contact of bodies a and b points towards a, which has the vertex or is the disc (of two discs the
+// first), or away from the plane. v_t is the velocity of a's point of contact relative to b along (n_y, -n_x), which is
+// n rotated clockwise: opposite to Perpendicular(n) of scenes (scene/geometry.h).
 #pragma once
 
 #include <array>
@@ -25,24 +29,27 @@ namespace saltus {
 
 using Point2D = std::array<double, 2>;
 
-// How a body may move: freely; without rotation; about a point that is fixed in the world; along an axis; not at all.
+// How a body may move: freely (3 coordinates); without rotation (2); about a point that is fixed in the world (1);
+// along an axis, without rotation (1); not at all (0).
 struct RigidJoint2D {
   enum class Kind { kFree, kTranslation, kRevolute, kPrismatic, kWeld } kind = Kind::kFree;
   Point2D point = {0, 0};  // kRevolute: in the world
   Point2D axis = {1, 0};   // kPrismatic: of length 1, in the world
 };
 
+// A body at the initial time. Velocities that its joint does not allow are not read.
 struct RigidBody2D {
   std::string name = "body";
   // Either the vertices of a convex polygon, counterclockwise, relative to the centre of mass, or the radius of a disc.
   std::vector<Point2D> polygon = {};
-  double radius = 0;
-  double mass = 1;
-  double inertia = 0;  // kg m^2, about the centre of mass; 0: that of uniform density
-  Point2D position = {0, 0}, velocity = {0, 0};
+  double radius = 0;                             // m; 0 for a polygon
+  double mass = 1;                               // kg, > 0
+  double inertia = 0;                            // kg m^2, about the centre of mass; 0: that of uniform density
+  Point2D position = {0, 0}, velocity = {0, 0};  // of the centre of mass
   double angle = 0, spin = 0;
   RigidJoint2D joint = {};
-  // Whether the control has a force (N) along x and y at the centre of mass, and a torque (N m), for the body.
+  // Whether the control has a force (N) along x and y at the centre of mass, and a torque (N m), for the body. The
+  // three follow those of the pushed bodies before it; parts that the joint does not allow have no effect.
   bool pushed = false;
 };
 
@@ -51,6 +58,7 @@ struct RigidPlane2D {
   Point2D point = {0, 0}, normal = {0, 1};
 };
 
+// Bodies and planes, and the parameters of all contacts.
 struct RigidScene2D {
   std::vector<RigidBody2D> bodies;
   std::vector<RigidPlane2D> planes = {};
@@ -58,7 +66,7 @@ struct RigidScene2D {
   double restitution = 0.5, friction = 0.3;
 };
 
-// Returns the vertices of a rectangle.
+// Returns the vertices of a rectangle about its centre, counterclockwise from the lower left one.
 std::vector<Point2D> BoxPolygon(double half_width, double half_height);
 
 // Returns the first error as "found x, expected y"; empty if there is none.
@@ -74,16 +82,20 @@ class RigidBodies2D {
   explicit RigidBodies2D(RigidScene2D scene);
 
   const RigidScene2D& scene() const { return scene_; }
+  // Returns the sizes and names of the mechanical system: coordinates such as "box.x", contacts such as "box.0-plane 0"
+  // (vertex 0 of the body).
   MechanicalLayout Layout() const;
+  // Returns [q v]: the coordinates of all bodies in order, and then their rates.
   std::vector<double> InitialState() const;
   std::vector<double> Parameters() const {
     return {scene_.restitution, scene_.friction, scene_.gravity[0], scene_.gravity[1]};
   }
-  // Returns position and angle of a body in a state.
+  // Returns [x y angle] of a body in a state, of which only q is read.
   std::array<double, 3> PoseOf(int body, const double* x) const {
     const Pose<double> pose = PoseAt(body, x);
     return {pose.x, pose.y, pose.angle};
   }
+  // Returns the kinetic energy and the potential energy of gravity in a state [q v], J.
   double EnergyOf(const double* x, const double* p) const;
   // Returns the moment of inertia of a body about its centre of mass, kg m^2.
   double InertiaOf(int body) const { return inertia_[body]; }
@@ -116,6 +128,7 @@ class RigidBodies2D {
     }
   }
 
+  // The functions of a mechanical system (mechanical_system.h).
   template <typename T>
   void Mass(const T*, const T*, T* M) const {
     for (int i = 0; i < size_ * size_; ++i) M[i] = T(0.0);
