@@ -30,7 +30,6 @@ namespace saltus {
 enum class Block { kPositionFromPosition, kVelocityFromPosition, kPositionFromVelocity, kVelocityFromVelocity };
 const char* BlockToString(Block block);  // "velocity from position"
 
-// The error of one contact of the model's rollout.
 struct ContactError {
   int first_step = 0, last_step = 0;  // first and last step in which the model reports the contact
   Candidate pair = {};                // the first pair if there are several; indices of the scene

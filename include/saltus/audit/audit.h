@@ -46,7 +46,6 @@ enum class Agreement {
   kUndecided  // the differences do not converge
 };
 
-// The comparison of a gradient with differences of the model's own loss.
 struct OwnDifferences {
   Agreement agreement = Agreement::kUndecided;
   // The quantity of the direction that differs most; if none differs, that of the last direction.
@@ -62,7 +61,6 @@ struct ParameterAudit {
   Verdict verdict = Verdict::kUnknown;  // kRight, kWrong, kWrongSign; kUnknown without differences
 };
 
-// Options of an audit of one model.
 struct AuditOptions {
   RefinementOptions refinement = {};
   bool attribution = true;         // whether errors of wrong gradients are attributed to contacts
@@ -102,7 +100,6 @@ struct BlackBoxFindings {
 };
 const char* MotionToString(BlackBoxFindings::Motion motion);  // "converges", "does not converge", "exact", "unknown"
 
-// The audit of one model.
 struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
@@ -130,7 +127,6 @@ struct ModelAudit {
   std::string Why() const;
 };
 
-// The audits of several models of one scene.
 struct AuditReport {
   std::optional<ModelGradient> reference;  // contact is "event", or "closed form"
   std::vector<ModelAudit> models;

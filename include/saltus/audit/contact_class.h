@@ -31,7 +31,6 @@
 
 namespace saltus {
 
-// The class of a contact model by its behaviour.
 enum class ContactClass {
   kUnclear,
   kImpactTimeResolved,
@@ -46,7 +45,6 @@ const char* ContactClassToString(ContactClass contact_class);  // "impulse at a 
 // Returns in one sentence how the class affects gradients.
 const char* MeaningOf(ContactClass contact_class);
 
-// The class, and the numbers that it follows from.
 struct ContactRecognition {
   ContactClass contact_class = ContactClass::kUnclear;
   std::string words;  // the numbers that decided the class, in one sentence; or why they did not

@@ -19,7 +19,6 @@ struct GivenGradient {
   int intervals = 0;            // number of equal parts of the horizon that `control` is for; 0: one for each step
 };
 
-// The comparison of one entry.
 struct GivenEntry {
   std::string entry;  // its name, such as "px ball", "angle ball" or "ux[3] ball" (interval 3)
   double given = 0, exact = 0;

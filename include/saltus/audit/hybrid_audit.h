@@ -87,7 +87,6 @@ class HybridSchemeOf final : public HybridScheme {
   const std::string name_;
 };
 
-// Options of AuditScheme().
 struct HybridAuditOptions {
   int steps = 100;                    // least number of steps; rounded up to a multiple of the control intervals
   RefinementOptions refinement = {};  // on one thread
@@ -108,7 +107,6 @@ struct SegmentError {
   bool stays = false;  // whether more than a quarter of the error is left with eight times the steps
 };
 
-// The audit of a scheme.
 struct HybridAudit {
   std::string scheme;
   std::string reason;  // why there is no verdict: the problem, the exact motion or the scheme fails, and where

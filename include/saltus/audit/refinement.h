@@ -36,7 +36,6 @@
 
 namespace saltus {
 
-// The verdict on a gradient, by the table above.
 enum class Verdict {
   kRight,
   kConsistent,
@@ -84,7 +83,6 @@ std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient,
 // the units `to`.
 double GradientFactor(Quantity quantity, const Units& from, const Units& to);
 
-// Options of a refinement study.
 struct RefinementOptions {
   int levels = 7;               // number of levels, each with twice the steps; at least 4 are run
   int most_levels = 11;         // run while the error is large and still falls
@@ -105,14 +103,12 @@ struct RefinementOptions {
   std::function<int()> threads_now = nullptr;
 };
 
-// The errors at one level of refinement.
 struct RefinementLevel {
   double steps = 0;                  // geometric mean of the step counts
   double error = 0;                  // median over the step counts, relative to the exact norm
   double smallest = 0, largest = 0;  // errors over the step counts
 };
 
-// The study of one quantity.
 struct QuantityStudy {
   Quantity quantity = Quantity::kPosition;
   Verdict verdict = Verdict::kUnknown;
@@ -151,7 +147,6 @@ struct Conditioning {
 // initial state and the rounding of every step may change the leading digits of the derivative.
 std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRequest& stop = nullptr);
 
-// The studies of all quantities, and the verdict on the model's gradient.
 struct RefinementStudy {
   std::string reason;  // why there is no study: no exact gradient, an ambiguous one, or a rollout that is not finite
   int intervals = 0;

@@ -18,7 +18,6 @@
 
 namespace saltus {
 
-// Options of a width sweep.
 struct WidthSweepOptions {
   int refine = 8;      // factor on the scene's steps, which separates the grid width from the scale of the motion
   int per_decade = 6;  // widths per factor of 10
@@ -41,7 +40,6 @@ enum class WidthFinding {
 };
 const char* WidthFindingToString(WidthFinding finding);
 
-// The sweep of one entry.
 struct WidthSweep {
   Quantity quantity = Quantity::kPosition;
   std::string entry;                           // a name of EntryNames()

@@ -23,7 +23,6 @@ class CostFunction;
 
 namespace saltus {
 
-// The event functions of all planes of a scene, with one vector of parameters.
 struct EventFunctions {
   // The functions of a plane, which must not keep state. The parameter blocks of both are position, velocity and radius
   // of a disc (5 numbers: m, m/s, m), and all parameters.

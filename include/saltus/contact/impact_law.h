@@ -27,7 +27,6 @@ class CostFunction;
 
 namespace saltus {
 
-// A law of impact: a function and the values of its parameters, from which a fit starts.
 struct ImpactLaw {
   std::string name = "own law";  // for messages
   // The function, which must not keep state. Parameter blocks: [speed of approach, speed of sliding] before the impact

@@ -35,7 +35,6 @@ struct BodyState<T, 0> {
   Vec2<T> v;
 };
 
-// The constants of one disc in a step.
 template <typename T>
 struct BodyConstants {
   T mass;          // kg; not used if fixed

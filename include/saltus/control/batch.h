@@ -17,7 +17,6 @@
 
 namespace saltus {
 
-// Evaluates the loss of one scene under one contact model at many points. Not thread-safe itself.
 class Batch {
  public:
   // Makes a batch of points that are decision variables of `scene` (single_shooting.h), on at most `threads` threads; 0

@@ -41,7 +41,6 @@ struct SurrogateEntry {
 };
 
 const std::vector<SurrogateEntry>& AllSurrogates();
-// Returns SurrogateEntry::name.
 std::string_view SurrogateToString(SurrogateKind kind);
 
 // Returns the error in the numbers of `surrogate` and what was expected; empty if there is none.

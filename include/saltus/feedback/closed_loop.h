@@ -121,7 +121,6 @@ std::unique_ptr<Plant> MakePlant(std::unique_ptr<Simulator> simulator);
 // Precondition: their sum is the scene's duration, and the contact model is applicable to the scene.
 std::unique_ptr<Plant> MakePlant(const Contact& contact, const Scene& scene, std::span<const double> lengths);
 
-// One run of a plant under feedback.
 struct ClosedLoopRun {
   bool ok = false;          // whether there is a motion
   bool as_planned = false;  // whether the events are those of the plan, in their order
@@ -133,14 +132,12 @@ struct ClosedLoopRun {
 ClosedLoopRun RunClosedLoop(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains, const Noise& noise,
                             std::uint64_t seed, int sample, Plant* plant);
 
-// Options of RunMonteCarlo().
 struct MonteCarloOptions {
   int samples = 1000;  // number of runs, > 0
   std::uint64_t seed = 1;
   int threads = 0;             // 0: one per core. Results do not depend on it.
   StopRequest stop = nullptr;  // ends the study; the result has the runs until then
 };
-// Statistics of noisy runs.
 struct MonteCarlo {
   int simulated = 0;  // all runs, of which fewer than samples if the study was ended
   int failed = 0;     // runs without a motion, which do not count below

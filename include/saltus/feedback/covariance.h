@@ -38,7 +38,6 @@ struct SequenceRisk {
   double probability = 0;  // to first order
 };
 
-// The covariance of the state along a motion, and the risks that the sequence of events changes.
 struct Covariance {
   std::vector<Eigen::MatrixXd> nodes = {};  // K + 1: at the beginning of each interval, and at the end
   std::vector<double> event_times = {};     // standard deviations of the times of the events, s

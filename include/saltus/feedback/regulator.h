@@ -43,7 +43,6 @@ struct LinearGuard {
   Eigen::RowVectorXd by_state = {}, by_control = {};  // by x_k and u_k
 };
 
-// The linearization over one control interval.
 struct LinearInterval {
   double begin = 0;                // s
   int mode = 0;                    // at the beginning
@@ -52,7 +51,6 @@ struct LinearInterval {
   std::vector<LinearGuard> guards = {};
 };
 
-// The linearization of a motion.
 struct LinearMotion {
   std::vector<LinearInterval> intervals = {};  // K
   double end = 0;                              // s
@@ -74,7 +72,6 @@ struct TrackingCost {
   bool per_time = false;  // for Track: Q and R are multiplied by the length of each interval
 };
 
-// Gains and cost matrices along a motion of K intervals.
 struct Regulator {
   std::vector<Eigen::MatrixXd> gains = {};        // K: du = -gains[k] dx at the beginning of interval k
   std::vector<Eigen::MatrixXd> cost_to_go = {};   // K + 1: dx' cost_to_go[k] dx, symmetric

@@ -59,7 +59,6 @@ struct HybridInput {
   std::vector<double> Times() const;
 };
 
-// Options of the integration and of events.
 struct HybridOptions {
   // Tolerance of the integration for the relative error of the final state and of the event times. The first rollout
   // chooses the number of steps for it, which then stays the same; RolloutAccurately checks it again.
@@ -80,7 +79,6 @@ struct HybridOptions {
   std::function<bool()> stop = {};  // called at each step of the integration; true ends the rollout, which fails
 };
 
-// An event of a motion.
 struct HybridEvent {
   double time = 0;
   int mode = 0, guard = 0, next_mode = 0;  // guard -1: the control jumps (HybridSimulator::switches())

@@ -58,7 +58,6 @@ struct RigidPlane2D {
   Point2D point = {0, 0}, normal = {0, 1};
 };
 
-// Bodies and planes, and the parameters of all contacts.
 struct RigidScene2D {
   std::vector<RigidBody2D> bodies;
   std::vector<RigidPlane2D> planes = {};
@@ -128,7 +127,6 @@ class RigidBodies2D {
     }
   }
 
-  // The functions of a mechanical system (mechanical_system.h).
   template <typename T>
   void Mass(const T*, const T*, T* M) const {
     for (int i = 0; i < size_ * size_; ++i) M[i] = T(0.0);

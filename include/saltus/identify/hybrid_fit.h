@@ -25,7 +25,6 @@ struct HybridDatum {
   bool states_sigma = true;
 };
 
-// One motion with its measurements.
 struct HybridExperiment {
   std::string name;
   // The motion. Each of its terms is a cost that counts at one place: at the beginning of one interval, at the end or

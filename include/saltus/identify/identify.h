@@ -56,7 +56,6 @@ struct IdentifyOptions {
   std::function<void(const std::string&)> status = nullptr;  // receives lines about what is being computed
 };
 
-// How well the data determine an unknown.
 enum class Determination {
   kDetermined,
   kCombined,      // the data determine only a combination of this parameter with others
@@ -65,7 +64,6 @@ enum class Determination {
 };
 const char* DeterminationToString(Determination determination);
 
-// An identified number.
 struct Estimate {
   Unknown unknown;  // of a scene
   std::string name;

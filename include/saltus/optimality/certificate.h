@@ -99,7 +99,6 @@ struct Curvature {
   std::vector<double> direction;
 };
 
-// The residuals of all conditions, and the verdict that follows from them.
 struct Certificate {
   enum class Verdict {
     kStationary,        // all conditions hold, each theta is in [0, 1], and no kink is concave

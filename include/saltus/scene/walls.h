@@ -41,7 +41,6 @@ struct WallExtent {
   }
 };
 
-// A part of a wall, the table, or a pocket.
 struct WallPart {
   Wall<double> wall = {};
   WallExtent extent = {};

@@ -9,7 +9,6 @@
 
 namespace saltus {
 
-// An impact, or the beginning of a sustained contact.
 struct Event {
   double time = 0;  // s, since the start
   std::string a;    // a disc

@@ -84,7 +84,6 @@ std::unique_ptr<Simulator> MakeSimulatorWithOptions(const Scene& scene, Precisio
 
 }  // namespace internal
 
-// Returns the registry entry of a model with the defaults of its options.
 template <ContactModel M>
 ContactEntry MakeContactEntry() {
   return {M::kTraits,

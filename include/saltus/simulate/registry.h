@@ -14,7 +14,6 @@
 
 namespace saltus {
 
-// An option of a model, with its default.
 struct ListedOption : ModelOption {
   double initial;  // the default
   bool whole;      // whether it must be a whole number

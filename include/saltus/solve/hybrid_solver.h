@@ -9,7 +9,6 @@
 
 namespace saltus {
 
-// A solver of hybrid problems, in the registry.
 struct HybridSolverEntry {
   std::string_view name;
   std::string_view summary;  // one line
@@ -18,7 +17,6 @@ struct HybridSolverEntry {
   SolveReport (*solve)(const HybridProblem&, const SolverOptions&);
 };
 
-// Returns all solvers of hybrid problems.
 const std::vector<HybridSolverEntry>& HybridSolvers();
 
 // Runs the solver of that name. The report is kNotApplicable with the reason if the name is unknown, the problem or an

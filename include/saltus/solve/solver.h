@@ -183,7 +183,6 @@ inline constexpr double kFeasible = 1e-8;  // the largest violation (SolveReport
 // motions are feasible, with a loss that is larger by more than 1e-9, relatively.
 bool EndsWorse(const SolveReport& report);
 
-// A solver of scenes, in the registry.
 struct SolverEntry {
   std::string_view name;     // the value of --solver
   std::string_view summary;  // one line
