@@ -121,7 +121,7 @@ struct ModelAudit {
 
   // Returns the first contact whose error is not small and stays, or null.
   const ContactError* FirstWrong() const;
-  // Whether the derivative that a black box reports disagrees with differences of its own loss.
+  // Returns whether the derivative that a black box reports disagrees with differences of its own loss.
   bool ContradictsItself() const;
   // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient.
   std::string Why() const;

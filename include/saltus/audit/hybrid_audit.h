@@ -37,7 +37,7 @@ class HybridScheme {
   // that is not null becomes the derivative by [x u p]: row-major, (size of the next mode's state) x (n + m + P).
   // Returns -1 and the reason in `error` if there is no such state.
   virtual int Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) = 0;
-  // Whether Jacobians are the scheme's own, and not differences of its steps.
+  // Returns whether Jacobians are the scheme's own, and not differences of its steps.
   virtual bool HasJacobian() const { return true; }
 };
 

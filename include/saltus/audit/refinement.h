@@ -74,9 +74,10 @@ const char* QuantityToString(Quantity quantity);
 inline bool IsOfSystem(Quantity quantity) { return quantity >= Quantity::kSystemState; }
 
 // Return the names of the entries of a quantity, and the entries themselves: two for each disc that moves (position,
-// velocity), two for each interval and controlled disc, one for each disc that moves (mass), x and y (gravity), one for
-// each design parameter of that kind, or one number. Precondition: the gradient's number of steps is a multiple of
-// `intervals`, and the quantity is one of a scene.
+// velocity), two for each interval and controlled disc and then one for each torque control, one for each disc that
+// moves (mass), x and y (gravity), one for each design parameter of that kind, or one for restitution and friction
+// (with materials: one for each of PairsInUse(), of friction only if it is above zero). Precondition: the gradient's
+// number of steps is a multiple of `intervals`, and the quantity is one of a scene.
 std::vector<std::string> EntryNames(const Scene& scene, Quantity quantity, int intervals);
 std::vector<double> EntriesOf(const Scene& scene, const ModelGradient& gradient, Quantity quantity, int intervals);
 // Returns the factor by which a derivative of the loss by that quantity in the units `from` is multiplied to have it in

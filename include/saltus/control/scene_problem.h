@@ -9,9 +9,9 @@
 // with names as "puck.x", "puck.vx", "puck.angle", "puck.spin", "running"; its control is that of the scene
 // (Scene::control_width), with names as "striker.fx", "striker.fy", "striker.turn". Events have the names of pairs, as
 // "striker-puck". Between events the motion has a closed form, so that a step of the integration has any length and no
-// error, unless there are springs that have a length, drag or springs beside prescribed motions, or running terms
-// beside either. A waypoint is an event "waypoint 1" at a given time, after which the system is in another mode with
-// the same flow.
+// error, unless there are springs that have a length, drag or springs beside prescribed motions or in a system of more
+// than 64 states, or running terms beside any of these. A waypoint is an event "waypoint 1" at a given time, after
+// which the system is in another mode with the same flow.
 #pragma once
 
 #include <string>

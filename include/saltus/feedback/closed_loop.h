@@ -75,7 +75,7 @@ Plan MakePlan(const Simulator& motion, std::span<const double> control);
 
 // Plan and linearization of the exact motion of a scene, on control intervals of any lengths.
 struct ScenePlan {
-  std::string reason = {};  // why there is no motion or no linearization; the other members are then empty
+  std::string reason = {};  // why there is no plan, as in scenes with drag, springs or prescribed motions; else empty
   std::string remark = {};  // why derivatives are one-sided, or do not describe disturbed motions; empty if they do
   Plan plan = {};
   LinearMotion linear = {};

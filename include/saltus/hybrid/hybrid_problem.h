@@ -40,7 +40,8 @@ struct HybridTerm {
   // than that of a term at the end has no loss.
   int mode = -1;
   std::string event = "";  // kEvent: the name of the guard (HybridSystem::GuardName)
-  // kEvent: the only one of these events at which the term counts, from 0; -1: all. A motion without it has no loss.
+  // kEvent: the term counts at this occurrence of the event only, numbered from 0; -1: at all. A motion without it has
+  // no loss.
   int occurrence = -1;
   // Returns whether the term counts at events of a guard in a mode. Precondition: kEvent.
   bool CountsAt(const HybridFunctions& functions, int of_mode, int guard) const;

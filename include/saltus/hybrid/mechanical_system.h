@@ -153,7 +153,7 @@ class MechanicalSystem {
 
   // Returns the mode of a status. Precondition: IsStatus(status).
   int Mode(const std::string& status) const;
-  // Whether the text has a letter for each contact, each a status that the contact can have.
+  // Returns whether the text has a letter for each contact, each a status that the contact can have.
   bool IsStatus(const std::string& status) const;
 
   // Checks at x = [q v] that the mass matrix is symmetric and positive definite, that no gap is constant, and that each

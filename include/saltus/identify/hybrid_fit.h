@@ -18,7 +18,7 @@ namespace saltus {
 // A number that was measured.
 struct HybridDatum {
   std::string quantity;  // name of what was measured, such as that of a state; in its unit are value and sigma
-  double time = 0;       // in the system's unit of time; for reports only
+  double time = 0;       // of the measurement, in the system's unit of time; fits begin with the first ones
   double value = 0;
   double sigma = 1;  // by which the residual of the term is divided already
   // Whether sigma is the standard deviation of the value. Otherwise this is estimated; of all numbers or of none.

@@ -68,7 +68,7 @@ struct Estimate {
   Unknown unknown;  // of a scene
   std::string name;
   double start = 0;  // value in the scene, in the scene's units
-  // These have no meaning if the parameter is not determined.
+  // The estimate, its error and its interval have no meaning if the parameter is not determined.
   double value = 0;
   double standard_error = 0;
   double low = 0, high = 0;  // 95 % confidence, within the bounds

@@ -142,8 +142,8 @@ struct Certificate {
   }
   bool IsSaddle() const { return curvature && curvature->kind == Curvature::Kind::kSaddle; }
 
-  // With an impact on a node of a fixed grid, the largest component of the gradients of the loss by the control as if
-  // all impacts on nodes were early, as if they were late, and of their combination with the thetas, 1/N.
+  // The largest component, 1/N, of the gradients of the loss by the control as if all impacts on nodes were early, as
+  // if they were late, and of their combination with the thetas. Set with an impact on a node of a fixed grid only.
   std::optional<double> gradient_early, gradient_late, gradient_combined;
 
   // kBestOfSearched: no other sequence of impacts among those searched is better. kLocal: there was no search.

@@ -73,7 +73,7 @@ struct Plane {
   std::string name;              // [A-Za-z0-9_.-]+; no two bodies, planes, edges or pockets have the same name
   Vec2d point = Vec2d::Zero();   // m, any point on the boundary
   Vec2d normal = Vec2d::Zero();  // any length > 0; used normalised
-  int material = -1;             // as of a body
+  int material = -1;             // as Body::material
   std::optional<PrescribedMotion> motion = std::nullopt;  // of `point`, which is its position at time 0
 
   bool operator==(const Plane&) const = default;
@@ -82,9 +82,9 @@ struct Plane {
 // A straight wall of finite length. Both sides are solid, and so are its ends. Where walls share an end they are
 // joined.
 struct EdgeSegment {
-  std::string name;                                // as of a body
+  std::string name;                                // as Body::name
   Vec2d from = Vec2d::Zero(), to = Vec2d::Zero();  // m; different
-  int material = -1;                               // as of a body
+  int material = -1;                               // as Body::material
 
   bool operator==(const EdgeSegment&) const = default;
 };
@@ -92,21 +92,21 @@ struct EdgeSegment {
 // A closed line of straight walls, of which one side is solid.
 struct EdgePolygon {
   enum class Solid { kInside, kOutside };
-  std::string name;           // as of a body
+  std::string name;           // as Body::name
   std::vector<Vec2d> points;  // m; corners in counter-clockwise order, at least three; its sides do not meet
   Solid solid = Solid::kInside;
-  int material = -1;  // as of a body
+  int material = -1;  // as Body::material
 
   bool operator==(const EdgePolygon&) const = default;
 };
 
 // A wall along a part of a circle, or a whole one. Both sides are solid, and so are its ends.
 struct EdgeArc {
-  std::string name;              // as of a body
+  std::string name;              // as Body::name
   Vec2d center = Vec2d::Zero();  // m
   double radius = 0;             // m, > 0
   double from = 0, to = 0;       // rad, counter-clockwise; from < to <= from + 2 pi
-  int material = -1;             // as of a body
+  int material = -1;             // as Body::material
 
   bool operator==(const EdgeArc&) const = default;
 };
@@ -153,7 +153,7 @@ using StateForce = std::variant<Drag, Spring>;
 // A pocket. A disc whose centre reaches the circle is out of play: it stays there, at rest, has no contacts, and no
 // force moves it.
 struct Pocket {
-  std::string name;                // as of a body
+  std::string name;                // as Body::name
   Vec2d position = Vec2d::Zero();  // m, of the centre
   double radius = 0;               // m, > 0
 
@@ -181,7 +181,7 @@ struct PairContact {
 
 // A material of bodies and walls.
 struct Material {
-  std::string name;     // as of a body, but without '-'; not "default", the name of everything without a material
+  std::string name;     // as Body::name, but without '-'; not "default", the name of everything without a material
   PairContact contact;  // combined by Scene::combine with that of another material
 
   bool operator==(const Material&) const = default;
@@ -251,7 +251,7 @@ struct TerminalTerm {
     return IsOfSpin() ? Region{Vec2d(target[0], Region().min[1]), Vec2d(target[0], Region().max[1])}
                       : Region{target, target};
   }
-  // Whether the quantity is an angle or an angular velocity, which is one number and has no component.
+  // Returns whether the quantity is an angle or an angular velocity, which is one number and has no component.
   bool IsOfSpin() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
 
   bool operator==(const TerminalTerm&) const = default;
@@ -443,7 +443,7 @@ struct Scene {
   bool Spins() const;
   // Returns whether a disc or a plane has a prescribed motion.
   bool HasPaths() const;
-  // Whether there are segments, polygons or arcs.
+  // Returns whether there are segments, polygons or arcs.
   bool HasEdges() const { return !segments.empty() || !polygons.empty() || !arcs.empty(); }
 };
 
