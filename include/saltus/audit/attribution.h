@@ -36,15 +36,17 @@ struct ContactError {
   std::string a, b;                   // their names
   int exact_impacts = 0;              // number of impacts of the exact flow in the interval
   double error = 0;                   // relative error of the costate, defined at the top of this file
-  bool stays = false;                 // whether more than a quarter of the error is left with far smaller steps
+  bool stays = false;                 // whether it is above 1e-3 and a quarter of it is left with far smaller steps
   Block block = Block::kPositionFromPosition;  // the block that contributes most to the error
-  std::string why;                             // the cause, in words; empty if the error is small or does not stay
+  std::string why;  // the cause, in words; empty if the error is small, or that of an impulse and does not stay
 };
 
 struct Attribution {
   std::string reason;                  // why there is no attribution: no exact flow, or a rollout that fails
   std::vector<ContactError> contacts;  // in order of time, at most kMostContacts of them
-  int first_wrong = -1;  // index into `contacts` of the first whose error is not small and stays; -1: none
+  // Index into `contacts` of the first whose error is above 1e-3 and stays or, for a force over several steps, need not
+  // stay; -1 if there is none.
+  int first_wrong = -1;
   std::string sequence;  // how the contacts differ from the exact ones; empty if they do not
   std::string limit;     // what was not compared because of the limit of time, in words; empty if nothing
 

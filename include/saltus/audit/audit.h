@@ -119,7 +119,7 @@ struct ModelAudit {
   std::optional<LossSpread> spread;               // of the reference, over the orders of its ties
   std::optional<BlackBoxFindings> black_box;      // if the model is a black box
 
-  // Returns the first contact whose error is not small and stays, or null.
+  // Returns the contact Attribution::first_wrong, or null.
   const ContactError* FirstWrong() const;
   // Returns whether the derivative that a black box reports disagrees with differences of its own loss.
   bool ContradictsItself() const;

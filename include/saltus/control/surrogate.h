@@ -30,7 +30,6 @@ struct Surrogate {
   std::uint64_t seed = 1;  // of the first estimate of a run; the k-th after it takes seed + k
   int segments = 0;        // a control is perturbed alike within each of so many parts of the horizon; 0: in each step
 
-  // Returns whether it is an estimate from samples.
   bool smooths() const { return kind != SurrogateKind::kComplementarityAware; }
 };
 

@@ -76,7 +76,6 @@ struct Estimate {
   std::vector<std::string> with;  // kCombined: names of the other parameters
 };
 
-// The residual of one sample in the motion at the minimum.
 struct SampleResidual {
   int recording = 0, sample = 0;          // indices
   int quantity = 0;                       // into IdentifyReport::quantities

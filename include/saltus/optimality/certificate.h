@@ -41,7 +41,6 @@ namespace saltus {
 // The largest relative residual with which a condition holds.
 inline constexpr double kCertificateTolerance = 1e-6;
 
-// The conditions at one impact. Residuals are relative.
 struct ImpactCertificate {
   double time = 0;              // s
   std::string a, b;             // as in Event

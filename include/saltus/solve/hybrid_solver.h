@@ -32,10 +32,11 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               stop; with `search` off the sequence of events of the guess is kept.
 //   ipopt                       the problem of ceres_phases by the interior-point method of IPOPT, with second
 //                               derivatives; kNotApplicable if saltus was built without IPOPT.
-//   auto                        ceres_phases or ipopt, by the structure of the problem, and the other one if the first
-//                               ends without an optimum; solvers by shooting where phases do not apply. Where none ends
-//                               with an optimum, they go on from the best end. The reason and SolveReport::solver name
-//                               the solver that was used.
+//   auto                        a sequence of these solvers by the structure of the problem, until one ends with an
+//                               optimum: ceres_phases and ipopt before shooting (ceres_lm first in small problems
+//                               without events), shooting alone where phases do not apply, and at last mode_search for
+//                               mechanical systems. Where none ends with an optimum, they go on from the best end. The
+//                               reason and SolveReport::solver name the solver that was used.
 //   mode_search                 ceres_phases along neighbouring sequences of events, from several starts; from
 //                               the guess ipopt too, if ceres_phases finds no optimum there. Options:
 //                               iterations (solves), search_options, threads, callback, status and stop. An event of a
