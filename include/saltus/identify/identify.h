@@ -91,7 +91,7 @@ enum class FitVerdict {
   kFits,
   kNotDetermined,  // the data determine no unknown, although a motion may fit them
   kContradicted,   // residuals are far larger than sigma, or than the extent of the motion allows
-  kNotJudged,      // the samples do not suffice to decide whether the model is right
+  kNotJudged,      // it is open whether the model is right: too few samples, too many outliers, or a bound reached
   kFailed,         // no start has a motion to compare with; see `reason`
   kNotConverged,
   kInterrupted,
