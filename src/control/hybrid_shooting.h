@@ -148,6 +148,7 @@ class HybridShooting : public ShootingFunction {
   bool FailAt(const Place& place);
   bool FailAtDerivatives();
 
+  // Returns whether the residuals of a term are among those of EvaluateResiduals().
   bool HasRows(const HybridTerm& term) const;
   void CountResiduals();
 

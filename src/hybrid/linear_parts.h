@@ -2,8 +2,8 @@
 //
 //   x_k' = A_k x_k + b_k t + C_k p + B_k u_k + d_k
 //
-// that read no other block's states or controls, as those of two balls between their impacts. Each has a closed form of
-// its own. Blocks that the same events concern are one part, if all of them have a control or none has.
+// that read no other block's states or controls, such as the two balls of task 3 between impacts. Each block has a
+// closed form. Blocks that the same events concern are one part, if all of them have a control or none has.
 #pragma once
 
 #include <vector>

@@ -16,8 +16,8 @@ function unpack({data, quanta}, rows, columns) {
   return numbers;
 }
 
-// One motion of a replay: where its discs are at any time, what touches, which forces act. Its discs and walls are the objects of
-// the replay itself, but for those that differ.
+// One motion of a replay: positions of its discs at any time, contacts and forces. It shares the objects of the replay for all discs
+// and walls that do not differ from them.
 class Motion {
   constructor(data, {discs, walls, outlines}) {
     const place = {discs, walls, outlines}, same = (l, r) => JSON.stringify(l) === JSON.stringify(r);
