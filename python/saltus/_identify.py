@@ -149,8 +149,8 @@ def identify(
             or NPZ file, or a dict of arrays: ``time`` (n,) in s, ``body`` (n,), names or indices, ``position`` (n, 2) in
             m, and if they are known ``velocity`` (n, 2) in m/s and the standard deviations ``sigma`` and ``sigma_v`` (n,)
             or one number for all.
-        unknown: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY, or one component of a vector
-            such as gravity.y, in a list or a text with commas; in a scene with materials restitution and friction of
+        unknown: restitution, friction, stiffness, damping, gravity, mass.BODY, force.BODY, radius.BODY, position.BODY of
+            a fixed disc, offset.WALL, angle.WALL, or one component of a vector such as gravity.y, in a list or a text with commas; in a scene with materials restitution and friction of
             pairs, such as restitution.rubber-steel. Default: restitution, or nothing beside a law or events.
         contact: name of a built-in contact model.
         parameters: of hybrid problems, the names of parameters, or of components of the initial state, that all experiments

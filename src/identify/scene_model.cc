@@ -17,6 +17,7 @@
 #include "saltus/simulate/learned_contact.h"
 #include "scene/units.h"
 #include "simulate/flight.h"
+#include "simulate/geometry_difference.h"
 
 namespace saltus {
 namespace {
@@ -221,6 +222,15 @@ FitUnknown UnknownOf(const Unknown& unknown, const Scene& scene) {
       fit.first = 0.1 * fit.scale;
       fit.last = 2 * fit.scale;
       break;
+    case Kind::kPosition:
+    case Kind::kPlaneOffset:
+    case Kind::kSegmentOffset:
+    case Kind::kPlaneAngle:
+    case Kind::kSegmentAngle:
+      fit.scale = IsAngle(unknown.kind) ? 1 : units.length;
+      fit.first = value - 0.1 * fit.scale;
+      fit.last = value + 0.1 * fit.scale;
+      break;
     case Kind::kGravity:
     case Kind::kForce:
       fit.scale = units.acceleration() * (unknown.kind == Kind::kForce ? scene.bodies[unknown.body].mass : 1);
@@ -365,7 +375,8 @@ class SceneModel final : public FitModel {
     for (std::size_t u = 0; u < num_plain_; ++u) {
       const Kind kind = unknowns_[u].kind;
       const bool said = kind == Kind::kRestitution || (kind == Kind::kFriction && friction);
-      const bool unread = kind == Kind::kStiffness || kind == Kind::kDamping;
+      const bool moves = options_.events && IsOfGeometry(kind) && kind != Kind::kRadius;
+      const bool unread = kind == Kind::kStiffness || kind == Kind::kDamping || moves;
       if (!said && !unread) continue;
       return "found '" + NameOf(unknowns_[u], scene_) + "' beside " + name + ", which " +
              (options_.law ? (said ? "determines it" : "does not read it")
@@ -422,7 +433,11 @@ class SceneModel final : public FitModel {
 
   Scene SceneAt(const std::vector<double>& values) const {
     Scene at = scene_;
-    for (std::size_t u = 0; u < unknowns_.size(); ++u) SetValue(unknowns_[u], values[u], &at);
+    for (const bool angles : {true, false}) {  // a wall is rotated before it is moved along its normal
+      for (std::size_t u = 0; u < unknowns_.size(); ++u) {
+        if (IsAngle(unknowns_[u].kind) == angles) SetValue(unknowns_[u], values[u], &at);
+      }
+    }
     return at;
   }
   // Return the learned law and events at these values, std::nullopt if none is learned.
@@ -445,7 +460,12 @@ class SceneModel final : public FitModel {
                                 free_bodies_,
                                 law ? &*law : nullptr,
                                 events ? &*events : nullptr};
-    return MoveThrough(contact_, SceneAt(values), segment, request, with_derivatives);
+    const Scene scene = SceneAt(values);
+    Segment placed = segment;
+    for (int body = 0; body < scene.num_bodies(); ++body) {
+      if (scene.bodies[body].fixed) std::copy_n(scene.bodies[body].position.data(), 2, &placed.initial[4 * body]);
+    }
+    return MoveThrough(contact_, scene, placed, request, with_derivatives);
   }
 
   // Returns the standard error of what has these derivatives by the law's parameters.
@@ -521,11 +541,11 @@ std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view n
   std::vector<Unknown> all;
   for (const std::string& name : Split(names, ',')) {
     const std::vector<Unknown> found = ParametersNamed(name, scene);
-    // Recordings cannot determine the others, which are of the scene's geometry.
-    if (found.empty() || (found.front().kind > Kind::kForce && found.front().kind != Kind::kDrag)) {
+    if (found.empty()) {
       return "found '" + name + "', expected some of " + ContactParametersOf(scene) +
              ", gravity, gravity.x, gravity.y, mass.BODY, force.BODY, force.BODY.x, force.BODY.y, with a BODY that "
-             "moves, and drag.BODY of one with drag";
+             "moves, drag.BODY of one with drag, radius.BODY, position.BODY, position.BODY.x, position.BODY.y of one "
+             "that is fixed, and offset.WALL, angle.WALL of a plane or a segment";
     }
     all.insert(all.end(), found.begin(), found.end());
   }

@@ -1,20 +1,25 @@
 #include "identify/segment_motion.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
+#include <optional>
+#include <span>
 #include <tuple>
 #include <utility>
 
 #include "base/linear_algebra.h"
 #include "saltus/simulate/learned_contact.h"
 #include "simulate/flight.h"
+#include "simulate/geometry_difference.h"
 
 namespace saltus {
 namespace {
 
 using Kind = Unknown::Kind;
 using Eigen::MatrixXd;
+using Eigen::VectorXd;
 
 constexpr double kOnNode = 1e-9;  // of a step: a time as near to a node is that of the node
 
@@ -38,6 +43,62 @@ Eigen::Matrix3d Power(const StepLinearization::FreeFlight& f, int n) {
   return power;
 }
 
+// Derivatives of the step of a scene by the unknowns of its geometry (geometry_difference.h).
+class GeometrySteps {
+ public:
+  GeometrySteps(const Contact& contact, const Scene& scene, const std::vector<Unknown>& unknowns)
+      : contact_(contact), scene_(scene) {
+    for (std::size_t column = 0; column < unknowns.size(); ++column) {
+      const Unknown& unknown = unknowns[column];
+      if (!IsOfGeometry(unknown.kind)) continue;
+      all_.push_back({unknown, static_cast<Eigen::Index>(column), GeometryWidth(unknown, scene), {}});
+    }
+  }
+
+  // Adds the derivatives of the state after a step from x to the columns of these unknowns. Returns whether they have
+  // any: contacts must not differ on both sides of a value.
+  bool Add(std::span<const double> x, std::span<const double> force, MatrixXd* tangent) {
+    if (all_.empty()) return true;
+    std::vector<Touch> touches_here, touches;
+    VectorXd here(x.size()), next(x.size());
+    SimulatorAt(0, &all_.front()).Step(x, force, {here.data(), x.size()}, &touches_here);
+    for (Varied& varied : all_) {
+      const auto change_at = [&](int node) -> std::optional<VectorXd> {
+        SimulatorAt(node, &varied).Step(x, force, {next.data(), x.size()}, &touches);
+        if (!next.allFinite() || !HasSameTouches(touches, touches_here)) return std::nullopt;
+        return next - here;
+      };
+      const std::optional<VectorXd> derivative = GeometryDifference(varied.width, change_at);
+      if (!derivative || !derivative->allFinite()) return false;
+      tangent->col(varied.column) += *derivative;
+    }
+    return true;
+  }
+
+ private:
+  struct Varied {
+    Unknown unknown;
+    Eigen::Index column;
+    double width;
+    std::array<std::unique_ptr<Simulator>, 2 * kGeometryNodes + 1> simulators;  // made when they are needed
+  };
+
+  const Simulator& SimulatorAt(int node, Varied* varied) const {
+    std::unique_ptr<Simulator>& simulator = varied->simulators[node + kGeometryNodes];
+    if (simulator == nullptr) {
+      Scene near = scene_;
+      const double value = varied->unknown.kind == Kind::kRadius ? ValueOf(varied->unknown, scene_) : 0;
+      SetValue(varied->unknown, value + node * varied->width, &near);  // a wall is moved from its present place
+      simulator = MakeSimulator(contact_, near, Precision::kDouble);
+    }
+    return *simulator;
+  }
+
+  const Contact contact_;
+  const Scene scene_;
+  std::vector<Varied> all_;
+};
+
 class Sweep {
  public:
   Sweep(const Contact& contact, const Scene& scene, const Segment& segment, const MotionRequest& request,
@@ -48,7 +109,8 @@ class Sweep {
         contacts_(ContactsOf(contact, request, with_derivatives)),
         scene_(SceneOf(scene, Last() - segment.begin, FindContactModel(contact)->grid_steps)),
         simulators_(MakeSimulators(scene_)),
-        simulator_(simulators_.front().get()) {}
+        simulator_(simulators_.front().get()),
+        geometry_(contacts_.front(), scene_, request.unknowns) {}
 
   MotionAtSamples Run() {
     MotionAtSamples out;
@@ -65,6 +127,10 @@ class Sweep {
     for (int i = segment_.first; i < segment_.last; ++i) {
       if (!TakeSample((*request_.samples)[i], &out)) {
         out.reason = "the step to a sample has no result";
+        return out;
+      }
+      if (!has_derivatives_) {
+        out.reason = "the contacts of a step differ on both sides of a place of a wall, or of a radius";
         return out;
       }
     }
@@ -148,6 +214,10 @@ class Sweep {
       tangent_.block(body * size(), column, 4, 4).setIdentity();
       column += 4;
     }
+    for (std::size_t u = 0; u < request_.unknowns.size(); ++u) {
+      const Unknown& unknown = request_.unknowns[u];
+      if (unknown.kind == Kind::kPosition) tangent_(unknown.body * size() + unknown.component, u) = 1;
+    }
     FindPushes();
     const auto flight = simulator_->FreeFlightOver(simulator_->step());
     if (flight) {
@@ -186,14 +256,22 @@ class Sweep {
     }
   }
 
+  // Moves `tangent` through a step from x_ with contacts.
+  void Touch(const Simulators& simulators, int k, GeometrySteps* geometry, MatrixXd* tangent) {
+    std::vector<StepLinearization> linear;
+    Linearize(simulators, k, &linear);
+    Apply(linear, tangent);
+    if (!geometry->Add(x_, force_now_, tangent)) has_derivatives_ = false;
+  }
+
   // Linearizes by each of the simulators, whose derivatives differ only in those by parameters of a law.
   void Linearize(const Simulators& simulators, int k, std::vector<StepLinearization>* linear) {
-    std::vector<double> force(2 * scene_.num_bodies());
+    force_now_.resize(2 * scene_.num_bodies());
     simulator_->GetState(k, x_);
-    simulator_->ExpandForce(control_, k, force);
+    simulator_->ExpandForce(control_, k, force_now_);
     linear->resize(simulators.size());
     for (std::size_t i = 0; i < simulators.size(); ++i) {
-      simulators[i]->Linearize(x_, force, /*with_parameters=*/true, &(*linear)[i]);
+      simulators[i]->Linearize(x_, force_now_, /*with_parameters=*/true, &(*linear)[i]);
     }
   }
 
@@ -286,9 +364,7 @@ class Sweep {
   void AdvanceTo(int k) {
     for (; next_touched_ < touched_.size() && touched_[next_touched_] < k; ++next_touched_) {
       FlyTo(touched_[next_touched_]);
-      std::vector<StepLinearization> linear;
-      Linearize(simulators_, at_, &linear);
-      Apply(linear, &tangent_);
+      Touch(simulators_, at_, &geometry_, &tangent_);
       ++at_;
     }
     FlyTo(k);
@@ -339,9 +415,8 @@ class Sweep {
     partial_state_.resize(x_.size());
     simulators.front()->Step(x_, force, partial_state_);
     if (!with_derivatives_) return;
-    std::vector<StepLinearization> linear;
-    Linearize(simulators, k, &linear);
-    Apply(linear, &partial_tangent_);
+    GeometrySteps geometry(contacts_.front(), scene, request_.unknowns);
+    Touch(simulators, k, &geometry, &partial_tangent_);
   }
 
   void FlyPartial(const FlightOver& flight, int k) {
@@ -369,9 +444,11 @@ class Sweep {
   const Scene scene_;
   const Simulators simulators_;
   Simulator* const simulator_;  // the first of them, which rolls out
+  GeometrySteps geometry_;      // of a whole step
+  bool has_derivatives_ = true;
   std::vector<double> control_;
-  std::vector<double> x_;
-  std::vector<int> touched_;  // steps, rising
+  std::vector<double> x_, force_now_;  // of the step that was linearized last
+  std::vector<int> touched_;           // steps, rising
 
   // Derivatives of the state in which step at_ begins.
   int at_ = 0;

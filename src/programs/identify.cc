@@ -12,7 +12,8 @@ DEFINE_string(recording, "",
               "comma-separated CSV (time, body, x, y, sigma) or NPZ files, each with its own initial state");
 DEFINE_string(unknown, "restitution",
               "comma-separated parameters to fit: restitution, friction, stiffness, damping, gravity, mass.BODY, "
-              "force.BODY, or one component of a vector, such as gravity.y");
+              "force.BODY, radius.BODY, position.BODY of a fixed disc, offset.WALL, angle.WALL, or one component of a "
+              "vector, such as gravity.y");
 DEFINE_string(
     law, "",
     "fit an impact law: network (restitution as a function of the approach speed) or impulse (friction too, as a "

@@ -119,8 +119,6 @@ Vec2d Turned(const Vec2d& vector, double angle) {
   return {c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]};
 }
 
-bool IsAngle(Kind kind) { return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle; }
-
 // Moves or turns a wall; nothing moves by zero.
 void MoveWall(const SceneParameter& parameter, double by, Scene* scene) {
   if (by == 0) return;
@@ -240,6 +238,8 @@ std::string NameOf(const SceneParameter& parameter, const Scene& scene) {
   }
   LOG(FATAL) << "not a kind of parameter: " << static_cast<int>(parameter.kind);
 }
+
+bool IsAngle(Kind kind) { return kind == Kind::kPlaneAngle || kind == Kind::kSegmentAngle; }
 
 std::string ContactParametersOf(const Scene& scene) {
   if (scene.materials.empty()) return "restitution, friction, stiffness, damping";

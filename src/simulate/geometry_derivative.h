@@ -1,13 +1,8 @@
-// Derivatives of the step of one island by the geometry of the scene: radii, and offsets and angles of walls.
-//
-// A contact model's step takes these as plain numbers, without Jets. Its derivative by them is a difference of fourth
-// order over the steps of the same island in scenes in which one of them is a little different: central, or one-sided
-// where the contacts on the other side are not the same, as where an impact leaves the step. The step in which a
-// contact takes effect is smooth on either side, so that the error is that of rounding, about 1e-10.
+// Derivatives of the step of one island by the geometry of the scene, by differences over the steps of the same island
+// in scenes in which one parameter is a little different (geometry_difference.h).
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -16,6 +11,7 @@
 
 #include "saltus/internal/contact_step.h"
 #include "saltus/scene/scene_parameter.h"
+#include "simulate/geometry_difference.h"
 #include "simulate/stepper.h"
 #include "simulate/typed_scene.h"
 
@@ -34,9 +30,9 @@ class GeometryDerivative {
     for (std::size_t i = 0; i < given.design.size(); ++i) {
       const SceneParameter& parameter = given.design[i].parameter;
       if (!IsOfGeometry(parameter.kind)) continue;
-      Varied varied{i, parameter, WidthOf(parameter, given), {}};
+      Varied varied{i, parameter, GeometryWidth(parameter, given), {}};
       const double value = ValueOf(parameter, given);
-      for (int node = -kNodes; node <= kNodes; ++node) {
+      for (int node = -kGeometryNodes; node <= kGeometryNodes; ++node) {
         Scene near = given;
         SetValue(parameter, value + node * varied.width, &near);
         varied.scenes.push_back(std::make_unique<TypedScene<S>>(near, double(scene.h)));
@@ -62,39 +58,14 @@ class GeometryDerivative {
   double By(std::size_t i) const { return gradient_[i]; }
 
  private:
-  // The number of nodes on either side, and their distance as a fraction of the smallest radius.
-  static constexpr int kNodes = 4;
-  static constexpr double kWidth = 1e-4;
   static constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
 
   struct Varied {
     std::size_t index;
     SceneParameter parameter;
     double width;
-    std::vector<std::unique_ptr<TypedScene<S>>> scenes;  // of nodes -kNodes to kNodes
+    std::vector<std::unique_ptr<TypedScene<S>>> scenes;  // of nodes -kGeometryNodes to kGeometryNodes
   };
-
-  static bool IsOfGeometry(SceneParameter::Kind kind) {
-    using Kind = SceneParameter::Kind;
-    return kind == Kind::kRadius || kind >= Kind::kPlaneOffset;
-  }
-
-  // Returns the step of the difference; for an angle the one that moves points of the wall near discs by that length.
-  static double WidthOf(const SceneParameter& parameter, const Scene& scene) {
-    using Kind = SceneParameter::Kind;
-    double radius = std::numeric_limits<double>::infinity(), lever = 0;
-    const bool plane = parameter.kind == Kind::kPlaneAngle;
-    const bool angle = plane || parameter.kind == Kind::kSegmentAngle;
-    for (const Body& body : scene.bodies) {
-      radius = std::min(radius, body.radius);
-      if (!angle) continue;
-      const Vec2d about = plane
-                              ? scene.planes[parameter.body].point
-                              : Vec2d(0.5 * (scene.segments[parameter.body].from + scene.segments[parameter.body].to));
-      lever = std::max(lever, (body.position - about).norm() + body.radius);
-    }
-    return kWidth * radius / (angle ? lever : 1.0);
-  }
 
   static bool IsSame(const Wall<S>& a, const Wall<S>& b) {
     return a.normal == b.normal && a.offset == b.offset && a.center == b.center && a.radius == b.radius;
@@ -135,42 +106,16 @@ class GeometryDerivative {
     return product;
   }
 
-  bool HasSameTouches() const {
-    return std::equal(near_.begin(), near_.end(), touches_.begin(), touches_.end(), [](const Touch& a, const Touch& b) {
-      return a.candidate == b.candidate && a.mode == b.mode && a.kind == b.kind;
-    });
-  }
-
   double Difference(const Varied& varied, double here, std::span<const int> island, std::span<const S> after,
                     Stepper<S, kRotation>* stepper) {
-    // Values are relative to `here`, so that what does not change is not rounded; nullopt where contacts differ.
-    std::array<std::optional<std::optional<double>>, 2 * kNodes + 1> found;
-    const auto change = [&](int node) -> std::optional<double> {
-      auto& value = found[node + kNodes];
-      if (!value) {
-        value = StepIn(*varied.scenes[node + kNodes], island, after, stepper, &near_);
-        if (*value) **value -= here;
-        if (!HasSameTouches()) value->reset();
-      }
-      return *value;
+    // Values are relative to `here`, so that what does not change is not rounded.
+    const auto change_at = [&](int node) {
+      std::optional<double> value = StepIn(*varied.scenes[node + kGeometryNodes], island, after, stepper, &near_);
+      if (value) *value -= here;
+      if (!HasSameTouches(near_, touches_)) value.reset();
+      return value;
     };
-    struct Rule {
-      std::array<std::pair<int, double>, 4> weights;  // of nodes; 0 for none
-    };
-    static constexpr Rule kRules[] = {{{{{-2, 1. / 12}, {-1, -8. / 12}, {1, 8. / 12}, {2, -1. / 12}}}},
-                                      {{{{1, 4}, {2, -3}, {3, 4. / 3}, {4, -1. / 4}}}},
-                                      {{{{-1, -4}, {-2, 3}, {-3, -4. / 3}, {-4, 1. / 4}}}},
-                                      {{{{-1, -0.5}, {1, 0.5}, {1, 0}, {1, 0}}}}};
-    for (const Rule& rule : kRules) {
-      double sum = 0;
-      const bool applies = std::all_of(rule.weights.begin(), rule.weights.end(), [&](const auto& weight) {
-        const std::optional<double> value = change(weight.first);
-        if (value) sum += weight.second * *value;
-        return value.has_value();
-      });
-      if (applies) return sum / varied.width;
-    }
-    return kNotANumber;
+    return GeometryDifference(varied.width, change_at).value_or(kNotANumber);
   }
 
   const Model& model_;

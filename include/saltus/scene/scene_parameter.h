@@ -32,6 +32,9 @@ std::vector<SceneParameter> ParametersNamed(std::string_view name, const Scene& 
 // it.
 std::string NameOf(const SceneParameter& parameter, const Scene& scene);
 
+// Returns whether a parameter is the angle of a wall.
+bool IsAngle(SceneParameter::Kind kind);
+
 // Returns the names of restitution and friction (of each pair of materials that may touch, if the scene has materials),
 // stiffness and damping, separated by commas.
 std::string ContactParametersOf(const Scene& scene);
