@@ -414,15 +414,17 @@ class Problem {
     input.parameters = ToVector(ReadArray(parameters, "parameters", {system.num_parameters()}));
     if (!control.is_none()) {
       const py::array given = py::array::ensure(control);
-      if (!given || given.ndim() < 1)
+      if (!given || given.ndim() < 1) {
         throw py::value_error("control: expected an array (K, " + std::to_string(system.num_controls()) + ")");
+      }
       input.num_intervals = static_cast<int>(given.shape(0));
       input.control = ToVector(ReadArray(control, "control", {input.num_intervals, system.num_controls()}));
     }
     if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
     if (mechanical_) {
-      if (const std::string why = WhyNoStart(*mechanical_, &input); !why.empty())
+      if (const std::string why = WhyNoStart(*mechanical_, &input); !why.empty()) {
         throw py::value_error("initial: " + why);
+      }
     }
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
@@ -624,17 +626,17 @@ class Problem {
     if (!(learning_rate > 0) || !std::isfinite(learning_rate)) {
       throw py::value_error("learning_rate: expected a finite number > 0");
     }
-    options.iterations = iterations;
-    options.learning_rate = learning_rate;
+    options.limits.iterations = iterations;
+    options.descent.learning_rate = learning_rate;
     if (sequence) {
-      options.sequence.emplace();
-      for (const auto& [mode, guard] : *sequence) options.sequence->push_back({mode, guard, false});
+      options.sequences.given.emplace();
+      for (const auto& [mode, guard] : *sequence) options.sequences.given->push_back({mode, guard, false});
     }
     SolveReport report;
     Json document;
-    options.stop = computation.stop();
+    options.monitor.stop = computation.stop();
     if (!callback.is_none()) {
-      options.callback = [&](int iteration, double loss) {
+      options.monitor.callback = [&](int iteration, double loss) {
         bool on = true;
         return computation.WithPython([&] {
           const py::object answer = callback(iteration, loss);
@@ -738,8 +740,9 @@ class Problem {
     std::shared_ptr<HybridScheme> scheme;
     if (command.empty()) scheme = std::make_shared<CallableScheme>(name, problem.system, step, jacobian, &computation);
     computation.RunOrThrow([&] {
-      if (!command.empty())
+      if (!command.empty()) {
         scheme = std::make_shared<CommandScheme>(problem.system, CommandOptions{.name = name, .command = command});
+      }
       audit = AuditScheme(problem, scheme.get(), options);
     });
     Json document = HybridAuditToJson(problem, audit);

@@ -33,20 +33,20 @@ struct Keywords {
 };
 
 void SetSequence(const Scene& scene, const std::string& sequence, SolverOptions* options) {
-  options->search = sequence == "auto";
+  options->sequences.search = sequence == "auto";
   if (sequence == "auto" || sequence == "fixed") return;
-  const std::string wrong = ParseContactSequence(scene, sequence, &options->sequence.emplace());
+  const std::string wrong = ParseContactSequence(scene, sequence, &options->sequences.given.emplace());
   if (!wrong.empty()) throw py::value_error("sequence: " + wrong);
 }
 
 SolverOptions ReadOptions(const Scene& scene, const Keywords& keywords) {
   SolverOptions options;
   if (keywords.iterations < 0) throw py::value_error("iterations: expected a number of at least 0");
-  options.iterations = keywords.iterations;
-  options.rate_per_time = keywords.rate_per_time;
-  options.learning_rate = keywords.learning_rate.value_or(
+  options.limits.iterations = keywords.iterations;
+  options.descent.rate_per_time = keywords.rate_per_time;
+  options.descent.learning_rate = keywords.learning_rate.value_or(
       DefaultLearningRate(scene) * (keywords.rate_per_time ? scene.duration / kPublishedSteps : 1));
-  if (!(options.learning_rate > 0) || !std::isfinite(options.learning_rate)) {
+  if (!(options.descent.learning_rate > 0) || !std::isfinite(options.descent.learning_rate)) {
     throw py::value_error("learning_rate: expected a finite number > 0");
   }
   if (keywords.rate_per_time && scene.optimize != Optimize::kControl) {
@@ -65,7 +65,7 @@ SolverOptions ReadOptions(const Scene& scene, const Keywords& keywords) {
   }
   options.surrogate = ReadSurrogate(keywords.surrogate);
   options.threads = ReadThreads(keywords.threads);
-  options.memory_limit = static_cast<std::size_t>(keywords.memory_limit * (1 << 20));
+  options.limits.memory = static_cast<std::size_t>(keywords.memory_limit * (1 << 20));
   options.keep_iterates = keywords.keep_iterates;
   return options;
 }
@@ -81,7 +81,7 @@ py::dict RunToPython(const Scene& scene, const SolvedRun& run) {
   Request request;
   request.scene = scene;
   py::dict result = ToPython(SolveToJson(request, {{run}, false})["runs"][0]);
-  if (!run.report.iterates.empty()) result["iterates"] = py::cast(run.report.iterates);
+  if (!run.report.history.iterates.empty()) result["iterates"] = py::cast(run.report.history.iterates);
   return result;
 }
 
@@ -92,7 +92,7 @@ py::object PageOfRun(const Scene& scene, const Contact& contact, SolvedRun run, 
   request.contacts = {contact.name()};
   request.solvers = {run.report.solver};
   request.precision = precision;
-  run.report.iterates.clear();
+  run.report.history.iterates.clear();
   return py::cpp_function([request, solved = SolvedRuns{{std::move(run)}}](const std::string& folder) {
     Request in_folder = request;
     in_folder.output_dir = folder;
@@ -110,15 +110,15 @@ py::tuple SolveScene(const Scene& scene, const py::object& contact_name, const s
   const Contact contact = ReadContact(contact_name);
   SolverOptions options = ReadOptions(scene, keywords);
   Computation computation(keywords.seconds);
-  options.stop = computation.stop();
+  options.monitor.stop = computation.stop();
   if (!callback.is_none()) {
-    options.callback = [&](int iteration, double loss) {
+    options.monitor.callback = [&](int iteration, double loss) {
       bool on = true;
       return computation.WithPython([&] { on = GoesOn(callback(iteration, loss)); }) && on;
     };
   }
   if (!status.is_none()) {
-    options.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
+    options.monitor.status = [&](const std::string& text) { computation.WithPython([&] { status(text); }); };
   }
   SolvedRun run;
   const Precision arithmetic = ReadPrecision(precision);

@@ -39,10 +39,10 @@ std::unique_ptr<PythonStudy> MakeStudy(const Scene& scene, const std::string& gr
   request.solvers = solvers;
   request.precision = ReadPrecision(precision);
   if (iterations < 0) throw py::value_error("iterations: expected a number of at least 0");
-  request.options.iterations = iterations;
-  request.options.search = true;
-  request.options.learning_rate = learning_rate.value_or(DefaultLearningRate(scene));
-  if (!(request.options.learning_rate > 0) || !std::isfinite(request.options.learning_rate)) {
+  request.options.limits.iterations = iterations;
+  request.options.sequences.search = true;
+  request.options.descent.learning_rate = learning_rate.value_or(DefaultLearningRate(scene));
+  if (!(request.options.descent.learning_rate > 0) || !std::isfinite(request.options.descent.learning_rate)) {
     throw py::value_error("learning_rate: expected a finite number > 0");
   }
   try {

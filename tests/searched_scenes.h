@@ -11,9 +11,9 @@ namespace saltus {
 // Limits of mode_search in counts, so that no test depends on how fast the machine is.
 inline SolverOptions Counted(int iterations = 1000, int starts = 8) {
   SolverOptions options;
-  options.iterations = iterations;
-  options.search_options.work = 0;
-  options.search_options.starts = starts;
+  options.limits.iterations = iterations;
+  options.sequences.limits.work = 0;
+  options.sequences.limits.starts = starts;
   return options;
 }
 

@@ -87,15 +87,15 @@ Remarks RemarksOn(const CheckedRun& run) {
   const SolveReport& report = run.report;
   Remarks remarks;
   if (run.HasSolution()) remarks = RemarksOn(run.exact);
-  if (report.losses.empty()) return remarks;
+  if (report.history.losses.empty()) return remarks;
   if (EndsWorse(report)) remarks.push_back({"end", "ends worse than it began"});
-  if (report.initial_violation > kFeasible && report.final_violation <= kFeasible) {
+  if (report.guess.violation > kFeasible && report.solution.violation <= kFeasible) {
     remarks.push_back({"guess", "the initial guess does not meet the constraints"});
   }
-  if (report.best && IsLess(report.best->loss, report.final_loss)) {
+  if (report.history.best && IsLess(report.history.best->solution.loss, report.solution.loss)) {
     remarks.push_back({"end",
-                       "best " + Cell(report.best->loss).Display(10) + " after " +
-                           std::to_string(report.best->iteration) + " iterations"});
+                       "best " + Cell(report.history.best->solution.loss).Display(10) + " after " +
+                           std::to_string(report.history.best->iteration) + " iterations"});
   }
   return remarks;
 }

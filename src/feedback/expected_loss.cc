@@ -91,7 +91,7 @@ class ExpectedLossRun final : public ShootingRun {
       for (const auto& column : initial.colwise()) points.push_back({make(side * scale * column), {}});
       for (const auto& column : variables.colwise()) points.push_back({make(no_change), side * scale * column});
     }
-    function_ = std::make_unique<MeanLoss>(std::move(nominal), std::move(points), options.stop);
+    function_ = std::make_unique<MeanLoss>(std::move(nominal), std::move(points), options.monitor.stop);
   }
   ShootingFunction& function() override { return *function_; }
 
@@ -127,8 +127,8 @@ std::string WhatIsWrongWith(const Errors& errors, Eigen::Index initial_size, Eig
 // The report of L-BFGS if it refuses the problem, for example because of bounds; it is asked for no iteration.
 template <typename Problem>
 std::optional<SolveReport> RefusalOfLbfgs(const Problem& problem, SolverOptions options) {
-  options.iterations = 0;
-  options.callback = nullptr;
+  options.limits.iterations = 0;
+  options.monitor.callback = nullptr;
   SolveReport report = Solve("ceres_lbfgs", problem, options);
   const bool refused = report.termination == Termination::kNotApplicable || report.termination == Termination::kFailed;
   return refused ? std::optional(std::move(report)) : std::nullopt;

@@ -23,10 +23,10 @@ constexpr const char* kNothingToCertify = "there is no solution to certify";
 std::string Number(double value, int digits = kDigits) { return Cell(value).Display(digits); }
 
 SolverOptions OptionsOf(const RunOptions& options) {
-  SolverOptions made{.iterations = options.iterations, .callback = options.callback};
+  SolverOptions made{.limits = {.iterations = options.iterations}, .monitor = {.callback = options.callback}};
   if (options.seconds > 0) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(options.seconds);
-    made.stop = [end] { return std::chrono::steady_clock::now() >= end; };
+    made.monitor.stop = [end] { return std::chrono::steady_clock::now() >= end; };
   }
   return made;
 }
@@ -79,7 +79,7 @@ Run Solve(const Problem& problem, const RunOptions& options) {
   CheckTaken(report);
   std::vector<NamedValue> found;
   Certificate certificate;
-  if (!report.losses.empty()) {
+  if (!report.history.losses.empty()) {
     const HybridInput solution = SolutionOf(parts, report);
     const HybridSystem& system = parts.system;
     for (const int i : parts.free.initial) found.push_back({system.StateName(solution.mode, i), solution.initial[i]});
@@ -97,17 +97,19 @@ Run Solve(const Scene& scene, const RunOptions& options) {
   CheckTaken(report);
   std::vector<NamedValue> found;
   Certificate certificate;
-  if (report.losses.empty()) {
+  if (report.history.losses.empty()) {
     certificate.reason = kNothingToCertify;
   } else {
-    for (std::size_t i = 0; i < report.parameters.size(); ++i) {
-      found.push_back({NameOf(scene.design[i].parameter, scene), report.parameters[i]});
+    for (std::size_t i = 0; i < report.solution.parameters.size(); ++i) {
+      found.push_back({NameOf(scene.design[i].parameter, scene), report.solution.parameters[i]});
     }
     double duration = 0;
-    for (const double length : report.durations) duration += length;
+    for (const double length : report.solution.durations) duration += length;
     if (scene.objective.duration) found.push_back({"duration", duration});
-    certificate = report.certificate ? *report.certificate
-                                     : Certify(scene, report.initial_state, report.control, report.durations);
+    certificate =
+        report.certificate
+            ? *report.certificate
+            : Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   }
   return Run(std::move(report), std::move(certificate), std::move(found));
 }
@@ -115,15 +117,15 @@ Run Solve(const Scene& scene, const RunOptions& options) {
 std::ostream& operator<<(std::ostream& out, const Run& run) {
   const SolveReport& report = run.report();
   out << report.solver << ": " << TerminationToString(report.termination);
-  if (!report.losses.empty()) {
-    out << ", loss " << Number(report.initial_loss) << " -> " << Number(report.final_loss) << " in "
-        << report.iterations << (report.iterations == 1 ? " iteration" : " iterations");
+  if (!report.history.losses.empty()) {
+    out << ", loss " << Number(report.guess.loss) << " -> " << Number(report.solution.loss) << " in "
+        << report.work.iterations << (report.work.iterations == 1 ? " iteration" : " iterations");
   }
   out << '\n';
   if (!report.reason.empty()) out << Paragraph(report.reason, LayoutOfStandardOutput().width, 2);
   for (const NamedValue& value : run.found()) out << "  " << value.name << " = " << Number(value.value) << '\n';
-  if (report.final_violation > kFeasible) {
-    out << "  constraints are missed by " << Number(report.final_violation, 3) << '\n';
+  if (report.solution.violation > kFeasible) {
+    out << "  constraints are missed by " << Number(report.solution.violation, 3) << '\n';
   }
   return out;
 }

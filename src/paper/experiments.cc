@@ -16,10 +16,10 @@ constexpr double kStiffnesses[] = {1e2, 1e3, 1e4, 1e5};
 void RunSolver(Experiment* experiment, size_t which) {
   const std::string& solver = experiment->solvers[which];
   SolverOptions options;
-  options.iterations = kPublishedIterations;
-  options.learning_rate = experiment->learning_rate;
+  options.limits.iterations = kPublishedIterations;
+  options.descent.learning_rate = experiment->learning_rate;
   options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
-  options.stop = AskedToStop;
+  options.monitor.stop = AskedToStop;
   experiment->runs[which] =
       SolveAndSimulate(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
 }
@@ -133,7 +133,7 @@ const std::map<std::string, Published>& PublishedNames() {
 
 // Returns the losses in the layout of the notebooks' `loss`: one entry for each update, the loss before it.
 NpyArray LossArray(const SolveReport& report) {
-  std::vector<double> losses(report.losses.begin(), report.losses.end() - 1);
+  std::vector<double> losses(report.history.losses.begin(), report.history.losses.end() - 1);
   return {{static_cast<int64_t>(losses.size())}, losses};
 }
 
@@ -167,7 +167,7 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
     const auto published = PublishedNames().find(experiment.contact);
     const CheckedRun* run = experiment.Find("gd");
     if (published == PublishedNames().end() || experiment.precision != published->second.precision) continue;
-    if (run == nullptr || run->report.losses.size() < 2) continue;
+    if (run == nullptr || run->report.history.losses.size() < 2) continue;
     const SolveReport& report = run->report;
     const Scene& scene = experiment.scene;
     const std::string model = published->second.name;
@@ -176,13 +176,16 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
     if (scene.optimize == Optimize::kVelocity) {
       name = "ground_wall_" + model + (scene.contact.friction > 0 ? "_mu_0.1" : "");
       std::vector<double> velocities;
-      for (const std::vector<double>& z : report.iterates) velocities.insert(velocities.end(), z.begin(), z.end());
-      const std::vector<double> trajectory = TrajectoryAt(experiment, report.iterates[report.iterates.size() - 2]);
-      arrays["init_vel"] = {{std::ssize(report.iterates), 2}, velocities};
+      for (const std::vector<double>& z : report.history.iterates) {
+        velocities.insert(velocities.end(), z.begin(), z.end());
+      }
+      const std::vector<double> trajectory =
+          TrajectoryAt(experiment, report.history.iterates[report.history.iterates.size() - 2]);
+      arrays["init_vel"] = {{std::ssize(report.history.iterates), 2}, velocities};
       arrays["last_traj"] = {{std::ssize(trajectory) / 2, 2}, trajectory};
     } else {
       if (experiment.contact == "compliant_warp") name += "_kn_" + StiffnessName(scene.contact.stiffness);
-      arrays["ctrls"] = {{std::ssize(report.control) / 2, 2}, report.control};
+      arrays["ctrls"] = {{std::ssize(report.solution.control) / 2, 2}, report.solution.control};
     }
     OrOutputError(WriteNpz(results + "/" + name + ".npz", arrays));
   }

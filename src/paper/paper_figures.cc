@@ -27,7 +27,7 @@ void ForEachModel(const Experiments& experiments, const std::string& problem, do
   for (const ModelTraits& traits : AllContactModels()) {
     const Experiment* experiment = Shown(experiments, problem, friction, std::string(traits.name));
     const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
-    if (run != nullptr && run->report.losses.size() > 1) visit(*experiment, run->report);
+    if (run != nullptr && run->report.history.losses.size() > 1) visit(*experiment, run->report);
   }
 }
 
@@ -63,7 +63,7 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
     const CheckedRun* run = experiment == nullptr ? nullptr : experiment->Find("gd");
     if (run == nullptr) continue;
     AddPaths(*experiment,
-             {run->report.initial_state, run->report.control, {}},
+             {run->report.solution.initial_state, run->report.solution.control, {}},
              "optimised, " + contact,
              ColourOf(contact),
              Dash::kSolid,
@@ -77,10 +77,10 @@ Panel TrajectoryPanel(const Experiments& experiments, const std::string& problem
 Series ForceOf(const SolveReport& report, const Scene& scene, int axis) {
   Series force;
   double end = 0;
-  const std::vector<double> lengths = LengthsOf({report.control, report.durations}, scene);
+  const std::vector<double> lengths = LengthsOf({report.solution.control, report.solution.durations}, scene);
   for (size_t k = 0; k < lengths.size(); ++k) {
     force.x.push_back(end + 0.5 * lengths[k]);
-    force.y.push_back(report.control[2 * k + axis]);
+    force.y.push_back(report.solution.control[2 * k + axis]);
     end += lengths[k];
   }
   return force;
@@ -109,9 +109,10 @@ PaperFigure GroundWallLearning(const Experiments& experiments, double friction) 
   Panel loss{.title = "Loss", .x = {.label = "gradient-descent iteration"}, .y = {.label = "loss (m²)", .log = true}};
   Panel velocity{.title = "Horizontal velocity", .x = loss.x, .y = {.label = "initial horizontal velocity (m/s)"}};
   ForEachModel(experiments, "ground_wall", friction, [&](const Experiment& experiment, const SolveReport& report) {
-    loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
+    loss.series.push_back(
+        Series::ForModel(experiment.contact, Range(report.history.losses.size()), report.history.losses));
     std::vector<double> x;
-    for (const std::vector<double>& z : report.iterates) x.push_back(z[0]);
+    for (const std::vector<double>& z : report.history.iterates) x.push_back(z[0]);
     velocity.series.push_back(Series::ForModel(experiment.contact, Range(x.size()), x));
   });
   Figure figure{.panels = {loss, velocity}};
@@ -129,7 +130,8 @@ PaperFigure TwoBallsLearning(const Experiments& experiments) {
   Panel control{
       .title = "Learned force", .x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   ForEachModel(experiments, "two_balls", 0, [&](const Experiment& experiment, const SolveReport& report) {
-    loss.series.push_back(Series::ForModel(experiment.contact, Range(report.losses.size()), report.losses));
+    loss.series.push_back(
+        Series::ForModel(experiment.contact, Range(report.history.losses.size()), report.history.losses));
     const Series force = ForceOf(report, experiment.scene);
     control.series.push_back(Series::ForModel(experiment.contact, force.x, force.y));
   });
@@ -149,7 +151,7 @@ PaperFigure StiffnessLearning(const Experiments& experiments) {
     const Experiment* experiment =
         experiments.Find("two_balls", 0, "compliant_warp_kn" + stiffnesses[i], Precision::kDouble);
     if (experiment == nullptr) continue;
-    const std::vector<double>& losses = experiment->Find("gd")->report.losses;
+    const std::vector<double>& losses = experiment->Find("gd")->report.history.losses;
     panel.series.push_back({.label = stiffnesses[i] + " N/m",
                             .x = Range(losses.size()),
                             .y = losses,
@@ -173,8 +175,8 @@ PaperFigure SolverLearning(const Experiments& experiments) {
     for (const Experiment& experiment : experiments.all()) {
       if (experiment.scene.name != "two_balls" || experiment.precision != Precision::kDouble) continue;
       const CheckedRun* run = experiment.Find(solver);
-      if (run == nullptr || run->report.losses.size() < 2 || experiment.solvers.size() < 2) continue;
-      std::vector<double> gap = run->report.losses;
+      if (run == nullptr || run->report.history.losses.size() < 2 || experiment.solvers.size() < 2) continue;
+      std::vector<double> gap = run->report.history.losses;
       for (double& loss : gap) loss -= best;
       std::vector<double> iteration = Range(gap.size());
       for (double& k : iteration) k += 1;
@@ -208,7 +210,9 @@ Replay TaskReplay(const Experiments& experiments, const std::string& problem) {
     if (own.name != problem || own.contact != scene.contact || experiment.precision != Precision::kDouble) continue;
     const CheckedRun* run = experiment.Find("gd");
     MotionInput input{InitialState(own), InitialControl(own, own.steps), {}};
-    if (run != nullptr) input = {run->report.initial_state, run->report.control, run->report.durations};
+    if (run != nullptr) {
+      input = {run->report.solution.initial_state, run->report.solution.control, run->report.solution.durations};
+    }
     const std::string& contact = experiment.contact;
     // A motion is added once, as a sweep over stiffnesses may have the scene's too.
     if (std::ranges::any_of(replay.motions, [&](const auto& motion) { return motion.label == contact; })) continue;

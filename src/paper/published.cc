@@ -54,9 +54,9 @@ std::optional<double> LearnedValue(const Experiment& experiment, const std::stri
   if (quantity == "initial_loss") return experiment.gradient.loss;
   const CheckedRun* run = experiment.Find("gd");
   if (run == nullptr) return std::nullopt;
-  if (quantity == "loss_999" && run->report.losses.size() > 999) return run->report.losses[999];
-  if (quantity == "v_x_1000") return run->report.initial_state[2];
-  if (quantity == "v_y_1000") return run->report.initial_state[3];
+  if (quantity == "loss_999" && run->report.history.losses.size() > 999) return run->report.history.losses[999];
+  if (quantity == "v_x_1000") return run->report.solution.initial_state[2];
+  if (quantity == "v_y_1000") return run->report.solution.initial_state[3];
   return std::nullopt;
 }
 

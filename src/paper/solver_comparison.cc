@@ -43,11 +43,11 @@ double GradientTime(const std::string& contact, const Scene& scene) {
 
 void SolveOne(const Scene& scene, int iterations, CheckedRun* run) {
   SolverOptions options;
-  options.iterations = iterations;
-  options.learning_rate = DefaultLearningRate(scene);
-  if (run->report.solver == "ceres_shooting") options.iterations = kShootingIterations;
-  if (run->report.solver == "ceres_lagrangian") options.iterations = kLagrangianIterations;
-  options.stop = AskedToStop;
+  options.limits.iterations = iterations;
+  options.descent.learning_rate = DefaultLearningRate(scene);
+  if (run->report.solver == "ceres_shooting") options.limits.iterations = kShootingIterations;
+  if (run->report.solver == "ceres_lagrangian") options.limits.iterations = kLagrangianIterations;
+  options.monitor.stop = AskedToStop;
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
 }
 
@@ -134,8 +134,9 @@ Tasks PlanTasks(const Experiments& experiments, OtherSolvers others) {
   all.launch = make("ground_wall", 0, "comparison_ground_wall", "Task 2 without friction");
   all.launch_with_friction = make("ground_wall", 0.1, "comparison_ground_wall_mu", "Task 2 with friction 0.1");
   all.strike = make("two_balls", 0, "comparison_two_balls", "Task 3");
-  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact))
+  if (const auto optimum = FindTwoDiscOptimum(all.strike.scene, TwoDiscSequence::kImpact)) {
     all.strike.optimum = optimum->loss;
+  }
 
   all.strike_on_fine_grid.name = "step_shooting";
   all.strike_on_fine_grid.scene = all.strike.scene;
@@ -157,7 +158,7 @@ bool RunAll(Tasks* tasks, int threads, ProgressMode mode) {
   std::vector<std::pair<const Scene*, CheckedRun*>> jobs;
   for (Task* task : {&all.others, &all.strike_on_fine_grid, &all.strike, &all.launch, &all.launch_with_friction}) {
     for (CheckedRun& run : task->runs) {
-      if (run.report.losses.empty()) jobs.push_back({&task->scene, &run});
+      if (run.report.history.losses.empty()) jobs.push_back({&task->scene, &run});
     }
   }
   // Long jobs come first, so that no core waits for them in the end.
@@ -172,7 +173,7 @@ bool RunAll(Tasks* tasks, int threads, ProgressMode mode) {
   return RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const auto& [scene, run] = jobs[i];
     const bool slow = all.slow.count(run->report.contact) > 0;
-    SolveOne(*scene, slow ? kSlowIterations : SolverOptions().iterations, run);
+    SolveOne(*scene, slow ? kSlowIterations : SolverOptions().limits.iterations, run);
   });
 }
 
@@ -191,8 +192,8 @@ Table HeadlineOf(const Tasks& all) {
                   method,
                   run->exact.loss,
                   Cell(gap).With(ToneOfGap(gap)),
-                  run->report.evaluations,
-                  1e3 * run->report.seconds});
+                  run->report.work.evaluations,
+                  1e3 * run->report.work.seconds});
   }
   return table;
 }
@@ -203,7 +204,7 @@ Table TaskTable(const Tasks& all, const Task& task) {
                 "termination"));
   for (const CheckedRun& run : task.runs) {
     const SolveReport& report = run.report;
-    if (report.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != all.exact)) continue;
+    if (report.history.losses.empty() || (report.solver == "ceres_lagrangian" && report.contact != all.exact)) continue;
     Cell exact, gap;
     if (run.exact.ok) {
       exact = run.exact.loss;
@@ -211,12 +212,12 @@ Table TaskTable(const Tasks& all, const Task& task) {
     }
     table.AddRow({report.contact,
                   report.solver,
-                  report.final_loss,
+                  report.solution.loss,
                   exact,
                   gap,
-                  report.iterations,
-                  report.evaluations,
-                  1e3 * report.seconds,
+                  report.work.iterations,
+                  report.work.evaluations,
+                  1e3 * report.work.seconds,
                   TerminationToString(report.termination)});
   }
   return table;
@@ -314,7 +315,7 @@ std::vector<std::string> FindingsOf(const Tasks& all) {
   const CheckedRun* launch = all.launch.Find(all.exact, "ceres_lm");
   if (launch != nullptr && launch->exact.ok) {
     findings.push_back("Which solver, for few unknowns (task 2): `ceres_lm`. It reaches the target in " +
-                       std::to_string(launch->report.iterations) + " iterations, to a loss of " +
+                       std::to_string(launch->report.work.iterations) + " iterations, to a loss of " +
                        Format("%.1g", launch->exact.loss) + "; gradient descent is at " + say(gap(all.launch, "gd")) +
                        " after 1000.");
   }
@@ -381,7 +382,7 @@ PaperFigure LearningCurves(const Tasks& all) {
     for (const CheckedRun& run : task->runs) {
       if (run.report.contact != all.exact) continue;
       std::vector<double> x, y;
-      for (double loss : run.report.losses) {
+      for (double loss : run.report.history.losses) {
         x.push_back(static_cast<double>(x.size() + 1));
         y.push_back(loss - task->optimum);
       }
@@ -399,7 +400,7 @@ PaperFigure LearningCurves(const Tasks& all) {
 PaperFigure ControlProfiles(const Tasks& all) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "horizontal force on the striker (N)"}};
   for (const CheckedRun& run : all.strike.runs) {
-    if (run.report.contact != all.exact || run.report.losses.empty()) continue;
+    if (run.report.contact != all.exact || run.report.history.losses.empty()) continue;
     const Series force = ForceOf(run.report, all.strike.scene);
     panel.series.push_back(SolverSeries(run.report.solver, force.x, force.y));
   }
@@ -415,11 +416,11 @@ PaperFigure Defects(const Tasks& all) {
   Figure figure;
   for (const std::string& contact : {all.exact, std::string("compliant_warp")}) {
     const CheckedRun* run = all.strike.Find(contact, "ceres_lagrangian");
-    if (run == nullptr || run->report.defects.empty()) continue;
+    if (run == nullptr || run->report.history.defects.empty()) continue;
     Panel panel{.title = contact,
                 .x = {.label = "time (s)"},
                 .y = {.label = "largest defect of a step (relative)", .log = true, .min = 1e-6}};
-    const auto& rounds = run->report.defects;
+    const auto& rounds = run->report.history.defects;
     const std::pair<const char*, size_t> shown[] = {{"after the first round", 0},
                                                     {"after the second", std::min<size_t>(1, rounds.size() - 1)},
                                                     {"at the end", rounds.size() - 1}};

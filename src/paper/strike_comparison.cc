@@ -21,8 +21,8 @@ Vec2d VectorOf(const Json& json) { return {json[0].get<double>(), json[1].get<do
 // Returns the largest force, relative to the bound.
 double Largest(const SolveReport& report, const BoundedReference& reference) {
   double largest = 0;
-  for (size_t k = 0; k + 1 < report.control.size(); k += 2) {
-    const Vec2d u(report.control[k], report.control[k + 1]);
+  for (size_t k = 0; k + 1 < report.solution.control.size(); k += 2) {
+    const Vec2d u(report.solution.control[k], report.solution.control[k + 1]);
     if (reference.max) largest = std::max(largest, u.cwiseAbs().maxCoeff() / *reference.max);
     if (reference.max_norm) largest = std::max(largest, u.norm() / *reference.max_norm);
   }
@@ -87,12 +87,12 @@ struct Entry {
 Entry Plan(const Scene& scene, const std::string& solver, const std::string& label, double optimum,
            const BoundedReference* reference, bool rate_per_time = false) {
   Entry entry{label, scene, solver, {}, optimum, reference};
-  entry.options.learning_rate = DefaultLearningRate(scene);
-  entry.options.rate_per_time = rate_per_time;
-  if (entry.options.rate_per_time) entry.options.learning_rate *= scene.duration / kPublishedSteps;
+  entry.options.descent.learning_rate = DefaultLearningRate(scene);
+  entry.options.descent.rate_per_time = rate_per_time;
+  if (entry.options.descent.rate_per_time) entry.options.descent.learning_rate *= scene.duration / kPublishedSteps;
   // The references are optima along the impact of the guess; of one another motion is better.
   if (reference != nullptr && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
-  entry.options.stop = AskedToStop;
+  entry.options.monitor.stop = AskedToStop;
   return entry;
 }
 
@@ -147,8 +147,8 @@ std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
                    entry.label,
                    entry.run.exact.loss,
                    coloured,
-                   report.iterations,
-                   1e3 * report.seconds,
+                   report.work.iterations,
+                   1e3 * report.work.seconds,
                    end});
     } else {
       bounded.AddRow({Describe(*entry.reference),
@@ -157,8 +157,8 @@ std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
                       coloured,
                       entry.run.exact.events.size(),
                       Largest(report, *entry.reference),
-                      report.iterations,
-                      1e3 * report.seconds,
+                      report.work.iterations,
+                      1e3 * report.work.seconds,
                       end});
     }
   }
@@ -206,8 +206,9 @@ PaperFigure FigureOf(const std::vector<Entry>& entries, const std::vector<Bounde
       }
       panel.series.push_back(std::move(analytic));
     }
-    if (reference.max)
+    if (reference.max) {
       panel.reference_lines.push_back({.value = *reference.max, .label = "bound", .dash = Dash::kDotted});
+    }
     figure.panels.push_back(std::move(panel));
   }
   return {

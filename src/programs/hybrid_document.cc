@@ -178,9 +178,12 @@ Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {
 Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bool states) {
   Json item = {{"solver", report.solver}, {"termination", TerminationToString(report.termination)}};
   if (!report.reason.empty()) item["reason"] = report.reason;
-  if (report.losses.empty()) return item;
-  SALTUS_ADD_MEMBERS(
-      &item, report, initial_loss, final_loss, losses, iterations, evaluations, seconds, integration_error);
+  if (report.history.losses.empty()) return item;
+  item["initial_loss"] = report.guess.loss;
+  item["final_loss"] = report.solution.loss;
+  item["losses"] = report.history.losses;
+  SALTUS_ADD_MEMBERS(&item, report.work, iterations, evaluations, seconds);
+  SALTUS_ADD_MEMBERS(&item, report.solution, integration_error);
   const HybridInput solution = SolutionOf(problem, report);
   item["solution"] = HybridInputToJson(problem.system, solution);
   const std::vector<double> times = solution.Times();
@@ -189,7 +192,7 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
   const bool ok = simulator.Rollout(solution);
   item["motion"] = HybridMotionToJson(simulator, solution, ok, states);
   Remarks remarks;
-  if (ok) remarks = RemarksOn(simulator, report.integration_error, problem.integration.tolerance);
+  if (ok) remarks = RemarksOn(simulator, report.solution.integration_error, problem.integration.tolerance);
   if (problem.terms.empty()) {
     remarks.push_back(
         {"guess", "the problem has no costs and no constraints, so that any motion is optimal; add some"});

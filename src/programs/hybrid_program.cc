@@ -92,12 +92,13 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   HybridProblem& problem = request->problem;
   ReadSet(&problem);
   if (FLAGS_steps < 0) throw InputError("--steps must be positive");
-  if (IsGiven("steps") && !FLAGS_audit)
+  if (IsGiven("steps") && !FLAGS_audit) {
     Resample(std::max(1, FLAGS_steps), &problem.guess, problem.system.num_controls());
+  }
   if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw InputError(wrong);
   request->solvers = ReadSolvers(problem);
   request->feedback = ReadFeedback(problem);
-  request->options.stop = InterruptGuard::Interrupted;
+  request->options.monitor.stop = InterruptGuard::Interrupted;
   const std::vector<SimulatorCommand> commands = ReadSimulators(arguments);
   if (FLAGS_audit && commands.empty() && request->extras.scheme == nullptr) {
     throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
@@ -160,7 +161,7 @@ HybridResults Compute(const HybridRequest& request) {
     progress.Advance();
     results.reports.back().contact = request.name;
     document["runs"].push_back(HybridRunToJson(problem, results.reports.back(), request.states));
-    if (results.reports.back().losses.empty()) continue;
+    if (results.reports.back().history.losses.empty()) continue;
     study(SolutionOf(problem, results.reports.back()), &document["runs"].back());
   }
   HybridAuditOptions options{.width_sweep = FLAGS_width_sweep, .stop = InterruptGuard::Interrupted};
@@ -214,7 +215,7 @@ void WritePage(const HybridRequest& request, const HybridResults& results) {
   };
   document["motion"] = draw(request.problem.guess);
   for (std::size_t i = 0; i < results.reports.size(); ++i) {
-    if (results.reports[i].losses.empty()) continue;
+    if (results.reports[i].history.losses.empty()) continue;
     document["runs"][i]["motion"] = draw(SolutionOf(request.problem, results.reports[i]));
   }
   WriteTextFile(directory + "/report.html", HybridPage(std::move(document)).Render());

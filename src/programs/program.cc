@@ -187,8 +187,9 @@ void RefuseFlagsOfOthers(const Program& program) {
       if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
       const std::string why = WhyNoFlagOf(program, name);
       if (!why.empty()) throw InputError(why);
-      if (info.type == "string" && info.current_value.empty())
+      if (info.type == "string" && info.current_value.empty()) {
         throw InputError("--" + name + " is empty, expected a value");
+      }
     }
   }
 }
@@ -511,19 +512,19 @@ Precision PrecisionFromFlags() {
 
 void ReadSolveFlags(const ProgramDefaults& defaults, SolveFlags* flags) {
   SolverOptions& options = flags->options;
-  options.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
-  if (options.iterations < 0) throw InputError("--iterations must not be negative");
+  options.limits.iterations = IsGiven("iterations") ? FLAGS_iterations : defaults.iterations;
+  if (options.limits.iterations < 0) throw InputError("--iterations must not be negative");
   if (IsGiven("learning_rate")) {
-    options.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
+    options.descent.learning_rate = Finite("learning_rate", FLAGS_learning_rate);
     if (FLAGS_learning_rate <= 0) throw InputError("--learning_rate must be positive");
   }
-  options.rate_per_time = FLAGS_rate_per_time;
-  options.search_options = {.work = FLAGS_search_work,
-                            .seconds = FLAGS_search_seconds,
-                            .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
-                            .starts = FLAGS_search_starts,
-                            .seed = FLAGS_search_seed};
-  if (const std::string why = WhyNotValid(options.search_options); !why.empty()) throw InputError("--" + why);
+  options.descent.rate_per_time = FLAGS_rate_per_time;
+  options.sequences.limits = {.work = FLAGS_search_work,
+                              .seconds = FLAGS_search_seconds,
+                              .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
+                              .starts = FLAGS_search_starts,
+                              .seed = FLAGS_search_seed};
+  if (const std::string why = WhyNotValid(options.sequences.limits); !why.empty()) throw InputError("--" + why);
   flags->threads = ThreadsFromFlags();
   flags->json = FLAGS_json;
   flags->states = FLAGS_states;
@@ -561,16 +562,16 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   ApplySceneFlags(&request->scene);
   ReadStart(request);
 
-  request->options.search = FLAGS_sequence == "auto";
+  request->options.sequences.search = FLAGS_sequence == "auto";
   if (FLAGS_sequence != "auto" && FLAGS_sequence != "fixed") {
     const std::string wrong =
-        ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequence.emplace());
+        ParseContactSequence(request->scene, FLAGS_sequence, &request->options.sequences.given.emplace());
     if (!wrong.empty()) throw InputError("--sequence=" + FLAGS_sequence + ": " + wrong);
   }
   if (!IsGiven("learning_rate")) {
-    request->options.learning_rate =
+    request->options.descent.learning_rate =
         defaults.learning_rate == 0 ? DefaultLearningRate(request->scene) : defaults.learning_rate;
-    if (FLAGS_rate_per_time) request->options.learning_rate *= request->scene.duration / kPublishedSteps;
+    if (FLAGS_rate_per_time) request->options.descent.learning_rate *= request->scene.duration / kPublishedSteps;
   }
   if (FLAGS_rate_per_time && request->scene.optimize != Optimize::kControl) {
     throw InputError("--rate_per_time: the scene does not optimize a control");
@@ -578,7 +579,7 @@ bool ReadRequest(const ProgramDefaults& defaults, Request* request) {
   request->options.surrogate = SurrogateFromFlags();
   request->feedback = SceneFeedbackFromFlags();
   if (FLAGS_memory_limit <= 0) throw InputError("--memory_limit must be positive");
-  request->options.memory_limit = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
+  request->options.limits.memory = static_cast<std::size_t>(FLAGS_memory_limit) << 20;
   ReadSolveFlags(defaults, request);
   return true;
 }

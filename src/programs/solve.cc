@@ -101,8 +101,8 @@ SolvedRuns SolveAll(const Request& request) {
         const auto& [contact, solver] = tasks[i];
         SolverOptions options = request.options;
         if (tasks.size() == 1) options.threads = request.threads;
-        options.stop = AskedToStop;
-        options.status = say;
+        options.monitor.stop = AskedToStop;
+        options.monitor.status = say;
         try {
           const SolveRequest task{request.scene, contact, request.precision};
           const auto stop = InterruptGuard::GraceIsOver;
@@ -144,18 +144,18 @@ Table RunTable(const SolvedRuns& solved) {
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination == Termination::kNotApplicable) continue;  // below
-    const bool ran = run.HasSolution(), solved_it = !report.losses.empty();
+    const bool ran = run.HasSolution(), solved_it = !report.history.losses.empty();
     const auto of_run = [&](const auto& value) { return ran ? Cell(value) : Cell(); };
     const auto of_solver = [&](const auto& value) { return solved_it ? Cell(value) : Cell(); };
     table.AddRow({LabelOf(report.contact, report.surrogate),
                   report.solver,
-                  of_solver(report.initial_loss),
-                  of_run(report.final_loss),
+                  of_solver(report.guess.loss),
+                  of_run(report.solution.loss),
                   run.exact.ok ? of_run(run.exact.loss) : Cell(),
                   run.duration,
-                  of_solver(report.iterations),
-                  of_solver(report.evaluations),
-                  of_run(report.seconds),
+                  of_solver(report.work.iterations),
+                  of_solver(report.work.evaluations),
+                  of_run(report.work.seconds),
                   TerminationInWords(report),
                   ran ? ReasonAndRemarks(run, RemarksOn(run)) : report.reason});
   }

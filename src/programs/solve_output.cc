@@ -31,13 +31,13 @@ Table DesignTable(const Scene& scene, const SolvedRuns& solved) {
   Table table(ColumnsOf("contact; solver; parameter; given:8; found:8; derivative of exact loss:3"), 3);
   const std::vector<double> given = DesignOf(scene);
   for (const SolvedRun& run : solved.runs) {
-    for (size_t i = 0; i < run.report.parameters.size(); ++i) {
+    for (size_t i = 0; i < run.report.solution.parameters.size(); ++i) {
       const bool certified = run.certificate && i < run.certificate->parameters.size();
       table.AddRow({LabelOf(run.report.contact, run.report.surrogate),
                     run.report.solver,
                     NameOf(scene.design[i].parameter, scene),
                     given[i],
-                    run.report.parameters[i],
+                    run.report.solution.parameters[i],
                     certified ? std::optional(run.certificate->parameters[i].derivative) : std::nullopt});
     }
   }
@@ -103,15 +103,15 @@ Motion MotionOf(const Request& request, const SolveReport& report, bool exact, c
   MotionOptions own = options;
   own.precision = request.precision;
   own.stop = InterruptGuard::GraceIsOver;
-  const Scene scene = WithDesign(request.scene, report.parameters);
+  const Scene scene = WithDesign(request.scene, report.solution.parameters);
   return exact ? SimulateExactMotion(scene, input, own) : SimulateMotion(scene, report.contact, input, own);
 }
 
 // The ends of the control intervals of a solution, from 0 on, s: the nodes of its own model's motion.
 std::vector<double> NodesOf(const Scene& scene, const SolveReport& report) {
   std::vector<double> nodes = {0};
-  for (const double length : report.durations) nodes.push_back(nodes.back() + length);
-  if (!report.durations.empty()) return nodes;
+  for (const double length : report.solution.durations) nodes.push_back(nodes.back() + length);
+  if (!report.solution.durations.empty()) return nodes;
   const int steps = scene.steps / FindContactModel(report.contact)->grid_steps;
   for (int k = 1; k <= steps; ++k) nodes.push_back(k * (scene.duration / steps));
   return nodes;
@@ -124,7 +124,7 @@ struct Motions {
 
 Motions MotionsOf(const Request& request, const SolvedRun& run) {
   MotionOptions options;
-  options.most_bytes = request.options.memory_limit;
+  options.most_bytes = request.options.limits.memory;
   Motions motions{MotionOf(request, run.report, false, options), MotionOf(request, run.report, true, options)};
   if (motions.own.failure.empty()) motions.own = AtNodes(motions.own, NodesOf(request.scene, run.report));
   for (const auto& [name, motion] : {std::pair("", &motions.own), std::pair("exact ", &motions.exact)}) {
@@ -189,28 +189,31 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   const int64_t bodies = request.scene.num_bodies();
   const int64_t controlled = request.scene.num_controlled(), columns = ControlColumns(request.scene);
   NpzArrays arrays;
-  if (!report.losses.empty()) arrays["loss"] = {{static_cast<int64_t>(report.losses.size())}, report.losses};
-  const auto add_solution = [&](const std::string& prefix, const auto& solution) {
+  if (!report.history.losses.empty()) {
+    arrays["loss"] = {{static_cast<int64_t>(report.history.losses.size())}, report.history.losses};
+  }
+  const auto add_solution = [&](const std::string& prefix, const Solution& solution) {
     AddInitial(prefix + "initial_", solution.initial_state, bodies, &arrays);
     if (controlled == 0) return;
     const int64_t intervals = static_cast<int64_t>(solution.control.size()) / request.scene.control_width();
     arrays[prefix + "control"] = {{intervals, controlled, columns}, RowsOfControl(request.scene, solution.control)};
     if (!solution.durations.empty()) arrays[prefix + "durations"] = {{intervals}, solution.durations};
   };
-  add_solution("", report);
-  if (!report.parameters.empty()) {
+  add_solution("", report.solution);
+  if (!report.solution.parameters.empty()) {
     std::vector<std::string> names;
     for (const DesignParameter& design : request.scene.design) names.push_back(NameOf(design.parameter, request.scene));
     arrays["parameter_names"] = {{static_cast<int64_t>(names.size())}, names};
-    arrays["parameters"] = {{static_cast<int64_t>(names.size())}, report.parameters};
+    arrays["parameters"] = {{static_cast<int64_t>(names.size())}, report.solution.parameters};
   }
-  if (report.best && !report.best->initial_state.empty()) {
-    arrays["best_loss"] = {{1}, std::vector<double>{report.best->loss}};
-    add_solution("best_", *report.best);
+  if (report.history.best && !report.history.best->solution.initial_state.empty()) {
+    arrays["best_loss"] = {{1}, std::vector<double>{report.history.best->solution.loss}};
+    add_solution("best_", report.history.best->solution);
   }
   if (report.surrogate) arrays["surrogate"] = {{1}, std::vector<std::string>{BiasedName(*report.surrogate)}};
-  if (!report.standard_error.empty()) {
-    arrays["standard_error"] = {{static_cast<int64_t>(report.standard_error.size())}, report.standard_error};
+  if (!report.history.standard_error.empty()) {
+    arrays["standard_error"] = {{static_cast<int64_t>(report.history.standard_error.size())},
+                                report.history.standard_error};
   }
   if (motions != nullptr) {
     AddMotion(motions->own, "", bodies, &arrays);
@@ -218,7 +221,7 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   }
   arrays["contact"] = ScalarText(report.contact);
   arrays["solver"] = ScalarText(report.solver);
-  arrays["scene"] = ScalarText(WriteScene(WithDesign(request.scene, report.parameters)));
+  arrays["scene"] = ScalarText(WriteScene(WithDesign(request.scene, report.solution.parameters)));
   return arrays;
 }
 
@@ -271,7 +274,9 @@ void AddStates(const Request& request, const SolvedRun& run, Json* item) {
   if (!run.final_state.empty()) (*item)["final_state"] = StateToJson(run.final_state, bodies);
   if (run.exact.ok) (*item)["exact_final_state"] = StateToJson(run.exact.end, bodies);
   if (!request.states) return;
-  if (!run.report.parameters.empty()) AddDrawn(WithDesign(request.scene, run.report.parameters), item);
+  if (!run.report.solution.parameters.empty()) {
+    AddDrawn(WithDesign(request.scene, run.report.solution.parameters), item);
+  }
   const Motions motions = MotionsOf(request, run);
   Reserve(6, item);
   const auto add = [&](const std::string& prefix, const Motion& motion) {
@@ -334,7 +339,9 @@ std::vector<const SolvedRun*> RankedRuns(const SolvedRuns& solved) {
     if (run.HasSolution()) runs.push_back(&run);
   }
   const auto loss = [](const SolvedRun* run) { return run->exact.ok ? run->exact.loss : HUGE_VAL; };
-  const auto rank = [&](const SolvedRun* run) { return std::pair(run->report.final_violation > kFeasible, loss(run)); };
+  const auto rank = [&](const SolvedRun* run) {
+    return std::pair(run->report.solution.violation > kFeasible, loss(run));
+  };
   std::ranges::stable_sort(runs, [&](const SolvedRun* l, const SolvedRun* r) { return rank(l) < rank(r); });
   return runs;
 }
@@ -394,7 +401,7 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
   const size_t shown = std::min(runs.size(), kMostMotions);
   if (shown == 0) return;
   const MotionOptions options = ReplayOptions(request.scene, shown + 1);
-  Replay replay{WithDesign(request.scene, runs[0]->report.parameters)};
+  Replay replay{WithDesign(request.scene, runs[0]->report.solution.parameters)};
   const auto add = [&](size_t i, bool exact) {
     const SolveReport& run = runs[i]->report;
     Motion motion = MotionOf(request, run, exact, options);
@@ -405,9 +412,12 @@ void AddRunReplay(const Request& request, const std::vector<const SolvedRun*>& r
     drawn.colour = exact ? "#000000" : style.colour;
     drawn.dash = exact ? Dash::kDashed : style.dash;
     drawn.shown = i < 4;
-    if (run.parameters != runs[0]->report.parameters) drawn.scene = WithDesign(request.scene, run.parameters);
-    if (runs[i]->feedback && (exact || IsExact(run.contact)))
+    if (run.solution.parameters != runs[0]->report.solution.parameters) {
+      drawn.scene = WithDesign(request.scene, run.solution.parameters);
+    }
+    if (runs[i]->feedback && (exact || IsExact(run.contact))) {
       drawn.spreads = SpreadsOf(request.scene, *runs[i]->feedback);
+    }
   };
   for (size_t i = 0; i < shown; ++i) {
     add(i, false);
@@ -467,7 +477,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
                   "Forces and torques over time. Dotted: impacts of the first motion with exact impact times; dashed: "
                   "bounds.");
   }
-  if (std::ranges::any_of(runs, [](const SolvedRun* run) { return run->report.losses.size() > 1; })) {
+  if (std::ranges::any_of(runs, [](const SolvedRun* run) { return run->report.history.losses.size() > 1; })) {
     page->AddHeading("Learning curves");
     page->AddPlot("learning_curves",
                   "The loss that each solver minimizes: that under its contact model, which equals the exact loss only "
@@ -483,8 +493,8 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
 }
 
 double LargestDefect(const SolveReport& report) {
-  if (report.defects.empty()) return 0;
-  const std::vector<double>& last = report.defects.back();
+  if (report.history.defects.empty()) return 0;
+  const std::vector<double>& last = report.history.defects.back();
   return *std::ranges::max_element(last);
 }
 
@@ -499,17 +509,19 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     Json item = {{"contact", report.contact}, {"solver", report.solver}};
     AddBias(report.contact, report.surrogate, &item);
     if (run.simulated) {
-      item["loss"] = report.final_loss;
+      item["loss"] = report.solution.loss;
       if (run.exact.ok) item["exact_loss"] = run.exact.loss;
     }
-    if (!report.losses.empty()) {
-      SALTUS_ADD_MEMBERS(&item, report, initial_loss, final_loss);
+    if (!report.history.losses.empty()) {
+      item["initial_loss"] = report.guess.loss;
+      item["final_loss"] = report.solution.loss;
       if (run.exact.ok) item["exact_loss"] = run.exact.loss;
-      SALTUS_ADD_MEMBERS(&item, report, losses, iterations, evaluations, seconds);
-      if (!report.defects.empty()) item["defect"] = LargestDefect(report);
-      if (report.best) {
-        item["best_loss"] = report.best->loss;
-        item["best_iteration"] = report.best->iteration;
+      item["losses"] = report.history.losses;
+      SALTUS_ADD_MEMBERS(&item, report.work, iterations, evaluations, seconds);
+      if (!report.history.defects.empty()) item["defect"] = LargestDefect(report);
+      if (report.history.best) {
+        item["best_loss"] = report.history.best->solution.loss;
+        item["best_iteration"] = report.history.best->iteration;
       }
     }
     item["termination"] = TerminationToString(report.termination);
@@ -519,7 +531,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
     if (run.HasSolution()) {
       item["events"] = EventsToJson(run.exact.events);
       AddTies(run.exact.ambiguous, run.exact.spread, &item);
-      const auto add_solution = [&](const std::string& prefix, const auto& solution) {
+      const auto add_solution = [&](const std::string& prefix, const Solution& solution) {
         item[prefix + "velocity"] = VectorsToJson(request.scene, solution.initial_state, 2);
         if (request.scene.Spins()) {
           item[prefix + "angular_velocity"] = RotationsToJson(request.scene, solution.initial_state, 1);
@@ -529,15 +541,17 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
           item[prefix + "parameters"] = DesignToJson(request.scene, solution.parameters);
         }
       };
-      add_solution("", report);
-      if (!report.standard_error.empty()) item["standard_error"] = report.standard_error;
+      add_solution("", report.solution);
+      if (!report.history.standard_error.empty()) item["standard_error"] = report.history.standard_error;
       if (run.duration) item["duration"] = *run.duration;
-      if (!report.durations.empty()) item["durations"] = report.durations;
-      if (report.best && !report.best->initial_state.empty()) {
-        add_solution("best_", *report.best);
-        if (!report.best->durations.empty()) item["best_durations"] = report.best->durations;
+      if (!report.solution.durations.empty()) item["durations"] = report.solution.durations;
+      if (report.history.best && !report.history.best->solution.initial_state.empty()) {
+        add_solution("best_", report.history.best->solution);
+        if (!report.history.best->solution.durations.empty()) {
+          item["best_durations"] = report.history.best->solution.durations;
+        }
         if (request.scene.optimize == Optimize::kPosition) {
-          item["best_position"] = VectorsToJson(request.scene, report.best->initial_state, 0);
+          item["best_position"] = VectorsToJson(request.scene, report.history.best->solution.initial_state, 0);
         }
       }
       if (run.certificate) item["certificate"] = CertificateToJson(request.scene, *run.certificate);
@@ -546,8 +560,9 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       }
       if (report.searched) item["searched"] = SearchedToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
-      if (request.scene.optimize == Optimize::kPosition)
-        item["position"] = VectorsToJson(request.scene, report.initial_state, 0);
+      if (request.scene.optimize == Optimize::kPosition) {
+        item["position"] = VectorsToJson(request.scene, report.solution.initial_state, 0);
+      }
       if (run.feedback) item["feedback"] = FeedbackToJson(*run.feedback, request.states);
       AddStates(request, run, &item);
     }
@@ -564,10 +579,10 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
 void AddFeedback(const Request& request, int threads, SolvedRun* run) {
   if (!request.feedback || !run->HasSolution()) return;
   const SolveReport& report = run->report;
-  run->feedback = StudyFeedback(WithDesign(request.scene, report.parameters),
-                                report.initial_state,
-                                report.control,
-                                report.durations,
+  run->feedback = StudyFeedback(WithDesign(request.scene, report.solution.parameters),
+                                report.solution.initial_state,
+                                report.solution.control,
+                                report.solution.durations,
                                 *request.feedback,
                                 threads);
 }

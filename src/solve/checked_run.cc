@@ -32,7 +32,8 @@ RolloutOutcome RollOutUnderModel(const SolveRequest& request, const SolveReport&
   const Simulator& simulator = shooting.simulator();
   std::vector<double> z;
   if (scene.num_controlled() > 0) {
-    z = MeanOverSteps({report.control, report.durations}, scene.control_width(), simulator.num_steps());
+    z = MeanOverSteps(
+        {report.solution.control, report.solution.durations}, scene.control_width(), simulator.num_steps());
   }
   double loss = 0;
   if (!shooting.Evaluate(z, &loss, nullptr)) {
@@ -40,7 +41,7 @@ RolloutOutcome RollOutUnderModel(const SolveRequest& request, const SolveReport&
     return outcome;
   }
   outcome.loss = loss + price_of_time;
-  if (!report.durations.empty()) return outcome;
+  if (!report.solution.durations.empty()) return outcome;
   std::vector<double> end(simulator.state_size());
   simulator.GetState(simulator.num_steps(), end);
   outcome.end = ToInitial(end, scene.num_bodies());
@@ -52,11 +53,13 @@ RolloutOutcome RollOutUnderModel(const SolveRequest& request, const SolveReport&
 std::optional<RolloutOutcome> OutcomeOf(const ExactRun& exact, const Scene& scene, const SolveReport& report) {
   const Objective& objective = scene.objective;
   const std::size_t numbers = InitialControl(scene, scene.steps).size();
-  if (exact.end.empty() || !report.durations.empty() || report.control.size() != numbers) return std::nullopt;
+  if (exact.end.empty() || !report.solution.durations.empty() || report.solution.control.size() != numbers) {
+    return std::nullopt;
+  }
   if (!objective.running.empty() || !objective.via.empty() || objective.duration) return std::nullopt;
   const double loss =
       TerminalLoss(objective, ToState(exact.end, scene.num_bodies()), InitialSize(scene) / scene.num_bodies()) +
-      EffortLoss(objective, report.control, scene.dt());
+      EffortLoss(objective, report.solution.control, scene.dt());
   if (!std::isfinite(loss)) return std::nullopt;
   return RolloutOutcome{loss, "", exact.end};
 }
@@ -74,12 +77,14 @@ std::vector<double> LastState(const Motion& motion) {
 
 void CheckExactly(const Scene& scene, const StopRequest& stop, CheckedRun* run) {
   const SolveReport& report = run->report;
-  run->exact = SimulateExactly(scene, report.initial_state, report.control, report.durations, stop);
+  run->exact =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations, stop);
   run->certificate = report.certificate;
   const bool control = scene.optimize == Optimize::kControl && scene.objective.effort > 0;
-  const bool design = !report.parameters.empty();
+  const bool design = !report.solution.parameters.empty();
   if (!run->certificate && (control || design)) {
-    run->certificate = Certify(scene, report.initial_state, report.control, report.durations, stop);
+    run->certificate =
+        Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations, stop);
   }
 }
 
@@ -94,18 +99,20 @@ bool IsExact(const Contact& contact) { return contact.entry()->traits.event_driv
 
 }  // namespace
 
-MotionInput InputOf(const SolveReport& report) { return {report.initial_state, report.control, report.durations}; }
+MotionInput InputOf(const SolveReport& report) {
+  return {report.solution.initial_state, report.solution.control, report.solution.durations};
+}
 
 CheckedRun SolveAndCheck(const std::string& solver, const SolveRequest& request, const SolverOptions& options,
                          const StopRequest& stop, const std::function<void(CheckedRun)>& keep) {
   CheckedRun run;
   run.report = Solve(solver, request, options);
-  if (run.report.losses.empty()) return run;
+  if (run.report.history.losses.empty()) return run;
   if (request.scene.objective.duration) {
-    run.duration = std::accumulate(run.report.durations.begin(), run.report.durations.end(), 0.0);
+    run.duration = std::accumulate(run.report.solution.durations.begin(), run.report.solution.durations.end(), 0.0);
   }
   keep(run);
-  const Scene scene = WithDesign(request.scene, run.report.parameters);
+  const Scene scene = WithDesign(request.scene, run.report.solution.parameters);
   CheckExactly(scene, stop, &run);
   const bool known = IsExact(request.contact) && run.exact.ok;
   run.final_state = known ? run.exact.end : FindFinalState(scene, request, run.report, stop);
@@ -116,9 +123,9 @@ CheckedRun SolveAndSimulate(const std::string& solver, const SolveRequest& reque
   CheckedRun run;
   run.report = Solve(solver, request, options);
   const SolveReport& report = run.report;
-  if (report.losses.empty()) return run;
-  const Scene scene = WithDesign(request.scene, report.parameters);
-  run.exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  if (report.history.losses.empty()) return run;
+  const Scene scene = WithDesign(request.scene, report.solution.parameters);
+  run.exact = SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   return run;
 }
 
@@ -133,10 +140,10 @@ CheckedRun SimulateAndCheck(const SolveRequest& request, const std::optional<Con
   report.termination = report.reason.empty() ? Termination::kFailed : Termination::kNotApplicable;
   if (!report.reason.empty()) return run;
   const auto begin = std::chrono::steady_clock::now();
-  report.initial_state = InitialState(scene);
-  report.parameters = DesignOf(scene);
-  report.control = guess ? guess->control : InitialControl(scene, scene.steps);
-  if (guess) report.durations = guess->durations;
+  report.solution.initial_state = InitialState(scene);
+  report.solution.parameters = DesignOf(scene);
+  report.solution.control = guess ? guess->control : InitialControl(scene, scene.steps);
+  if (guess) report.solution.durations = guess->durations;
   CheckExactly(scene, stop, &run);
   const bool exact = IsExact(request.contact);
   std::optional<RolloutOutcome> outcome;
@@ -145,11 +152,11 @@ CheckedRun SimulateAndCheck(const SolveRequest& request, const std::optional<Con
   if (!outcome) outcome = RollOutUnderModel(request, report, stop);
   run.final_state = outcome->end.empty() ? FindFinalState(scene, request, report, stop) : outcome->end;
   report.reason = exact ? run.exact.reason : outcome->reason;
-  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  report.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   run.simulated = outcome->loss && std::isfinite(*outcome->loss);
   if (report.reason == kStopped) report.termination = Termination::kInterrupted;
   if (!run.simulated) return run;
-  report.initial_loss = report.final_loss = *outcome->loss;
+  report.guess.loss = report.solution.loss = *outcome->loss;
   report.termination = Termination::kConverged;
   return run;
 }

@@ -26,7 +26,7 @@ struct CheckedRun {
   bool simulated = false;           // nothing was solved, and the start has a finite loss
 
   // Whether there is an initial state and a control to look at.
-  bool HasSolution() const { return simulated || !report.losses.empty(); }
+  bool HasSolution() const { return simulated || !report.history.losses.empty(); }
 };
 
 // Returns the initial state and the control of a solution.

@@ -137,7 +137,7 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
       report.termination == Termination::kInterrupted) {
     return report;
   }
-  const std::optional<ContinuousOptimum> optimum = FindContinuousOptimum(scene, report, options.iterations);
+  const std::optional<ContinuousOptimum> optimum = FindContinuousOptimum(scene, report, options.limits.iterations);
   const auto give_up = [&](const std::string& reason) {
     if (report.termination == Termination::kConverged) report.termination = Termination::kNoProgress;
     report.reason += (report.reason.empty() ? "" : "; ") + reason;
@@ -146,18 +146,19 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
     give_up("Newton's method for the costates left the motions with this sequence of impacts");
   } else if (optimum->Residual() > kResidualTolerance) {
     give_up("the conditions of the minimum principle are not met");
-  } else if (std::abs(optimum->loss - report.final_loss) > kSameLossAsOnGrid * std::abs(report.final_loss)) {
+  } else if (std::abs(optimum->loss - report.solution.loss) > kSameLossAsOnGrid * std::abs(report.solution.loss)) {
     give_up("the conditions of the minimum principle are met at a point with another loss than the minimum");
   } else {
-    report.certificate = Certify(scene, report.initial_state, report.control, report.durations);
+    report.certificate =
+        Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     report.continuous = CertifyOptimum(*optimum, *report.certificate);
     report.termination = Termination::kConverged;
-    report.final_loss = optimum->loss;
-    report.losses.push_back(optimum->loss);
-    report.iterations += 1;
-    report.evaluations += optimum->jacobians;
+    report.solution.loss = optimum->loss;
+    report.history.losses.push_back(optimum->loss);
+    report.work.iterations += 1;
+    report.work.evaluations += optimum->jacobians;
   }
-  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  report.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return report;
 }
 
@@ -227,7 +228,7 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   minimum_options.callback = [&](double loss) { return run->Record(loss); };
   const PhaseMinimum minimum =
       MinimizeLoss(phases, phases.Variables(guess.times, guess.before, guess.end), minimum_options);
-  run->report().evaluations += minimum.jacobians;
+  run->report().work.evaluations += minimum.jacobians;
   if (minimum.interrupted) return fail(Termination::kInterrupted, "");
   if (!minimum.valid) {
     return fail(Termination::kFailed,
@@ -236,8 +237,8 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   HmpRoot root;
   root.z = minimum.z;
   if (!minimum.touches) {
-    root = FindHmpRoot(phases, minimum.z, run->options().iterations);
-    run->report().evaluations += root.jacobians;
+    root = FindHmpRoot(phases, minimum.z, run->options().limits.iterations);
+    run->report().work.evaluations += root.jacobians;
   }
   Path<double> path;
   if (!(root.valid || minimum.touches) || !phases.Unroll(root.z.data(), &path)) {
@@ -307,13 +308,15 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
                                                        int most_iterations) {
   Scene whole = scene;
   if (scene.objective.duration) {
-    whole.duration = std::accumulate(start.durations.begin(), start.durations.end(), 0.0);
+    whole.duration = std::accumulate(start.solution.durations.begin(), start.solution.durations.end(), 0.0);
   }
-  const ExactRun exact = SimulateExactly(scene, start.initial_state, start.control, start.durations);
+  const ExactRun exact =
+      SimulateExactly(scene, start.solution.initial_state, start.solution.control, start.solution.durations);
   if (!exact.ok || !exact.only_impacts) return std::nullopt;
-  const Certificate certificate = Certify(scene, start.initial_state, start.control, start.durations);
+  const Certificate certificate =
+      Certify(scene, start.solution.initial_state, start.solution.control, start.solution.durations);
   if (!certificate.IsStationary() && certificate.impacts.size() != exact.contacts.size()) return std::nullopt;
-  const Flight flight(whole, start.initial_state, start.control, start.durations, exact);
+  const Flight flight(whole, start.solution.initial_state, start.solution.control, start.solution.durations, exact);
   std::vector<Vec2d> hard;
   for (const ConstraintCertificate& constraint : certificate.constraints) hard.push_back(constraint.multiplier);
   std::vector<ConstraintRow> rows = RowsOfHardTerms(scene);

@@ -10,43 +10,43 @@ namespace saltus {
 
 SolverOptions SolveChain::Next() const {
   SolverOptions next = options_;
-  next.iterations = std::max(0, options_.iterations - iterations_);
-  if (options_.callback) {
-    next.callback = [&options = options_, before = iterations_](int iteration, double loss) {
-      return options.callback(before + iteration, loss);
+  next.limits.iterations = std::max(0, options_.limits.iterations - iterations_);
+  if (options_.monitor.callback) {
+    next.monitor.callback = [&options = options_, before = iterations_](int iteration, double loss) {
+      return options.monitor.callback(before + iteration, loss);
     };
   }
   return next;
 }
 
 void SolveChain::Add(const SolveReport& report) {
-  seconds_ += report.seconds;
-  evaluations_ += report.evaluations;
-  if (report.losses.empty()) return;
+  seconds_ += report.work.seconds;
+  evaluations_ += report.work.evaluations;
+  if (report.history.losses.empty()) return;
   // The first loss of a solve takes the place of the last one before: no iteration lies between them.
   const auto join = [](auto* before, const auto& after) {
     if (!before->empty() && !after.empty()) before->pop_back();
     before->insert(before->end(), after.begin(), after.end());
   };
-  if (losses_.empty()) initial_violation_ = report.initial_violation;
-  const double initial_loss = losses_.empty() ? report.initial_loss : losses_.front();
-  join(&losses_, report.losses);
+  if (losses_.empty()) initial_violation_ = report.guess.violation;
+  const double initial_loss = losses_.empty() ? report.guess.loss : losses_.front();
+  join(&losses_, report.history.losses);
   losses_.front() = initial_loss;
-  join(&iterates_, report.iterates);
+  join(&iterates_, report.history.iterates);
   last_ = iterations_;
   iterations_ = static_cast<int>(losses_.size()) - 1;
 }
 
 SolveReport SolveChain::Finish(SolveReport report) const {
-  report.seconds = seconds_;
-  report.evaluations = evaluations_;
+  report.work.seconds = seconds_;
+  report.work.evaluations = evaluations_;
   if (losses_.empty()) return report;
-  if (report.best) report.best->iteration += last_;
-  report.losses = losses_;
-  report.iterates = iterates_;
-  report.iterations = iterations_;
-  report.initial_loss = losses_.front();
-  report.initial_violation = initial_violation_;
+  if (report.history.best) report.history.best->iteration += last_;
+  report.history.losses = losses_;
+  report.history.iterates = iterates_;
+  report.work.iterations = iterations_;
+  report.guess.loss = losses_.front();
+  report.guess.violation = initial_violation_;
   return report;
 }
 
@@ -61,10 +61,12 @@ bool IsLower(double loss, double than, double part) { return loss < than - part 
 
 // Whether a report is better than the best one so far: lower by far, or else as EndsBetter() says.
 bool IsBetter(const SolveReport& report, const SolveReport& than) {
-  const auto feasible = [](const SolveReport& r) { return !r.losses.empty() && r.final_violation <= kFeasible; };
+  const auto feasible = [](const SolveReport& r) {
+    return !r.history.losses.empty() && r.solution.violation <= kFeasible;
+  };
   if (feasible(report) && feasible(than)) {
-    if (IsLower(report.final_loss, than.final_loss, kFarLower)) return true;
-    if (IsLower(than.final_loss, report.final_loss, kFarLower)) return false;
+    if (IsLower(report.solution.loss, than.solution.loss, kFarLower)) return true;
+    if (IsLower(than.solution.loss, report.solution.loss, kFarLower)) return false;
   }
   return EndsBetter(report, than);
 }
@@ -77,7 +79,7 @@ std::string RemedyFor(const SolveReport& report) {
     case Termination::kFailed:
       return "start from a guess that has a finite motion and finite derivatives";
     case Termination::kNoProgress:
-      return report.final_violation > kFeasible
+      return report.solution.violation > kFeasible
                  ? "try another guess, a longer duration or wider bounds; mode_search tries other sequences of events"
                  : "try another guess or more control intervals; mode_search tries other sequences of events";
     default:
@@ -89,11 +91,11 @@ std::string RemedyFor(const SolveReport& report) {
 
 bool EndsBetter(const SolveReport& report, const SolveReport& than) {
   const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };
-  if (report.losses.empty() || than.losses.empty()) return !report.losses.empty();
+  if (report.history.losses.empty() || than.history.losses.empty()) return !report.history.losses.empty();
   if (converged(report) != converged(than)) return converged(report);
-  const bool feasible = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
+  const bool feasible = report.solution.violation <= kFeasible, other = than.solution.violation <= kFeasible;
   if (feasible != other) return feasible;
-  return feasible ? report.final_loss < than.final_loss : report.final_violation < than.final_violation;
+  return feasible ? report.solution.loss < than.solution.loss : report.solution.violation < than.solution.violation;
 }
 
 SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::vector<std::string_view>& refine,
@@ -104,13 +106,13 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   std::string tried, out_of_reach;  // the latter: of an optimum found before
   double loss_out_of_reach = 0;
   std::pair<double, std::string> lowest = {INFINITY, ""};  // feasible losses of solves without an optimum
-  int left = options.iterations;  // of which a solve in several turns takes no more than it may in one
+  int left = options.limits.iterations;  // of which a solve in several turns takes no more than it may in one
   const auto solve_within = [&](std::string_view name, int most, const SolveReport* from) {
     SolverOptions next = chain.Next();
-    next.iterations = most;
+    next.limits.iterations = most;
     SolveReport report = solve(name, next, from);
     if (report.termination == Termination::kNotApplicable) return report;
-    left -= std::clamp(report.iterations, 0, most);
+    left -= std::clamp(report.work.iterations, 0, most);
     chain.Add(report);
     return report;
   };
@@ -128,14 +130,14 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     const bool interrupted = report.termination == Termination::kInterrupted,
                converged = report.termination == Termination::kConverged;
     const std::string lost = converged && find_loss_of_reach ? find_loss_of_reach(report) : "";
-    const bool lower = !out_of_reach.empty() && report.final_violation <= kFeasible && !report.losses.empty() &&
-                       IsLower(report.final_loss, loss_out_of_reach, kLower);
+    const bool lower = !out_of_reach.empty() && report.solution.violation <= kFeasible &&
+                       !report.history.losses.empty() && IsLower(report.solution.loss, loss_out_of_reach, kLower);
     if (!lost.empty() && out_of_reach.empty()) {
       out_of_reach = std::string(name) + " has converged, but " + lost;
-      loss_out_of_reach = report.final_loss;
+      loss_out_of_reach = report.solution.loss;
     }
-    if (!converged && report.final_violation <= kFeasible && !report.losses.empty()) {
-      lowest = std::min(lowest, {report.final_loss, std::string(name)});
+    if (!converged && report.solution.violation <= kFeasible && !report.history.losses.empty()) {
+      lowest = std::min(lowest, {report.solution.loss, std::string(name)});
     }
     if (!best || IsBetter(report, *best) || lower) best = std::move(report);
     const bool is_best = converged && best->termination == Termination::kConverged;
@@ -147,7 +149,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     return *refused;
   }
   const auto is_over = [&] {
-    return best->losses.empty() || best->termination == Termination::kConverged ||
+    return best->history.losses.empty() || best->termination == Termination::kConverged ||
            best->termination == Termination::kInterrupted || left <= 0;
   };
   for (const std::string_view name : refine) {
@@ -164,7 +166,7 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   if (tried != best->solver) words += " (tried: " + tried + ")";
   if (tells) words += " (" + refused->solver + " does not apply: " + refused->reason + ")";
   if (!out_of_reach.empty()) words += "; " + out_of_reach;
-  if (IsLower(lowest.first, best->final_loss, kLower)) {
+  if (IsLower(lowest.first, best->solution.loss, kLower)) {
     words += "; " + lowest.second + " ended at a lower loss, at which it has proved no optimum";
   }
   if (!best->reason.empty()) words += "; " + best->reason;

@@ -17,7 +17,7 @@ class SolveChain {
 
   // Returns the options of the next solve: the iterations that are left, and a callback that counts on.
   SolverOptions Next() const;
-  bool IsOutOfIterations() const { return iterations_ >= options_.iterations; }
+  bool IsOutOfIterations() const { return iterations_ >= options_.limits.iterations; }
 
   // Counts a solve. A report that has no losses counts with its time alone.
   void Add(const SolveReport& report);

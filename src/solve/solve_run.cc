@@ -79,12 +79,21 @@ std::string Describe(Termination termination, const CeresOutcome& outcome) {
 }  // namespace
 
 std::string WhatIsWrongWith(const SolverOptions& options) {
-  if (options.iterations < 0) return "iterations: found " + std::to_string(options.iterations) + ", expected 0 or more";
-  if (!(options.learning_rate > 0) || !std::isfinite(options.learning_rate)) {
-    return "learning_rate: found " + ToText(options.learning_rate) + ", expected a finite number > 0";
+  if (options.limits.iterations < 0) {
+    return "iterations: found " + std::to_string(options.limits.iterations) + ", expected 0 or more";
+  }
+  if (!(options.descent.learning_rate > 0) || !std::isfinite(options.descent.learning_rate)) {
+    return "learning_rate: found " + ToText(options.descent.learning_rate) + ", expected a finite number > 0";
   }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
-  return WhyNotValid(options.search_options);
+  return WhyNotValid(options.sequences.limits);
+}
+
+void SetSolution(const ShootingFunction& shooting, std::span<const double> z, Solution* solution) {
+  solution->initial_state = shooting.InitialStateAt(z);
+  solution->control = shooting.ControlAt(z);
+  solution->durations = shooting.DurationsAt(z);
+  solution->parameters = shooting.ParametersAt(z);
 }
 
 ShootingRun::ShootingRun(std::string_view solver, const SolverOptions& options)
@@ -94,14 +103,14 @@ ShootingRun::ShootingRun(std::string_view solver, const SolverOptions& options)
 
 void ShootingRun::RecordEstimate(std::vector<double> standard_error) {
   ++num_estimates_;
-  report_.standard_error = std::move(standard_error);
+  report_.history.standard_error = std::move(standard_error);
 }
 
 bool ShootingRun::Record(double loss, std::span<const double> z) {
-  report_.losses.push_back(loss);
-  if (options_.keep_iterates) report_.iterates.emplace_back(z.begin(), z.end());
+  report_.history.losses.push_back(loss);
+  if (options_.keep_iterates) report_.history.iterates.emplace_back(z.begin(), z.end());
   if (function().stopped()) return false;
-  return !options_.callback || options_.callback(num_recorded() - 1, loss);
+  return !options_.monitor.callback || options_.monitor.callback(num_recorded() - 1, loss);
 }
 
 SolveReport ShootingRun::Finish(std::span<const double> z, Termination termination, std::string reason,
@@ -119,27 +128,24 @@ SolveReport ShootingRun::Finish(std::span<const double> z, Termination terminati
   report_.termination = termination;
   report_.reason = std::move(reason);
   AddReason(why, &report_.reason);
-  if (!report_.losses.empty()) {
-    report_.initial_loss = report_.losses.front();
-    report_.final_loss = final_loss.value_or(report_.losses.back());
-    report_.iterations = num_recorded() - 1;
+  if (!report_.history.losses.empty()) {
+    report_.guess.loss = report_.history.losses.front();
+    report_.solution.loss = final_loss.value_or(report_.history.losses.back());
+    report_.work.iterations = num_recorded() - 1;
   }
-  report_.evaluations = shooting.num_adjoints() + num_estimates_;
-  report_.initial_state = shooting.InitialStateAt(z);
-  report_.control = shooting.ControlAt(z);
-  report_.durations = shooting.DurationsAt(z);
-  report_.parameters = shooting.ParametersAt(z);
-  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  report_.work.evaluations = shooting.num_adjoints() + num_estimates_;
+  SetSolution(shooting, z, &report_.solution);
+  report_.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   return std::move(report_);
 }
 
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
     : ShootingRun(solver, options), shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
-  shooting_.set_memory_limit(options.memory_limit);
+  shooting_.set_memory_limit(options.limits.memory);
   shooting_.set_stop([this] {
-    const auto& most = options_.most_impacts;
+    const auto& most = options_.limits.impacts;
     if (most && shooting_.simulator().touches().size() > static_cast<size_t>(*most)) return true;
-    return options_.stop && options_.stop();
+    return options_.monitor.stop && options_.monitor.stop();
   });
   guess_ = options.guess ? DecisionsOf(*options.guess, shooting_) : shooting_.initial_guess();
   report_.contact = request.contact.name();

@@ -21,6 +21,9 @@ namespace saltus {
 // Returns the error of an option that is wrong for every solver, as "found x, expected y"; empty if there is none.
 std::string WhatIsWrongWith(const SolverOptions& options);
 
+// Sets what the motion at the decision variables z depends on.
+void SetSolution(const ShootingFunction& shooting, std::span<const double> z, Solution* solution);
+
 // The frame of an algorithm that minimises any function by shooting.
 class ShootingRun {
  public:
@@ -33,7 +36,7 @@ class ShootingRun {
   const SolverOptions& options() const { return options_; }
   // The decision variables to start from.
   const std::vector<double>& initial_guess() const { return guess_; }
-  int num_recorded() const { return static_cast<int>(report_.losses.size()); }
+  int num_recorded() const { return static_cast<int>(report_.history.losses.size()); }
 
   // Appends the loss of the next iterate z, the initial guess first. Returns false if the callback wants to stop.
   bool Record(double loss, std::span<const double> z);

@@ -46,8 +46,9 @@ std::string WhyNotGradientDescent(const SolveRequest& request) {
 std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request, {}); }
 
 std::string WhyNotLeastSquares(const SolveRequest& request) {
-  if (!request.scene.objective.IsSumOfSquares())
+  if (!request.scene.objective.IsSumOfSquares()) {
     return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
+  }
   return WhyNothingToOptimize(request.scene);
 }
 
@@ -66,16 +67,16 @@ std::string UnknownSolver(std::string_view name) {
 
 std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
   if (std::string wrong = WhatIsWrongWith(options); !wrong.empty()) return wrong;
-  if (options.rate_per_time && scene.optimize != Optimize::kControl) {
+  if (options.descent.rate_per_time && scene.optimize != Optimize::kControl) {
     return "rate_per_time: expected a scene in which a control is optimized";
   }
   if (options.guess) {
     if (scene.optimize != Optimize::kControl) return "guess: expected a scene in which a control is optimized";
     if (std::string wrong = WhatIsWrongWith(*options.guess, scene); !wrong.empty()) return wrong;
   }
-  if (!options.sequence) return "";
+  if (!options.sequences.given) return "";
   const ContactSequence pairs = AllPairs(scene);
-  for (const Candidate& pair : *options.sequence) {
+  for (const Candidate& pair : *options.sequences.given) {
     if (std::find(pairs.begin(), pairs.end(), pair) == pairs.end()) {
       return "sequence: found the pair " + std::to_string(pair.a) + ", " + std::to_string(pair.b) +
              ", expected two discs by increasing index, or a disc and a plane, that could collide";
@@ -144,8 +145,8 @@ std::string FindLossOfReach(const SolveRequest& request, const SolverOptions& op
   if (!shot) return "";
   const auto rows_at = [&](const std::optional<ControlGuess>& control, std::vector<double>* residuals) {
     SolverOptions own;
-    own.stop = options.stop;
-    own.memory_limit = options.memory_limit;
+    own.monitor.stop = options.monitor.stop;
+    own.limits.memory = options.limits.memory;
     own.guess = control;
     SolveRun run("auto", request, own);
     SingleShooting& shooting = run.shooting();
@@ -162,7 +163,8 @@ std::string FindLossOfReach(const SolveRequest& request, const SolverOptions& op
   };
   std::vector<double> at_guess, at_solution;
   const std::vector<double> before = rows_at(options.guess, &at_guess);
-  const std::vector<double> after = rows_at(ControlGuess{report.control, report.durations}, &at_solution);
+  const std::vector<double> after =
+      rows_at(ControlGuess{report.solution.control, report.solution.durations}, &at_solution);
   for (size_t row = 0; row < after.size(); ++row) {
     if (before[row] > 0 && after[row] == 0 && at_solution[row] != 0) {
       return "no small change of its control changes a term of the loss that the control of the initial guess changes, "
@@ -193,7 +195,7 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
     why = "the control is free and contact is exact";
   }
   const auto solve = [&](std::string_view name, SolverOptions of_solve, const SolveReport* from) {
-    if (from != nullptr) of_solve.guess = ControlGuess{from->control, from->durations};
+    if (from != nullptr) of_solve.guess = ControlGuess{from->solution.control, from->solution.durations};
     return Solve(name, request, of_solve);
   };
   const Names refine = scene.optimize == Optimize::kControl ? Names{"ceres_lm", "ceres_phases", "ipopt"} : Names{};
@@ -208,30 +210,32 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
 // parameters stay.
 void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveReport* report) {
   constexpr int kNewtonSteps = 3;
-  const int left = options.iterations - report->iterations;
+  const int left = options.limits.iterations - report->work.iterations;
   Scene scene = designed;
   scene.design.clear();
-  if (report->durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
+  if (report->solution.durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
   HybridProblem problem = HybridProblemOf(scene);
   const HybridInput& guess = problem.guess =
-      InputOf(problem, report->initial_state, report->control, report->durations);
+      InputOf(problem, report->solution.initial_state, report->solution.control, report->solution.durations);
   HybridShooting shooting(problem);
   // Takes a control, if it is feasible, certified and no worse.
   const auto take = [&](const std::vector<double>& control, const std::vector<double>& durations) {
     const HybridInput input = InputOf(problem, guess.initial, control, durations);
     HybridShooting::Outcome outcome;
-    if (!shooting.Simulate(input, &outcome) || outcome.violation > std::max(kFeasible, report->final_violation)) {
+    if (!shooting.Simulate(input, &outcome) || outcome.violation > std::max(kFeasible, report->solution.violation)) {
       return false;
     }
-    const ExactRun exact = SimulateExactly(designed, report->initial_state, control, durations, options.stop);
-    if (!exact.ok || IsLess(report->final_loss, exact.loss)) return false;
-    Certificate certificate = Certify(designed, report->initial_state, control, durations, options.stop);
+    const ExactRun exact =
+        SimulateExactly(designed, report->solution.initial_state, control, durations, options.monitor.stop);
+    if (!exact.ok || IsLess(report->solution.loss, exact.loss)) return false;
+    Certificate certificate =
+        Certify(designed, report->solution.initial_state, control, durations, options.monitor.stop);
     if (!certificate.IsStationary() || certificate.IsSaddle()) return false;
     report->certificate = std::move(certificate);
-    report->control = control;
-    report->durations = durations;
-    report->final_loss = exact.loss;
-    report->final_violation = outcome.violation;
+    report->solution.control = control;
+    report->solution.durations = durations;
+    report->solution.loss = exact.loss;
+    report->solution.violation = outcome.violation;
     return true;
   };
   std::optional<HybridInput> input = guess;
@@ -241,19 +245,22 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
     if (take(input->control, input->lengths)) return;
   }
   SolverOptions rest;
-  rest.iterations = left;
+  rest.limits.iterations = left;
   rest.coarse_to_fine = false;
-  rest.stop = options.stop;
-  if (options.callback) {
-    rest.callback = [&](int iteration, double loss) { return options.callback(report->iterations + iteration, loss); };
+  rest.monitor.stop = options.monitor.stop;
+  if (options.monitor.callback) {
+    rest.monitor.callback = [&](int iteration, double loss) {
+      return options.monitor.callback(report->work.iterations + iteration, loss);
+    };
   }
   const SolveReport found = SolveHybridByPhases(problem, rest);
-  report->evaluations += found.evaluations;
-  report->seconds += found.seconds;
-  if (found.termination != Termination::kConverged || !take(found.control, found.durations)) return;
-  if (!report->iterates.empty()) return;  // of which there is one for each loss
-  report->iterations += found.iterations;
-  report->losses.insert(report->losses.end(), found.losses.begin() + 1, found.losses.end());
+  report->work.evaluations += found.work.evaluations;
+  report->work.seconds += found.work.seconds;
+  if (found.termination != Termination::kConverged || !take(found.solution.control, found.solution.durations)) return;
+  if (!report->history.iterates.empty()) return;  // of which there is one for each loss
+  report->work.iterations += found.work.iterations;
+  report->history.losses.insert(
+      report->history.losses.end(), found.history.losses.begin() + 1, found.history.losses.end());
 }
 
 // Whether a solver of scenes is one of hybrid systems too, which takes scenes that its own flights do not cover.
@@ -305,11 +312,11 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   const ContactSequence pairs = AllPairs(scene);
   SolverOptions options = given;
   options.guess.reset();
-  if (given.sequence) {
-    for (Candidate& event : *options.sequence) {
+  if (given.sequences.given) {
+    for (Candidate& event : *options.sequences.given) {
       event = {.a = 0, .b = static_cast<int>(std::ranges::find(pairs, event) - pairs.begin())};
     }
-    options.sequence->push_back({.a = 0, .b = -1});
+    options.sequences.given->push_back({.a = 0, .b = -1});
   }
   HybridProblem problem = HybridProblemOf(scene);
   if (given.guess) {
@@ -318,9 +325,11 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   problem.guess.parameters = parameters;
   SolveReport report = Solve(solver, problem, options);
   report.contact = request.contact.name();
-  if (report.parameters.empty()) report.parameters = DesignOf(scene);
-  report.initial_state.resize(std::min<size_t>(report.initial_state.size(), InitialSize(scene)));
-  if (!scene.design.empty()) report.initial_state = InitialState(WithDesign(scene, report.parameters));
+  if (report.solution.parameters.empty()) report.solution.parameters = DesignOf(scene);
+  report.solution.initial_state.resize(std::min<size_t>(report.solution.initial_state.size(), InitialSize(scene)));
+  if (!scene.design.empty()) {
+    report.solution.initial_state = InitialState(WithDesign(scene, report.solution.parameters));
+  }
   const bool is_denied = report.certificate && report.termination == Termination::kNoProgress;
   if (is_denied) report.termination = Termination::kConverged;
   report.certificate.reset();
@@ -350,8 +359,8 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   };
   const auto solve_from = [&](const SolveReport* start) {
     SolverOptions own = chain.Next();
-    own.iterations = options.iterations;
-    if (start != nullptr) own.guess = ControlGuess{start->control, start->durations};
+    own.limits.iterations = options.limits.iterations;
+    if (start != nullptr) own.guess = ControlGuess{start->solution.control, start->solution.durations};
     return own;
   };
   // A search over sequences is one of the scene, which is far faster.
@@ -373,15 +382,19 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
       searched->proof.reset();
     }
     found.certificate.reset();
-    const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
-    if (found.losses.empty() && best.losses.empty()) return found;  // whose reason is that of a scene
-    if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
+    const bool gains = found.solution.loss < best.solution.loss - kGain * std::abs(best.solution.loss);
+    if (found.history.losses.empty() && best.history.losses.empty()) return found;  // whose reason is that of a scene
+    if (interrupted || found.history.losses.empty() || (turn > 0 && !gains)) break;
     SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);
-    found.parameters = parameters;
+    found.solution.parameters = parameters;
     if (found.termination == Termination::kConverged) {
       const Scene designed = WithDesign(request.scene, parameters);
-      found.certificate = Certify(designed, found.initial_state, found.control, found.durations, options.stop);
+      found.certificate = Certify(designed,
+                                  found.solution.initial_state,
+                                  found.solution.control,
+                                  found.solution.durations,
+                                  options.monitor.stop);
       if (!found.certificate->IsStationary() || found.certificate->IsSaddle()) {
         found.termination = Termination::kNoProgress;
         found.reason = "the solution is optimal with these parameters, and not among other ones";
@@ -390,7 +403,7 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     for (SolveReport* report : {&found, &next}) {
       if (EndsBetter(*report, best)) best = std::move(*report);
     }
-    parameters = best.parameters;
+    parameters = best.solution.parameters;
   }
   best = chain.Finish(std::move(best));
   best.solver = entry.name;
@@ -403,19 +416,23 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
-  const Scene scene = WithDesign(request.scene, report->parameters);
+  const Scene scene = WithDesign(request.scene, report->solution.parameters);
   const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
                        (scene.objective.effort != 0 || !BeyondTerminalCost(scene).empty());
   if (!control && scene.design.empty()) return;
   if (!report->certificate) {
-    report->certificate = Certify(scene, report->initial_state, report->control, report->durations, options.stop);
+    report->certificate = Certify(scene,
+                                  report->solution.initial_state,
+                                  report->solution.control,
+                                  report->solution.durations,
+                                  options.monitor.stop);
   }
   if (report->certificate->verdict == Certificate::Verdict::kNotStationary) {
     GoOnAsHybrid(scene, options, report);
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
-    Certificate kinks = CertifyKinks(scene, report->control, report->durations);
+    Certificate kinks = CertifyKinks(scene, report->solution.control, report->solution.durations);
     if (kinks.verdict != Certificate::Verdict::kNotApplicable) certificate = std::move(kinks);
   }
   const bool flat = certificate.curvature && certificate.curvature->kind == Curvature::Kind::kFlat;
@@ -446,12 +463,12 @@ double FixDuration(Scene* scene) {
 // Calls apply(&loss) for every loss in the report.
 template <typename Apply>
 void ForEachLoss(SolveReport* report, const Apply& apply) {
-  if (!report->losses.empty()) {
-    apply(&report->initial_loss);
-    apply(&report->final_loss);
+  if (!report->history.losses.empty()) {
+    apply(&report->guess.loss);
+    apply(&report->solution.loss);
   }
-  for (double& loss : report->losses) apply(&loss);
-  if (report->best) apply(&report->best->loss);
+  for (double& loss : report->history.losses) apply(&loss);
+  if (report->history.best) apply(&report->history.best->solution.loss);
   if (report->searched) apply(&report->searched->lower_bound);
   for (LocalOptimum& optimum : report->optima) apply(&optimum.loss);
 }
@@ -490,9 +507,9 @@ SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
     out.guess->control = Multiplied(options.guess->control, from_si.force);
     out.guess->durations = Multiplied(options.guess->durations, from_si.time);
   }
-  if (options.callback) {
-    out.callback = [&options, units = scene.units](int iteration, double loss) {
-      return options.callback(iteration, ConvertLoss(loss, units, {}));
+  if (options.monitor.callback) {
+    out.monitor.callback = [&options, units = scene.units](int iteration, double loss) {
+      return options.monitor.callback(iteration, ConvertLoss(loss, units, {}));
     };
   }
   return out;
@@ -503,10 +520,11 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   const Units si;
   const UnitFactors to_si(scene.units, si);
   const auto convert_motion = [&](auto* motion) {
-    motion->initial_state = ConvertInitial(std::move(motion->initial_state), scene.num_bodies(), scene.units, si);
-    motion->control = Multiplied(std::move(motion->control), to_si.force);
-    motion->durations = Multiplied(std::move(motion->durations), to_si.time);
-    ConvertDesign(scene, motion->parameters);
+    motion->solution.initial_state =
+        ConvertInitial(std::move(motion->solution.initial_state), scene.num_bodies(), scene.units, si);
+    motion->solution.control = Multiplied(std::move(motion->solution.control), to_si.force);
+    motion->solution.durations = Multiplied(std::move(motion->solution.durations), to_si.time);
+    ConvertDesign(scene, motion->solution.parameters);
   };
   ForEachLoss(&report, [&](double* loss) { *loss = ConvertLoss(*loss, scene.units, si); });
   if (report.searched && report.searched->proof) {
@@ -514,8 +532,8 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
     gap = ConvertLoss(gap, scene.units, si);
   }
   convert_motion(&report);
-  if (report.best) convert_motion(&*report.best);
-  for (std::vector<double>& z : report.iterates) ConvertDecisions(scene, z);
+  if (report.history.best) convert_motion(&*report.history.best);
+  for (std::vector<double>& z : report.history.iterates) ConvertDecisions(scene, z);
   for (std::optional<Certificate>* certificate : {&report.certificate, &report.continuous}) {
     if (*certificate) *certificate = InUnits(**certificate, scene.units, si);
   }
@@ -637,9 +655,9 @@ const SolverEntry* FindSolver(std::string_view name) {
 
 bool EndsWorse(const SolveReport& report) {
   const auto beyond = [](double violation) { return violation > kFeasible ? violation : 0.0; };
-  const double before = beyond(report.initial_violation), after = beyond(report.final_violation);
+  const double before = beyond(report.guess.violation), after = beyond(report.solution.violation);
   if (before != after) return after > before;
-  return IsLess(report.initial_loss, report.final_loss);
+  return IsLess(report.guess.loss, report.solution.loss);
 }
 
 SolveReport Solve(std::string_view solver, const SolveRequest& given, const SolverOptions& given_options) {
@@ -649,9 +667,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   const double price = FixDuration(&request.scene);
   const bool fixed = given.scene.objective.duration && !request.scene.objective.duration;
   SolverOptions options = given_options;
-  if (price != 0 && options.callback) {
-    options.callback = [&given_options, price](int iteration, double loss) {
-      return given_options.callback(iteration, loss + price);
+  if (price != 0 && options.monitor.callback) {
+    options.monitor.callback = [&given_options, price](int iteration, double loss) {
+      return given_options.monitor.callback(iteration, loss + price);
     };
   }
   std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
@@ -659,7 +677,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
   if (reason.empty()) reason = WhyNotDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
-  if (reason.empty()) reason = WhyNotAsHybrid(*entry, request, options.sequence.has_value());
+  if (reason.empty()) reason = WhyNotAsHybrid(*entry, request, options.sequences.given.has_value());
   const bool as_hybrid = reason.empty() && SolvesAsHybrid(*entry, request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
@@ -677,9 +695,9 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
     Confirm(converted, own, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
-    if (fixed && report.durations.empty() && !report.control.empty()) {
-      const size_t intervals = report.control.size() / request.scene.control_width();
-      report.durations.assign(intervals, request.scene.duration / static_cast<double>(intervals));
+    if (fixed && report.solution.durations.empty() && !report.solution.control.empty()) {
+      const size_t intervals = report.solution.control.size() / request.scene.control_width();
+      report.solution.durations.assign(intervals, request.scene.duration / static_cast<double>(intervals));
     }
     return report;
   }

@@ -54,13 +54,13 @@ constexpr NumberOption kNumbers[] = {
     {"gravity_x", kReal, [](Request* r) -> Place { return &r->scene.gravity[0]; }},
     {"gravity_y", kReal, [](Request* r) -> Place { return &r->scene.gravity[1]; }},
     {"effort", kReal, [](Request* r) -> Place { return &r->scene.objective.effort; }},
-    {"learning_rate", kReal, [](Request* r) -> Place { return &r->options.learning_rate; }},
-    {"iterations", kInteger, [](Request* r) -> Place { return &r->options.iterations; }},
-    {"search_work", kReal, [](Request* r) -> Place { return &r->options.search_options.work; }},
-    {"search_seconds", kReal, [](Request* r) -> Place { return &r->options.search_options.seconds; }},
-    {kSearchMemory, kInteger, [](Request* r) -> Place { return &r->options.search_options.memory; }},
-    {"search_starts", kInteger, [](Request* r) -> Place { return &r->options.search_options.starts; }},
-    {"search_seed", kInteger, [](Request* r) -> Place { return &r->options.search_options.seed; }},
+    {"learning_rate", kReal, [](Request* r) -> Place { return &r->options.descent.learning_rate; }},
+    {"iterations", kInteger, [](Request* r) -> Place { return &r->options.limits.iterations; }},
+    {"search_work", kReal, [](Request* r) -> Place { return &r->options.sequences.limits.work; }},
+    {"search_seconds", kReal, [](Request* r) -> Place { return &r->options.sequences.limits.seconds; }},
+    {kSearchMemory, kInteger, [](Request* r) -> Place { return &r->options.sequences.limits.memory; }},
+    {"search_starts", kInteger, [](Request* r) -> Place { return &r->options.sequences.limits.starts; }},
+    {"search_seed", kInteger, [](Request* r) -> Place { return &r->options.sequences.limits.seed; }},
     {"surrogate_sigma", kReal, [](Request* r) -> Place { return &SurrogateOf(r).sigma; }},
     {"surrogate_samples", kInteger, [](Request* r) -> Place { return &SurrogateOf(r).samples; }},
     {"surrogate_seed", kInteger, [](Request* r) -> Place { return &SurrogateOf(r).seed; }},
@@ -212,9 +212,9 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
     CHECK(number != nullptr) << name;
     *number = ToNumber(value);
   }
-  if (request->options.iterations < 0) throw InputError("iterations must not be negative");
-  if (const std::string why = WhyNotValid(request->options.search_options); !why.empty()) throw InputError(why);
-  if (!(request->options.learning_rate > 0)) throw InputError("learning_rate must be positive");
+  if (request->options.limits.iterations < 0) throw InputError("iterations must not be negative");
+  if (const std::string why = WhyNotValid(request->options.sequences.limits); !why.empty()) throw InputError(why);
+  if (!(request->options.descent.learning_rate > 0)) throw InputError("learning_rate must be positive");
   if (!request->options.surrogate) return;
   if (const std::string why = WhyNotValid(*request->options.surrogate); !why.empty()) {
     throw InputError("surrogate_" + why);

@@ -139,7 +139,7 @@ PointStatus StatusOf(Termination termination) {
 // `alone`: no other point is computed meanwhile, so that the memory of the process is that of this one.
 Found SolvePoint(const Request& request, double seconds, const StopRequest& stop, bool alone) {
   SolverOptions options = request.options;
-  options.stop = stop;
+  options.monitor.stop = stop;
   if (alone) ForgetPeakMemory();
   SolvedRun run{SolveAndSimulate(request.solvers[0],
                                  {request.scene, ContactNamed(request.contacts[0], request.scene), request.precision},
@@ -211,7 +211,7 @@ Found ProgramPoint(const SweepStudy& study, int64_t point, double seconds) {
   if (!set.empty()) arguments += " --set=" + quoted(set);
   if (!study.solving()) arguments += " --solver=none";
   if (arguments.find("--iterations=") == std::string::npos) {
-    arguments += " --iterations=" + std::to_string(options.iterations);
+    arguments += " --iterations=" + std::to_string(options.limits.iterations);
   }
   Found found{PointStatus::kComputed, RunProgram(arguments, seconds)};
   Json& document = found.document;

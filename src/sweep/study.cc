@@ -32,8 +32,8 @@ SweepBlock WordBlock(const std::string& option, const std::vector<std::string>& 
 
 // Returns the sequence as a value of the flag --sequence.
 std::string SequenceText(const Request& request) {
-  if (request.options.sequence) return ContactSequenceToString(request.scene, *request.options.sequence);
-  return request.options.search ? "auto" : "fixed";
+  if (request.options.sequences.given) return ContactSequenceToString(request.scene, *request.options.sequences.given);
+  return request.options.sequences.search ? "auto" : "fixed";
 }
 
 // How values of options are told from others: numbers however they are written.
@@ -179,8 +179,8 @@ std::string SweepStudy::Description() const {
   Json description = {{"version", SALTUS_VERSION},
                       {"scene", Split(WriteScene(request_.scene), '\n')},
                       {"precision", request_.precision == Precision::kFloat ? "float" : "double"},
-                      {"iterations", request_.options.iterations},
-                      {"learning_rate", request_.options.learning_rate},
+                      {"iterations", request_.options.limits.iterations},
+                      {"learning_rate", request_.options.descent.learning_rate},
                       {"sequence", SequenceText(request_)},
                       {"sweep", std::move(blocks)}};
   if (const SweepProgram* program = KeptProgram()) {
@@ -188,14 +188,14 @@ std::string SweepStudy::Description() const {
     description["program"] = program->command;
     return description.dump();
   }
-  const SearchOptions& search = request_.options.search_options;
+  const SearchOptions& search = request_.options.sequences.limits;
   const SearchOptions usual;
   if (search.work != usual.work) description["search_work"] = search.work;
   if (search.seconds != usual.seconds) description["search_seconds"] = search.seconds;
   if (search.memory != usual.memory) description["search_memory"] = search.memory >> 20;
   if (search.starts != usual.starts) description["search_starts"] = search.starts;
   if (search.seed != usual.seed) description["search_seed"] = search.seed;
-  if (request_.options.rate_per_time) description["rate_per_time"] = true;
+  if (request_.options.descent.rate_per_time) description["rate_per_time"] = true;
   AddSurrogate(request_.options.surrogate, &description);
   if (const std::optional<FeedbackOptions>& feedback = request_.feedback) {
     description["feedback"] = {{"weights", {feedback->state, feedback->control, feedback->final}},

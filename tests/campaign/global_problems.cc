@@ -70,10 +70,10 @@ class Controls {
   }
 
   void Optimize() {
-    SolverOptions options{.iterations = 40};
+    SolverOptions options{.limits = {.iterations = 40}};
     options.guess = ControlGuess{random_.Below(2) == 0 ? Drawn() : best_, {}};
     const SolveReport report = Solve("ceres_lm", {scene_, "event"}, options);
-    if (report.control.size() == best_.size()) Meet(report.control);
+    if (report.solution.control.size() == best_.size()) Meet(report.solution.control);
   }
 
   const Scene& scene_;

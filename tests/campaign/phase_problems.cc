@@ -148,16 +148,17 @@ class Campaign {
   }
 
   static ContactSequence ImpactsOf(const Scene& scene, const SolveReport& report) {
-    return SimulateExactly(scene, report.initial_state, report.control, report.durations).contacts;
+    return SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations)
+        .contacts;
   }
 
   // In the limit of small steps, of which there are as many as the scene says and twice as many.
   static std::optional<double> Limit(const char* solver, Scene scene, const ContactSequence& impacts) {
     std::array<double, 2> losses;
     for (double& loss : losses) {
-      const SolveReport report = Solve(solver, {scene, "event"}, {.iterations = FLAGS_iterations});
+      const SolveReport report = Solve(solver, {scene, "event"}, {.limits = {.iterations = FLAGS_iterations}});
       if (report.termination != Termination::kConverged || ImpactsOf(scene, report) != impacts) return std::nullopt;
-      loss = report.final_loss;
+      loss = report.solution.loss;
       scene.steps *= 2;
     }
     return (4 * losses[1] - losses[0]) / 3;
@@ -165,8 +166,8 @@ class Campaign {
 
   SolveReport WithoutBounds(Scene scene) {
     scene.steps = 4 * kSteps;
-    const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {.iterations = FLAGS_iterations});
-    const SolveReport event = Solve("ceres_event", {scene, "event"}, {.iterations = FLAGS_iterations});
+    const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {.limits = {.iterations = FLAGS_iterations}});
+    const SolveReport event = Solve("ceres_event", {scene, "event"}, {.limits = {.iterations = FLAGS_iterations}});
     const std::string name = "without bounds: ";
     Note(name + "ceres_phases ", phases);
     Note(name + "ceres_event ", event);
@@ -174,7 +175,7 @@ class Campaign {
     const ContactSequence impacts = ImpactsOf(scene, phases);
     if (ImpactsOf(scene, event) != impacts) {
       Count(name + "along other impacts, lower by " +
-            (phases.final_loss < event.final_loss ? "ceres_phases" : "ceres_event"));
+            (phases.solution.loss < event.solution.loss ? "ceres_phases" : "ceres_event"));
       return phases;
     }
     double difference = 0, gain = 0;
@@ -202,10 +203,10 @@ class Campaign {
 
   void WithBounds(Scene scene, const SolveReport& free, RandomScenes* random) {
     double largest = 0;
-    for (const double force : free.control) largest = std::max(largest, std::abs(force));
-    if (free.control.empty() || largest == 0) return;
+    for (const double force : free.solution.control) largest = std::max(largest, std::abs(force));
+    if (free.solution.control.empty() || largest == 0) return;
     scene.control.max.assign(scene.num_controlled(), random->Uniform(0.6, 0.9) * largest);
-    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = FLAGS_iterations});
+    const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.limits = {.iterations = FLAGS_iterations}});
     const std::string name = "with bounds: ";
     Note(name, report);
     Penalised found;
@@ -215,23 +216,24 @@ class Campaign {
       if (other.run.ok && (!best.ok || other.run.loss < best.loss)) found = std::move(other);
     }
     if (!best.ok) return Count(name + "no random start ends well");
-    const auto is_worse = [&](const SolveReport& than) { return than.final_loss > (1 + 1e-4) * best.loss; };
+    const auto is_worse = [&](const SolveReport& than) { return than.solution.loss > (1 + 1e-4) * best.loss; };
     const SolveReport searched = Solve("mode_search", {scene, "event"}, {});
-    std::printf(" bounded %.8g, searched %.8g, penalised %.8g", report.final_loss, searched.final_loss, best.loss);
+    std::printf(
+        " bounded %.8g, searched %.8g, penalised %.8g", report.solution.loss, searched.solution.loss, best.loss);
     Count(name + "mode_search " + (is_worse(searched) ? "worse than" : "better than, or as good as,") +
           " the best of random starts");
     if (!is_worse(report)) {
-      const bool better = report.final_loss < (1 - 1e-3) * best.loss;
+      const bool better = report.solution.loss < (1 - 1e-3) * best.loss;
       return Count(name + (better ? "better than" : "as good as") + " the best of random starts");
     }
     // Another optimum: is it one of ceres_phases too?
-    SolverOptions options{.iterations = FLAGS_iterations};
+    SolverOptions options{.limits = {.iterations = FLAGS_iterations}};
     options.guess = ControlGuess{found.control, {}};
     const SolveReport there = Solve("ceres_phases", {scene, "event"}, options);
     const bool same = ImpactsOf(scene, report) == best.contacts;
     Count(name + "worse than the best of random starts, which has " + (same ? "the same" : "other") +
           " impacts; from there " + (is_worse(there) ? "worse too" : "as good or better"));
-    std::printf(" WORSE by %.1e, from there %.8g", report.final_loss / best.loss - 1, there.final_loss);
+    std::printf(" WORSE by %.1e, from there %.8g", report.solution.loss / best.loss - 1, there.solution.loss);
   }
 
   void Note(const std::string& name, const SolveReport& report) {

@@ -32,8 +32,8 @@ double CpuTime() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 bool HasTheMinimum(const HybridProblem& problem, const SolveReport& discs) {
   if (!discs.certificate || VerdictInWords(*discs.certificate) != "minimum") return true;
   HybridInput input = problem.guess;
-  input.control = discs.control;
-  input.lengths = discs.durations;
+  input.control = discs.solution.control;
+  input.lengths = discs.solution.durations;
   if (!input.lengths.empty()) input.duration = std::accumulate(input.lengths.begin(), input.lengths.end(), 0.0);
   return Certify(problem, input).IsStationary();
 }
@@ -52,16 +52,16 @@ void Run() {
     const SolveReport hybrid = Solve(FLAGS_solver, problem, {});
     seconds[0] += middle - begin;
     seconds[1] += CpuTime() - middle;
-    if (discs.losses.empty() || hybrid.losses.empty()) continue;
+    if (discs.history.losses.empty() || hybrid.history.losses.empty()) continue;
     const bool has = HasTheMinimum(problem, discs);
     denied += !has;
-    const double change = (hybrid.final_loss - discs.final_loss) / std::abs(discs.final_loss);
+    const double change = (hybrid.solution.loss - discs.solution.loss) / std::abs(discs.solution.loss);
     ++(std::abs(change) <= kSame ? same : change < 0 ? lower : higher);
     std::printf("%-15s discs %.9g %s, hybrid %.9g %s%s\n",
                 scene.name.c_str(),
-                discs.final_loss,
+                discs.solution.loss,
                 TerminationToString(discs.termination),
-                hybrid.final_loss,
+                hybrid.solution.loss,
                 TerminationToString(hybrid.termination),
                 has ? "" : ", not stationary as a hybrid system");
   }

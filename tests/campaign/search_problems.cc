@@ -40,8 +40,8 @@ double CpuSeconds() {
 
 // Returns the exact loss of a control, whatever the solver reports.
 double ExactLoss(const Scene& scene, const SolveReport& report) {
-  if (report.control.empty()) return INFINITY;
-  const ExactRun run = SimulateExactly(scene, InitialState(scene), report.control, report.durations);
+  if (report.solution.control.empty()) return INFINITY;
+  const ExactRun run = SimulateExactly(scene, InitialState(scene), report.solution.control, report.solution.durations);
   return run.ok ? run.loss : INFINITY;
 }
 
@@ -54,8 +54,8 @@ struct Outcome {
     if (!(now < loss)) return;
     loss = now;
     who = solver;
-    control = report.control;
-    durations = report.durations;
+    control = report.solution.control;
+    durations = report.solution.durations;
   }
 };
 
@@ -68,13 +68,13 @@ Outcome BestOfMany(const Scene& scene) {
     ends.emplace_back();
     for (const char* solver : {"ceres_lm", "ceres_lbfgs", "gd"}) {
       SolverOptions options;
-      options.iterations = 300;
-      options.most_impacts = 1000;
+      options.limits.iterations = 300;
+      options.limits.impacts = 1000;
       ends.back().Meet(scene, solver, Solve(solver, {from, "event"}, options));
     }
   }
   std::sort(ends.begin(), ends.end(), [](const Outcome& a, const Outcome& b) { return a.loss < b.loss; });
-  best.Meet(scene, "ceres_phases", Solve("ceres_phases", {scene, "event"}, {.iterations = 3000}));
+  best.Meet(scene, "ceres_phases", Solve("ceres_phases", {scene, "event"}, {.limits = {.iterations = 3000}}));
   double last = 0;
   int tried = 0;
   for (const Outcome& end : ends) {
@@ -82,12 +82,12 @@ Outcome BestOfMany(const Scene& scene) {
     if (tried == 4 || end.control.empty() || end.loss < 1.01 * last) continue;  // the same again
     ++tried;
     last = end.loss;
-    SolverOptions options{.iterations = 3000};
+    SolverOptions options{.limits = {.iterations = 3000}};
     options.guess = ControlGuess{end.control, end.durations};
     best.Meet(scene, "ceres_phases", Solve("ceres_phases", {scene, "event"}, options));
   }
-  SolverOptions options{.iterations = 2500};
-  options.search_options = {.work = 0, .starts = 4 * FLAGS_starts, .seed = 778};
+  SolverOptions options{.limits = {.iterations = 2500}};
+  options.sequences.limits = {.work = 0, .starts = 4 * FLAGS_starts, .seed = 778};
   best.Meet(scene, "mode_search", Solve("mode_search", {scene, "event"}, options));
   return best;
 }
@@ -121,13 +121,13 @@ class Campaign {
   double Search(const Scene& scene) {
     const double begin = CpuSeconds();
     SolverOptions options;
-    options.search_options.work = 0;
-    if (FLAGS_seconds > 0) options.stop = [&] { return CpuSeconds() - begin > FLAGS_seconds; };
+    options.sequences.limits.work = 0;
+    if (FLAGS_seconds > 0) options.monitor.stop = [&] { return CpuSeconds() - begin > FLAGS_seconds; };
     const SolveReport report = Solve("mode_search", {scene, "event"}, options);
     seconds_.push_back(CpuSeconds() - begin);
     const double loss = ExactLoss(scene, report);
-    const bool no_answer = report.control.empty() || !std::isfinite(loss);
-    const bool worse = loss > (1 + 1e-9) * report.initial_loss;
+    const bool no_answer = report.solution.control.empty() || !std::isfinite(loss);
+    const bool worse = loss > (1 + 1e-9) * report.guess.loss;
     if (no_answer || worse ||
         (report.termination != Termination::kConverged && report.reason.empty() &&
          report.termination != Termination::kInterrupted)) {
@@ -136,9 +136,9 @@ class Campaign {
     }
     std::printf(" %.12g from %.6g in %.2f s, %zu solves, %s",
                 loss,
-                report.initial_loss,
+                report.guess.loss,
                 seconds_.back(),
-                report.losses.size(),
+                report.history.losses.size(),
                 TerminationToString(report.termination));
     if (report.termination != Termination::kConverged) std::printf(" (%s)", report.reason.c_str());
     return loss;

@@ -17,8 +17,9 @@ int main(int argc, char** argv) {
     return 2;
   }
   const saltus::SolveRequest request{.scene = std::get<saltus::Scene>(scene), .contact = "direct_toi"};
-  const saltus::SolveReport report = saltus::Solve("gd", request, {.iterations = 999, .learning_rate = 10});
-  std::cout << "loss " << report.initial_loss << " -> " << report.final_loss << ", "
+  const saltus::SolveReport report =
+      saltus::Solve("gd", request, {.limits = {.iterations = 999}, .descent = {.learning_rate = 10}});
+  std::cout << "loss " << report.guess.loss << " -> " << report.solution.loss << ", "
             << saltus::TerminationToString(report.termination) << '\n';
-  return std::abs(report.final_loss - 1.39581298828) < 1e-5 ? 0 : 1;
+  return std::abs(report.solution.loss - 1.39581298828) < 1e-5 ? 0 : 1;
 }

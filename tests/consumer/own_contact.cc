@@ -25,13 +25,13 @@ int main(int argc, char** argv) {
 
   const saltus::Contact own = saltus::OwnContact<OwnModel>();
   const auto solve = [&](const saltus::Contact& contact) {
-    return saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = contact}, {.iterations = 20});
+    return saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = contact}, {.limits = {.iterations = 20}});
   };
   const saltus::SolveReport mine = solve(own), theirs = solve("compliant_warp");
-  std::cout << mine.contact << ": loss " << mine.initial_loss << " -> " << mine.final_loss << "\n"
-            << theirs.contact << ": loss " << theirs.initial_loss << " -> " << theirs.final_loss << "\n";
-  const bool same_loss = mine.final_loss < mine.initial_loss && mine.contact == "own_model" &&
-                         std::abs(mine.final_loss - theirs.final_loss) < 1e-9 * theirs.final_loss;
+  std::cout << mine.contact << ": loss " << mine.guess.loss << " -> " << mine.solution.loss << "\n"
+            << theirs.contact << ": loss " << theirs.guess.loss << " -> " << theirs.solution.loss << "\n";
+  const bool same_loss = mine.solution.loss < mine.guess.loss && mine.contact == "own_model" &&
+                         std::abs(mine.solution.loss - theirs.solution.loss) < 1e-9 * theirs.solution.loss;
 
   const auto exact = saltus::ExactGradientOf(scene);
   const auto audit = [&](const saltus::Contact& contact) {

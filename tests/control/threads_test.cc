@@ -83,7 +83,10 @@ TEST(Threads, SolversSideBySide) {
     const char *solver, *contact;
   } runs[kThreads] = {{"gd", "lcp"}, {"ceres_lbfgs", "event"}, {"ceres_lm", "event"}, {"hmp", "event"}};
   const auto losses = [&](int i) {
-    return Solve(runs[i].solver, {scene, runs[i].contact}, {.iterations = 8, .learning_rate = 10}).losses;
+    return Solve(runs[i].solver,
+                 {scene, runs[i].contact},
+                 {.limits = {.iterations = 8}, .descent = {.learning_rate = 10}})
+        .history.losses;
   };
   std::vector<std::vector<double>> alone, together(kThreads);
   for (int i = 0; i < kThreads; ++i) alone.push_back(losses(i));

@@ -51,12 +51,14 @@ TEST(ExpectedLoss, OfABallWithoutImpactIsTheLossAndTheTraceOfTheCovariance) {
   const MatrixXd P = Eigen::Vector2d(0.01, 0.04).asDiagonal();
   const SolveReport plain = Solve("ceres_lbfgs", problem, {});
   const SolveReport robust = SolveExpectedLoss(problem, {.initial = P}, {});
-  ASSERT_FALSE(robust.losses.empty()) << robust.reason;
+  ASSERT_FALSE(robust.history.losses.empty()) << robust.reason;
   // The motion is linear in the initial state: the optimum is the same, and the trace of F P F' is added.
   const Eigen::Matrix2d F{{1, 0.5}, {0, 1}};
   const double trace = (F * P * F.transpose()).trace();
-  EXPECT_NEAR(robust.final_loss, plain.final_loss + 100 * trace, 1e-8 * robust.final_loss);
-  for (std::size_t i = 0; i < plain.control.size(); ++i) EXPECT_NEAR(robust.control[i], plain.control[i], 1e-4);
+  EXPECT_NEAR(robust.solution.loss, plain.solution.loss + 100 * trace, 1e-8 * robust.solution.loss);
+  for (std::size_t i = 0; i < plain.solution.control.size(); ++i) {
+    EXPECT_NEAR(robust.solution.control[i], plain.solution.control[i], 1e-4);
+  }
 }
 
 TEST(ExpectedLoss, TwoBallsLoseLessUnderNoise) {
@@ -67,14 +69,14 @@ TEST(ExpectedLoss, TwoBallsLoseLessUnderNoise) {
   errors.initial = MatrixXd::Zero(8, 8);
   for (int i : {0, 1, 4, 5}) errors.initial(i, i) = deviation * deviation;
   const SolveRequest request{.scene = scene, .contact = {"event"}};
-  const SolveReport nominal = Solve("ceres_lbfgs", request, {.iterations = 200});
-  const SolveReport robust = SolveExpectedLoss(request, errors, {.iterations = 200});
-  ASSERT_FALSE(robust.losses.empty()) << robust.reason;
-  EXPECT_LT(robust.losses.back(), robust.losses.front());
+  const SolveReport nominal = Solve("ceres_lbfgs", request, {.limits = {.iterations = 200}});
+  const SolveReport robust = SolveExpectedLoss(request, errors, {.limits = {.iterations = 200}});
+  ASSERT_FALSE(robust.history.losses.empty()) << robust.reason;
+  EXPECT_LT(robust.history.losses.back(), robust.history.losses.front());
   const auto loss_of = [&](const Scene& moved, const SolveReport& report) {
     SingleShooting shooting(MakeSimulator({"event"}, moved, Precision::kDouble));
     double loss = 0;
-    EXPECT_TRUE(shooting.Evaluate(report.control, &loss, nullptr));
+    EXPECT_TRUE(shooting.Evaluate(report.solution.control, &loss, nullptr));
     return loss;
   };
   const Estimate gain = MeanOf(2000, [&](int seed) {
@@ -88,20 +90,22 @@ TEST(ExpectedLoss, TwoBallsLoseLessUnderNoise) {
 TEST(ExpectedLoss, ABankShotLosesLessUnderNoise) {
   const Scene scene = ProblemScene("bank_shot");
   const SolveRequest request{.scene = scene, .contact = {"event"}};
-  const SolveReport nominal = Solve("ceres_lbfgs", request, {.iterations = 200});
+  const SolveReport nominal = Solve("ceres_lbfgs", request, {.limits = {.iterations = 200}});
   SingleShooting shooting(MakeSimulator({"event"}, scene, Precision::kDouble));
   ASSERT_EQ(shooting.num_variables(), 3);
   const Eigen::Vector3d deviation(0.004, 0.004, 0.5);
   Scene start = scene;
   for (int i = 0; i < scene.num_bodies(); ++i) {
-    start.bodies[i].velocity = {nominal.initial_state[4 * i + 2], nominal.initial_state[4 * i + 3]};
-    start.bodies[i].angular_velocity = nominal.initial_state[4 * scene.num_bodies() + 2 * i + 1];
+    start.bodies[i].velocity = {nominal.solution.initial_state[4 * i + 2], nominal.solution.initial_state[4 * i + 3]};
+    start.bodies[i].angular_velocity = nominal.solution.initial_state[4 * scene.num_bodies() + 2 * i + 1];
   }
   const Errors errors{.variables = deviation.cwiseAbs2().asDiagonal()};
-  const SolveReport robust = SolveExpectedLoss({.scene = start, .contact = {"event"}}, errors, {.iterations = 200});
-  ASSERT_FALSE(robust.losses.empty()) << robust.reason;
+  const SolveReport robust =
+      SolveExpectedLoss({.scene = start, .contact = {"event"}}, errors, {.limits = {.iterations = 200}});
+  ASSERT_FALSE(robust.history.losses.empty()) << robust.reason;
   const auto decisions = [&](const SolveReport& report) {
-    return std::vector<double>{report.initial_state[2], report.initial_state[3], report.initial_state[13]};
+    return std::vector<double>{
+        report.solution.initial_state[2], report.solution.initial_state[3], report.solution.initial_state[13]};
   };
   const std::vector<double> before = decisions(nominal), after = decisions(robust);
   const auto loss_of = [&](std::vector<double> z, int seed) {

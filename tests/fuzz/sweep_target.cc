@@ -15,7 +15,7 @@ void CheckRow(const SweepBlock& block, const SweepRow& row) {
   Request request;
   request.scene = ExampleScene();
   request.options.surrogate.emplace();
-  request.options.learning_rate = 1;
+  request.options.descent.learning_rate = 1;
   for (size_t j = 0; j < row.size(); ++j) {
     const SweepOptionKind kind = FindSweepOption(block.options[j], request.scene).value();
     if (kind == SweepOptionKind::kWord) {

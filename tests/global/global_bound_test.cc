@@ -363,8 +363,8 @@ TEST(Relaxation, IsBelowTheLossOfEveryMotion) {
       if (k == 0 && number % 5 == 0) {  // a good one, near which bounds are tight
         Scene pushed = scene;
         for (Vec2d& force : pushed.control.initial) force = mean;
-        const SolveReport report = Solve("ceres_lm", {pushed, "event"}, {.iterations = 30});
-        if (!report.control.empty()) control = report.control;
+        const SolveReport report = Solve("ceres_lm", {pushed, "event"}, {.limits = {.iterations = 30}});
+        if (!report.solution.control.empty()) control = report.solution.control;
       }
       const std::vector<double> durations(scene.steps, scene.dt());
       const std::vector<double> initial = InitialState(scene);

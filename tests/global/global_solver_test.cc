@@ -16,9 +16,9 @@ constexpr double kTwoBalls = 1.396542160123;
 
 SolverOptions Limited(double work) {
   SolverOptions options;
-  options.iterations = 20;
-  options.search_options.work = work;
-  options.search_options.starts = 1;
+  options.limits.iterations = 20;
+  options.sequences.limits.work = work;
+  options.sequences.limits.starts = 1;
   return options;
 }
 
@@ -26,7 +26,7 @@ TEST(GlobalSolver, ProvesTheOptimumOfTwoBalls) {
   const SolveReport report = Solve("global", {ProblemScene("two_balls"), "event"}, Limited(2e6));
   EXPECT_EQ(report.solver, "global");
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, kTwoBalls, 1e-8);
+  EXPECT_NEAR(report.solution.loss, kTwoBalls, 1e-8);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kGlobal);
   EXPECT_THAT(report.certificate->reason, HasSubstr("no control has a loss below 1.39654"));

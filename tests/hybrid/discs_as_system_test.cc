@@ -216,16 +216,18 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
   const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
   ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
-  EXPECT_NEAR(user.initial_loss, discs.initial_loss, 1e-12);
-  EXPECT_LE(user.iterations, 30);
+  EXPECT_NEAR(user.guess.loss, discs.guess.loss, 1e-12);
+  EXPECT_LE(user.work.iterations, 30);
   ASSERT_TRUE(user.certificate);
   EXPECT_EQ(user.certificate->verdict, Certificate::Verdict::kStationary) << user.certificate->reason;
   ASSERT_EQ(user.certificate->impacts.size(), 1u);
   int before = 0;
-  for (double time = 0; time < user.certificate->impacts[0].time - 1e-6; ++before) time += user.durations[before];
+  for (double time = 0; time < user.certificate->impacts[0].time - 1e-6; ++before) {
+    time += user.solution.durations[before];
+  }
   const DiagonalOptimum optimum = OptimumOnTheDiagonal(before, 40 - before);
-  EXPECT_NEAR(user.final_loss, optimum.loss, 1e-12);
-  EXPECT_NEAR(discs.final_loss, optimum.loss, 1e-11);                  // Ceres stops 5e-12 above it
+  EXPECT_NEAR(user.solution.loss, optimum.loss, 1e-12);
+  EXPECT_NEAR(discs.solution.loss, optimum.loss, 1e-11);               // Ceres stops 5e-12 above it
   EXPECT_NEAR(user.certificate->impacts[0].time, optimum.time, 1e-7);  // where the loss is flat
   // In continuous time, to which it converges by order 2.
   EXPECT_NEAR(OptimumOnTheDiagonal(100000, 1).loss, 1.396542160123197291194, 1e-10);
@@ -292,12 +294,12 @@ TEST(DiscsAsHybridSystem, HaveGoalRegions) {
   // The conditions of both are those of one optimum.
   const HybridProblem problem = HybridProblemOf(scene);
   HybridInput input = problem.guess;
-  input.control = discs.control;
-  input.lengths = discs.durations;
+  input.control = discs.solution.control;
+  input.lengths = discs.solution.durations;
   HybridShooting hybrid(problem);
   HybridShooting::Outcome outcome;
   ASSERT_TRUE(hybrid.Simulate(input, &outcome)) << hybrid.WhyFailed();
-  EXPECT_NEAR(outcome.loss, discs.final_loss, 1e-11);
+  EXPECT_NEAR(outcome.loss, discs.solution.loss, 1e-11);
   EXPECT_LT(outcome.violation, 1e-8);
   const Certificate found = Certify(problem, input);
   EXPECT_TRUE(found.IsStationary()) << found.reason;
@@ -312,11 +314,12 @@ TEST(DiscsAsHybridSystem, HaveGoalRegions) {
 TEST(DiscsAsHybridSystem, GoOnThroughATouch) {
   Scene scene = ControlProblem(97);
   scene.steps = 60;
-  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.sequence = ContactSequence{{0, 0, true}}});
+  const SolveReport arcs =
+      Solve("ceres_event", {scene, "event"}, {.sequences = {.given = ContactSequence{{0, 0, true}}}});
   ASSERT_EQ(arcs.termination, Termination::kConverged) << arcs.reason;
   const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
   EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
-  EXPECT_NEAR(user.final_loss, arcs.final_loss, 1e-4 * arcs.final_loss);  // with other shares of the intervals
+  EXPECT_NEAR(user.solution.loss, arcs.solution.loss, 1e-4 * arcs.solution.loss);  // with other shares of the intervals
   ASSERT_TRUE(user.certificate);
   EXPECT_EQ(user.certificate->verdict, Certificate::Verdict::kStationary) << user.certificate->reason;
   EXPECT_EQ(user.certificate->impacts.size(), 1u);
@@ -332,7 +335,7 @@ TEST(DiscsAsHybridSystem, HaveAnOptimumWithoutForces) {
   const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
   const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
   EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
-  EXPECT_NEAR(user.final_loss, discs.final_loss, 1e-12);
+  EXPECT_NEAR(user.solution.loss, discs.solution.loss, 1e-12);
   HybridInput input = HybridProblemOf(scene).guess;
   for (const double size : {0.0, 1e-12, 1e-9}) {
     for (size_t i = 0; i < input.control.size(); ++i) {

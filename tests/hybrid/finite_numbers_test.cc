@@ -94,7 +94,7 @@ TEST(FiniteNumbers, EverySolverAndCertificateNamesTheDerivativeThatIsNone) {
     const HybridProblem problem = ProblemOf(kind);
     for (const char* solver : kSolvers) {
       SolverOptions options;
-      options.iterations = 10;
+      options.limits.iterations = 10;
       const SolveReport report = Solve(solver, problem, options);
       EXPECT_EQ(report.termination, Termination::kFailed) << solver << ": " << report.reason;
       EXPECT_THAT(report.reason, HasSubstr(message)) << solver;
@@ -259,19 +259,19 @@ TEST(EnoughSteps, AreTakenAtASolution) {
   problem.free = {.parameters = {0}};
   for (const char* solver : {"ceres_lm", "ceres_lbfgs", "ceres_phases"}) {
     SolverOptions options;
-    options.iterations = 200;
+    options.limits.iterations = 200;
     const SolveReport report = Solve(solver, problem, options);
-    const double w = report.parameters[0];
-    EXPECT_NEAR(report.final_loss,
+    const double w = report.solution.parameters[0];
+    EXPECT_NEAR(report.solution.loss,
                 9 * std::pow(w - 60, 2) + std::pow(std::cos(2 * w) - 0.3, 2),
-                1e-9 * std::max(1.0, report.final_loss))
+                1e-9 * std::max(1.0, report.solution.loss))
         << solver;
     if (report.termination == Termination::kConverged) {
       EXPECT_NEAR(18 * (w - 60) - 4 * (std::cos(2 * w) - 0.3) * std::sin(2 * w), 0, 1e-5) << solver;
     }
-    EXPECT_LT(report.integration_error, 1e-10) << solver;
-    EXPECT_LE(report.iterations, 200);
-    EXPECT_EQ(report.losses.size(), report.iterations + 1u);
+    EXPECT_LT(report.solution.integration_error, 1e-10) << solver;
+    EXPECT_LE(report.work.iterations, 200);
+    EXPECT_EQ(report.history.losses.size(), report.work.iterations + 1u);
   }
 }
 
@@ -282,21 +282,21 @@ TEST(Options, ThatAreNoneAreRefused) {
   problem.free = {.parameters = {0}};
   for (const double rate : {0.0, -1.0, double{NAN}, double{INFINITY}}) {
     SolverOptions options;
-    options.learning_rate = rate;
+    options.descent.learning_rate = rate;
     const SolveReport report = Solve("gd", problem, options);
     EXPECT_EQ(report.termination, Termination::kNotApplicable);
     EXPECT_THAT(report.reason, HasSubstr("learning_rate: found "));
   }
   SolverOptions tiny;
-  tiny.learning_rate = 1e-300;
+  tiny.descent.learning_rate = 1e-300;
   EXPECT_EQ(Solve("gd", problem, tiny).termination, Termination::kNoProgress);
   for (const char* solver : kSolvers) {
     for (const int iterations : {0, 1, 2, 5}) {
       SolverOptions options;
-      options.iterations = iterations;
+      options.limits.iterations = iterations;
       const SolveReport report = Solve(solver, problem, options);
-      EXPECT_LE(report.iterations, iterations) << solver;
-      EXPECT_EQ(report.losses.size(), report.iterations + 1u) << solver;
+      EXPECT_LE(report.work.iterations, iterations) << solver;
+      EXPECT_EQ(report.history.losses.size(), report.work.iterations + 1u) << solver;
     }
   }
 }

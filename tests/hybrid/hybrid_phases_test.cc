@@ -50,7 +50,7 @@ TEST(HybridCertificate, EventsWhereTheControlGoesOnLeaveNoChoice) {
   problem.free.parameters = {0};
   // v(T) = e^2 v_1 - g (T - t_2) with v_1 = g fall and t_2 = fall (1 + 2 e); fall = sqrt(2 / g).
   const double v = 0.25 * g * fall - g * (1 - 2 * fall), slope = 0.125 * fall - (1 - 2 * fall) - fall;
-  EXPECT_NEAR(Solve("gd", problem, {.iterations = 0}).initial_loss, v * v, 1e-12);
+  EXPECT_NEAR(Solve("gd", problem, {.limits = {.iterations = 0}}).guess.loss, v * v, 1e-12);
   ASSERT_GT(std::abs(2 * v * slope), 1e-4);
   const Certificate certificate = Certify(problem, problem.guess);
   EXPECT_EQ(certificate.verdict, kNotStationary) << VerdictInWords(certificate);
@@ -69,8 +69,8 @@ TEST(HybridPhases, ReachTheOptimumOfTheBallByOrderTwo) {
   for (const int n : {50, 100, 200}) {
     const SolveReport report = Solve("ceres_phases", ControlledBall(n), {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LE(report.iterations, 30) << n;
-    const double gap = (report.final_loss - kBallOptimum) * n * n;
+    EXPECT_LE(report.work.iterations, 30) << n;
+    const double gap = (report.solution.loss - kBallOptimum) * n * n;
     EXPECT_GT(gap, 1.5) << n;
     EXPECT_LT(gap, 2.0) << n;
     if (n > 50) {
@@ -95,9 +95,9 @@ TEST(HybridPhases, KeepBoundsOfTheControl) {
   problem.free.control_max = {5};
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_GT(report.final_loss, kBallOptimum);
+  EXPECT_GT(report.solution.loss, kBallOptimum);
   int at_bounds = 0;
-  for (const double u : report.control) {
+  for (const double u : report.solution.control) {
     EXPECT_GE(u, -11);
     EXPECT_LE(u, 5);
     at_bounds += u < -11 + 1e-6 || u > 5 - 1e-6;
@@ -172,12 +172,12 @@ TEST(HybridPhases, ReachTheOptimumOfTheBallInContinuousTime) {
   const HybridProblem problem = BallInContinuousTime({-12, 25, -10, -10, 0, 0});
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, kBallOptimum, 1e-12);
+  EXPECT_NEAR(report.solution.loss, kBallOptimum, 1e-12);
   // The reference: a change of the forces by 1e-6 m/s^2 changes the loss by rounding alone.
   constexpr double kImpact = 0.697936180950424916232723, kSpeed = 9.14598342235800406373598;
   constexpr double kStart = -13.261035960757762298, kBefore = 6.6523834449838246927;
   constexpr double kAfter = -9.5034049214054638468, kEnd = -13.258802112336916118;
-  const std::vector<double>& p = report.parameters;
+  const std::vector<double>& p = report.solution.parameters;
   EXPECT_NEAR(p[2], kStart, 1e-6);
   EXPECT_NEAR(p[2] + p[3] * kImpact, kBefore, 1e-6);
   EXPECT_NEAR(p[4] + p[5] * kImpact, kAfter, 1e-6);
@@ -243,9 +243,9 @@ TEST(HybridPhases, ReachOtherOptimaOfTheBallInContinuousTime) {
   const HybridProblem none = BallInContinuousTime({12, 0, 0, 0, 0, 0});
   const SolveReport alone = Solve("ceres_phases", none, {});
   ASSERT_EQ(alone.termination, Termination::kConverged) << alone.reason;
-  EXPECT_NEAR(alone.final_loss, 6.356139587834746772, 1e-12);
+  EXPECT_NEAR(alone.solution.loss, 6.356139587834746772, 1e-12);
   HybridInput best = none.guess;
-  best.parameters = alone.parameters;
+  best.parameters = alone.solution.parameters;
   HybridSimulator simulator(none.system);
   ASSERT_TRUE(simulator.Rollout(best));
   EXPECT_EQ(simulator.events().size(), 0u);
@@ -256,14 +256,14 @@ TEST(HybridPhases, ReachOtherOptimaOfTheBallInContinuousTime) {
   const HybridProblem two = BallInContinuousTime({-42, 144, -141, 153, 267, -309});
   const SolveReport twice = Solve("ceres_phases", two, {});
   ASSERT_EQ(twice.termination, Termination::kConverged) << twice.reason;
-  EXPECT_NEAR(twice.final_loss, 25.215, 5e-4);
-  best.parameters = twice.parameters;
+  EXPECT_NEAR(twice.solution.loss, 25.215, 5e-4);
+  best.parameters = twice.solution.parameters;
   ASSERT_TRUE(simulator.Rollout(best));
   ASSERT_EQ(simulator.events().size(), 2u);
   // Far from it, too.
   const SolveReport far = Solve("ceres_phases", BallInContinuousTime({-30, 0.1, -61, 0.1, -30, 0.1}), {});
   ASSERT_EQ(far.termination, Termination::kConverged) << far.reason;
-  EXPECT_NEAR(far.final_loss, 25.215, 5e-4);
+  EXPECT_NEAR(far.solution.loss, 25.215, 5e-4);
 }
 
 // A disc of radius 0.2 m that strikes another one, of the same mass: [x y vx vy] of both.
@@ -284,8 +284,9 @@ struct StrikingDisc {
   template <typename T>
   int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
     const T nx = (x[4] - x[0]) / 0.4, ny = (x[5] - x[1]) / 0.4, closing = (x[2] - x[6]) * nx + (x[3] - x[7]) * ny;
-    for (int i = 0; i < 8; ++i)
+    for (int i = 0; i < 8; ++i) {
       x_plus[i] = i % 4 < 2 ? x[i] : x[i] + (i < 4 ? -closing : closing) * (i % 2 == 0 ? nx : ny);
+    }
     return 0;
   }
 };
@@ -304,8 +305,8 @@ TEST(HybridPhases, NeedFewIterationsWhateverTheGuess) {
     problem.free.control = true;
     const SolveReport report = Solve("ceres_phases", problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << guess << ": " << report.reason;
-    EXPECT_LE(report.iterations, most) << guess;
-    EXPECT_NEAR((report.final_loss - kOptimum) * kIntervals * kIntervals, 0.163, 0.005) << guess;
+    EXPECT_LE(report.work.iterations, most) << guess;
+    EXPECT_NEAR((report.solution.loss - kOptimum) * kIntervals * kIntervals, 0.163, 0.005) << guess;
   }
 }
 
@@ -406,9 +407,9 @@ TEST(HybridCertificate, HoldsAtTheOptimaOfTheBallOnIntervalsThatMove) {
       for (int k = 0; k < 50; ++k) problem.guess.control.push_back(k < 35 ? 9.8 - 8 / 0.49 : 0);  // 4 m in 0.7 s
       const SolveReport report = Solve("ceres_phases", problem, {});
       ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-      EXPECT_NEAR(report.final_loss, row.loss, 1e-10);
-      best.input.control = report.control;
-      best.input.lengths = report.durations;
+      EXPECT_NEAR(report.solution.loss, row.loss, 1e-10);
+      best.input.control = report.solution.control;
+      best.input.lengths = report.solution.durations;
     }
     HybridSimulator simulator(problem.system);
     ASSERT_TRUE(simulator.Rollout(best.input));
@@ -531,12 +532,12 @@ TEST(HybridCertificate, CurvatureOfTheBallAgreesWithDifferencesOfTheLoss) {
   ASSERT_TRUE(report.certificate && report.certificate->curvature);
   const double impact = report.certificate->impacts[0].time;
   int before = 0;
-  for (double t = 0; t < impact - 1e-6; ++before) t += report.durations[before];
-  ASSERT_NEAR(LossOfPhases(report.control, before, impact), report.final_loss, 1e-9);
+  for (double t = 0; t < impact - 1e-6; ++before) t += report.solution.durations[before];
+  ASSERT_NEAR(LossOfPhases(report.solution.control, before, impact), report.solution.loss, 1e-9);
   const int n = 6;
   Eigen::MatrixXd hessian(n, n);  // in coordinates in which the effort is the sum of squares
   const auto at = [&](int i, double by_i, int j, double by_j) {
-    std::vector<double> u = report.control;
+    std::vector<double> u = report.solution.control;
     u[i] += by_i;
     u[j] += by_j;
     return LossOfPhases(u, before, impact);
@@ -544,7 +545,7 @@ TEST(HybridCertificate, CurvatureOfTheBallAgreesWithDifferencesOfTheLoss) {
   const double d = 1e-2;
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) {
-      const double metric = std::sqrt(report.durations[i] * report.durations[j]) / 16;
+      const double metric = std::sqrt(report.solution.durations[i] * report.solution.durations[j]) / 16;
       hessian(i, j) = (at(i, d, j, d) - at(i, d, j, -d) - at(i, -d, j, d) + at(i, -d, j, -d)) / (4 * d * d * metric);
     }
   }
@@ -611,7 +612,7 @@ TEST(HybridCertificate, FindsSaddlesAndMinima) {
     // The solver leaves it: with x(2) = z the loss is (z^2 - 1)^2 + z^2, at least 3/4.
     const SolveReport report = Solve("ceres_phases", problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LT(report.final_loss, 0.99);
+    EXPECT_LT(report.solution.loss, 0.99);
     ASSERT_TRUE(report.certificate);
     EXPECT_FALSE(report.certificate->IsSaddle());
   }
@@ -646,7 +647,7 @@ TEST(HybridCertificate, HoldsOnBothSidesOfAnEventAtTheFinalTime) {
     const HybridProblem problem = PushedDown(target, weight);
     const SolveReport report = Solve(solver, problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_NEAR(report.final_loss, weight * target * target + effort, 1e-5);
+    EXPECT_NEAR(report.solution.loss, weight * target * target + effort, 1e-5);
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, kStationaryOnGrid) << report.certificate->reason;
     EXPECT_THAT(report.certificate->reason, HasSubstr("at the final time: a kink"));
@@ -733,18 +734,18 @@ TEST(HybridPhases, FindTheRestitutionOfTheTutorial) {
   problem.free.parameters_max = {1};
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.parameters[1], 0.988008392024876511903389, 1e-12);
-  EXPECT_LT(report.final_loss, 1e-18);
+  EXPECT_NEAR(report.solution.parameters[1], 0.988008392024876511903389, 1e-12);
+  EXPECT_LT(report.solution.loss, 1e-18);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, kGlobal);
 
   // From near the published answer the search finds the right one.
   problem.guess.parameters[1] = 0.866;
   SolverOptions options;
-  options.iterations = 40;
+  options.limits.iterations = 40;
   const SolveReport searched = Solve("mode_search", problem, options);
-  EXPECT_NEAR(searched.parameters[1], 0.988008392024876511903389, 1e-9) << searched.reason;
-  EXPECT_LT(searched.final_loss, 1e-12);
+  EXPECT_NEAR(searched.solution.parameters[1], 0.988008392024876511903389, 1e-9) << searched.reason;
+  EXPECT_LT(searched.solution.loss, 1e-12);
 }
 
 TEST(HybridSolvers, BringTheTwoMassHopperFromAllStartsToOneOptimum) {
@@ -752,12 +753,12 @@ TEST(HybridSolvers, BringTheTwoMassHopperFromAllStartsToOneOptimum) {
   std::mt19937_64 random(1);
   std::uniform_real_distribution<double> rate(-0.5, 0.5);
   SolverOptions options;
-  options.iterations = 200;
+  options.limits.iterations = 200;
   for (int start = 0; start < 14; ++start) {
     problem.guess.control.clear();
     for (int k = 0; k < problem.guess.num_intervals; ++k) problem.guess.control.push_back(rate(random));
     const SolveReport report = Solve("ceres_lm", problem, options);
-    EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << start << ": " << report.reason;
+    EXPECT_NEAR(report.solution.loss, 0.0184634928516979, 1e-12) << start << ": " << report.reason;
   }
 }
 
@@ -769,19 +770,21 @@ TEST(HybridSolvers, TakeModesOfDifferentSizes) {
   in_stance.guess.initial = {0.38, 0.0, 0.5};
   in_stance.guess.duration = 0.3;
   for (const HybridProblem& given : {in_flight, in_stance}) {
-    const SolveReport expected = Solve("ceres_lm", given, {.iterations = 200});
+    const SolveReport expected = Solve("ceres_lm", given, {.limits = {.iterations = 200}});
     for (const std::string solver : {"ceres_phases", "ipopt"}) {
       const SolveReport report = Solve(solver, given, {});
       if (report.termination == Termination::kNotApplicable) continue;  // a build without IPOPT
       ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
       // The intervals end at the events, which changes the optimum a little.
-      EXPECT_NEAR(report.final_loss, expected.final_loss, 1e-3 * expected.final_loss) << solver;
+      EXPECT_NEAR(report.solution.loss, expected.solution.loss, 1e-3 * expected.solution.loss) << solver;
       HybridProblem again = given;
-      again.guess.control = report.control;
-      again.guess.lengths = report.durations;
-      again.guess.num_intervals = static_cast<int>(report.durations.size());
-      if (report.durations.empty()) again.guess.num_intervals = given.guess.num_intervals;
-      EXPECT_NEAR(Solve("gd", again, {.iterations = 0}).initial_loss, report.final_loss, 1e-8 * report.final_loss)
+      again.guess.control = report.solution.control;
+      again.guess.lengths = report.solution.durations;
+      again.guess.num_intervals = static_cast<int>(report.solution.durations.size());
+      if (report.solution.durations.empty()) again.guess.num_intervals = given.guess.num_intervals;
+      EXPECT_NEAR(Solve("gd", again, {.limits = {.iterations = 0}}).guess.loss,
+                  report.solution.loss,
+                  1e-8 * report.solution.loss)
           << solver;
     }
   }
@@ -820,8 +823,8 @@ TEST(HybridPhases, FindTheStartOfTheSwitchedLine) {
   for (const bool root : {true, false}) {
     const SolveReport report = Solve("ceres_phases", root ? SwitchedLineProblem() : by_intervals, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12);
-    EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, root ? 1e-6 : 2e-8);
+    EXPECT_NEAR(report.solution.loss, 1.52377277537495711456099, 1e-12);
+    EXPECT_NEAR(report.solution.initial_state[0], -1.42757223208276713401017, root ? 1e-6 : 2e-8);
     ASSERT_TRUE(report.certificate);
     // The integral over an interval is that of the mode in which it begins, which an event behind the node changes.
     EXPECT_EQ(report.certificate->verdict, root ? kStationary : kNotApplicable) << report.certificate->reason;
@@ -833,8 +836,8 @@ TEST(HybridPhases, DriveTheTurboCarInMinimumTime) {
   const HybridProblem problem = TurboCarProblem();
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 40.0 / 3, 1e-8);
-  EXPECT_LT(report.final_violation, 1e-8);
+  EXPECT_NEAR(report.solution.loss, 40.0 / 3, 1e-8);
+  EXPECT_LT(report.solution.violation, 1e-8);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, kStationary) << report.certificate->reason;
   ASSERT_EQ(report.certificate->impacts.size(), 2u);
@@ -863,8 +866,8 @@ TEST(HybridPhases, DriveOtherCarsInMinimumTime) {
     problem.guess.num_intervals = static_cast<int>(problem.guess.control.size());
     const SolveReport report = Solve("ceres_phases", problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_NEAR(report.final_loss, at.best, 1e-8);
-    EXPECT_LT(report.final_violation, 1e-8);
+    EXPECT_NEAR(report.solution.loss, at.best, 1e-8);
+    EXPECT_LT(report.solution.violation, 1e-8);
     ASSERT_TRUE(report.certificate);
     ASSERT_EQ(report.certificate->impacts.size(), at.events.size());
     for (size_t i = 0; i < at.events.size(); ++i) {
@@ -879,12 +882,12 @@ TEST(HybridModeSearch, FindsTheBounceAndProvesNothing) {
   problem.guess.control.assign(40, 12.0);  // never comes down
   const SolveReport alone = Solve("ceres_phases", problem, {});
   ASSERT_EQ(alone.termination, Termination::kConverged) << alone.reason;
-  EXPECT_NEAR(alone.final_loss, 6.356139587834746772, 0.05);
+  EXPECT_NEAR(alone.solution.loss, 6.356139587834746772, 0.05);
   SolverOptions options;
-  options.search_options.starts = 2;
+  options.sequences.limits.starts = 2;
   const SolveReport report = Solve("mode_search", problem, options);
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, kBallOptimum, 3.0 / (40 * 40));
+  EXPECT_NEAR(report.solution.loss, kBallOptimum, 3.0 / (40 * 40));
   EXPECT_THAT(report.reason, HasSubstr("along flight/ground"));
   ASSERT_GE(report.optima.size(), 2u);
   EXPECT_EQ(report.optima[0].sequence.size(), 1u);
@@ -896,9 +899,9 @@ TEST(HybridModeSearch, FindsTheBounceAndProvesNothing) {
 
   options.threads = 2;
   const SolveReport other = Solve("mode_search", problem, options);
-  EXPECT_EQ(other.final_loss, report.final_loss) << "it does not depend on the number of threads";
+  EXPECT_EQ(other.solution.loss, report.solution.loss) << "it does not depend on the number of threads";
   EXPECT_EQ(other.reason, report.reason);
-  options.search_options.work = 1;
+  options.sequences.limits.work = 1;
   EXPECT_THAT(Solve("mode_search", problem, options).reason, HasSubstr("not complete: the limit of work"));
 }
 
@@ -908,8 +911,8 @@ TEST(HybridModeSearch, EndsAtALossOfZero) {
   problem.terms.pop_back();  // the effort
   const SolveReport report = Solve("mode_search", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LE(report.final_loss, 1e-9);
-  EXPECT_EQ(report.iterations, 1) << report.reason;
+  EXPECT_LE(report.solution.loss, 1e-9);
+  EXPECT_EQ(report.work.iterations, 1) << report.reason;
   EXPECT_THAT(report.reason, HasSubstr("with a loss of zero, which ends the search"));
   ASSERT_TRUE(report.certificate);
   EXPECT_NE(report.certificate->verdict, kNotStationary) << report.certificate->reason;
@@ -921,9 +924,9 @@ TEST(HybridModeSearch, EndsAtALossOfZero) {
   problem.terms.push_back(MakeTerminalCost(1, 0.0, 0.0, 2));
   problem.terms.back().role = HybridTerm::Role::kValue;
   SolverOptions options;
-  options.search_options.starts = 1;
+  options.sequences.limits.starts = 1;
   const SolveReport other = Solve("mode_search", problem, options);
-  EXPECT_GT(other.iterations, 1) << other.reason;
+  EXPECT_GT(other.work.iterations, 1) << other.reason;
 }
 
 // A control that is not free and changes on its grid stays as it is while the event moves, here by more than an
@@ -934,10 +937,10 @@ TEST(HybridPhases, KeepTheGridOfAGivenControl) {
   problem.guess.control = {1, 1, 1, 1, 1, -3, 2, 2, 5, 2};
   const SolveReport shot = Solve("ceres_lm", problem, {}), report = Solve("ceres_phases", problem, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-9 * shot.final_loss);
-  EXPECT_NEAR(report.parameters[1], shot.parameters[1], 1e-6);
-  EXPECT_NEAR(report.initial_state[0], shot.initial_state[0], 1e-6);
-  EXPECT_EQ(report.control, problem.guess.control);
+  EXPECT_NEAR(report.solution.loss, shot.solution.loss, 1e-9 * shot.solution.loss);
+  EXPECT_NEAR(report.solution.parameters[1], shot.solution.parameters[1], 1e-6);
+  EXPECT_NEAR(report.solution.initial_state[0], shot.solution.initial_state[0], 1e-6);
+  EXPECT_EQ(report.solution.control, problem.guess.control);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, kStationaryOnGrid) << report.certificate->reason;
 }
@@ -977,7 +980,7 @@ TEST(HybridPhases, KeepAGuardAboveZeroBetweenTheEndsOfSteps) {
   for (const char* solver : {"ceres_phases", "ipopt"}) {
     const SolveReport report = Solve(solver, problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
-    EXPECT_NEAR(report.final_loss, 8.25, 1e-6) << solver;  // the margin is 1e-8 of the size of the guard
+    EXPECT_NEAR(report.solution.loss, 8.25, 1e-6) << solver;  // the margin is 1e-8 of the size of the guard
     ASSERT_TRUE(report.certificate);
     EXPECT_THAT(report.certificate->reason, testing::HasSubstr("mode 0/ceiling stay at zero")) << solver;
   }

@@ -24,7 +24,7 @@ using testing::HasSubstr;
 
 SolverOptions Iterations(int iterations) {
   SolverOptions options;
-  options.iterations = iterations;
+  options.limits.iterations = iterations;
   return options;
 }
 
@@ -202,24 +202,24 @@ TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
   problem.free.parameters_max = {1};
   const SolveReport report = Solve("ceres_lm", problem, Iterations(50));
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.parameters[1], 0.988008392024876511903389, 1e-12);
-  EXPECT_LT(report.final_loss, 1e-18);
-  EXPECT_LT(report.integration_error, 1e-12);
+  EXPECT_NEAR(report.solution.parameters[1], 0.988008392024876511903389, 1e-12);
+  EXPECT_LT(report.solution.loss, 1e-18);
+  EXPECT_LT(report.solution.integration_error, 1e-12);
 
   problem.guess.parameters[1] = 0.866;
   const SolveReport published = Solve("ceres_lm", problem, Iterations(200));
-  EXPECT_NEAR(published.parameters[1], 0.866554105436901, 1e-6);
-  EXPECT_NEAR(published.final_loss, 0.3995468507, 1e-9);
+  EXPECT_NEAR(published.solution.parameters[1], 0.866554105436901, 1e-6);
+  EXPECT_NEAR(published.solution.loss, 0.3995468507, 1e-9);
 }
 
 TEST(HybridSolvers, FindTheStartOfTheSwitchedLine) {
   const HybridProblem problem = SwitchedLineProblem();
   for (const char* solver : {"ceres_lbfgs", "ceres_lm", "gd"}) {
     SolverOptions options = Iterations(400);
-    options.learning_rate = 0.3;
+    options.descent.learning_rate = 0.3;
     const SolveReport report = Solve(solver, problem, options);
-    EXPECT_NEAR(report.initial_state[0], -1.42757223208276713401017, 1e-8) << solver << ": " << report.reason;
-    EXPECT_NEAR(report.final_loss, 1.52377277537495711456099, 1e-12) << solver;
+    EXPECT_NEAR(report.solution.initial_state[0], -1.42757223208276713401017, 1e-8) << solver << ": " << report.reason;
+    EXPECT_NEAR(report.solution.loss, 1.52377277537495711456099, 1e-12) << solver;
   }
 }
 
@@ -267,9 +267,11 @@ TEST(HybridSolvers, FindTheHopOfTwoMasses) {
   for (const char* solver : {"ceres_lbfgs", "ceres_lm"}) {
     const SolveReport report = Solve(solver, problem, Iterations(200));
     EXPECT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
-    EXPECT_NEAR(report.final_loss, 0.0184634928516979, 1e-12) << solver;
-    ASSERT_EQ(report.control.size(), best.size());
-    for (size_t i = 0; i < best.size(); ++i) EXPECT_NEAR(report.control[i], best[i], 1e-8) << solver << " " << i;
+    EXPECT_NEAR(report.solution.loss, 0.0184634928516979, 1e-12) << solver;
+    ASSERT_EQ(report.solution.control.size(), best.size());
+    for (size_t i = 0; i < best.size(); ++i) {
+      EXPECT_NEAR(report.solution.control[i], best[i], 1e-8) << solver << " " << i;
+    }
   }
 }
 
@@ -282,8 +284,8 @@ TEST(HybridSolvers, NameTheKinkTheyStopAt) {
   problem.free.control = true;
   const SolveReport report = Solve("ceres_lbfgs", problem, Iterations(1000));
   EXPECT_NE(report.termination, Termination::kConverged);
-  EXPECT_GE(report.final_loss, 2.1976626506629637918 - 1e-12) << "no motion on this grid is better";
-  EXPECT_LT(report.final_loss, 2.6);
+  EXPECT_GE(report.solution.loss, 2.1976626506629637918 - 1e-12) << "no motion on this grid is better";
+  EXPECT_LT(report.solution.loss, 2.6);
   EXPECT_THAT(report.reason, HasSubstr("has an event at t = 0.7, where the control jumps"));
 }
 
@@ -297,7 +299,7 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
     int64_t asked = 0, most = std::numeric_limits<int64_t>::max();
     SolverOptions options = Iterations(50);
     options.threads = 1;
-    options.stop = [&] { return ++asked > most; };
+    options.monitor.stop = [&] { return ++asked > most; };
     Solve(solver.name, problem, options);
     const int64_t all = std::exchange(asked, 0);
     ASSERT_GT(all, 10) << solver.name;
@@ -308,13 +310,13 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
       const SolveReport report = Solve(solver.name, problem, options);
       ASSERT_NE(report.termination, Termination::kFailed) << solver.name << most << report.reason;
       interrupted += report.termination == Termination::kInterrupted;
-      if (report.losses.empty()) continue;
+      if (report.history.losses.empty()) continue;
       HybridInput input = problem.guess;
-      input.control = report.control;
-      input.lengths = report.durations;
+      input.control = report.solution.control;
+      input.lengths = report.solution.durations;
       HybridShooting::Outcome outcome;
       ASSERT_TRUE(HybridShooting(problem).Simulate(input, &outcome)) << solver.name << most;
-      EXPECT_NEAR(outcome.loss, report.final_loss, 1e-9 * report.initial_loss) << solver.name << " " << most;
+      EXPECT_NEAR(outcome.loss, report.solution.loss, 1e-9 * report.guess.loss) << solver.name << " " << most;
     }
     EXPECT_GT(interrupted, 20) << solver.name;
   }

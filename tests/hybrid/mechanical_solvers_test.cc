@@ -33,8 +33,8 @@ TEST(WallSwingUp, BestControlOnTheGridIsAtAKink) {
   const nlohmann::json& reference = ReferenceFile("mechanical_references.json").at("P12").at("pinned");
   HybridProblem problem = WallSwingUpProblem();
   for (int k = 0; k < 40; ++k) problem.guess.control[k] = Number(reference["u"][k]);
-  const SolveReport report = Solve("gd", problem, {.iterations = 0});
-  EXPECT_NEAR(report.final_loss, Number(reference["J"]), 1e-11);
+  const SolveReport report = Solve("gd", problem, {.limits = {.iterations = 0}});
+  EXPECT_NEAR(report.solution.loss, Number(reference["J"]), 1e-11);
   EXPECT_THAT(report.reason, HasSubstr("guard 'hit wall' has an event at t = 0.36, where the control jumps"));
   HybridSimulator simulator(problem.system, {.tolerance = 1e-14});
   ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
@@ -51,8 +51,8 @@ TEST(WallSwingUp, OptimumHasACertificate) {
   for (const char* solver : {"ceres_phases", "mode_search"}) {
     const SolveReport report = Solve(solver, WallSwingUpProblem(), {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LT(report.final_loss, 1.2940262535645843948) << solver;
-    EXPECT_GT(report.final_loss, 1.29) << solver;
+    EXPECT_LT(report.solution.loss, 1.2940262535645843948) << solver;
+    EXPECT_GT(report.solution.loss, 1.29) << solver;
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
     ASSERT_EQ(report.certificate->impacts.size(), 1u);
@@ -62,8 +62,8 @@ TEST(WallSwingUp, OptimumHasACertificate) {
 
 // On the grid, where optima sit on kinks, single shooting ends near one of them.
 TEST(WallSwingUp, ShootingEndsAtAKinkAndSaysSo) {
-  const SolveReport report = Solve("ceres_lbfgs", WallSwingUpProblem(), {.iterations = 2000});
-  EXPECT_LT(report.final_loss, 1.4861) << "the best that is known without an impact";
+  const SolveReport report = Solve("ceres_lbfgs", WallSwingUpProblem(), {.limits = {.iterations = 2000}});
+  EXPECT_LT(report.solution.loss, 1.4861) << "the best that is known without an impact";
   EXPECT_THAT(report.reason, HasSubstr("where the control jumps"));
 }
 
@@ -91,11 +91,11 @@ TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   const double missed = kTarget - free - s * with_lift * squares;
   const SolveReport report = Solve("ceres_phases", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, kWeight * missed * missed + kEffort * h * with_lift * s * s * squares, 1e-8);
+  EXPECT_NEAR(report.solution.loss, kWeight * missed * missed + kEffort * h * with_lift * s * s * squares, 1e-8);
   for (int k = 0; k < kIntervals; ++k) {
     const double along = s * h * (kDuration - (k + 0.5) * h);
-    EXPECT_NEAR(report.control[2 * k], along, 1e-5) << k;
-    EXPECT_NEAR(report.control[2 * k + 1], kFriction * along, 1e-5) << k;
+    EXPECT_NEAR(report.solution.control[2 * k], along, 1e-5) << k;
+    EXPECT_NEAR(report.solution.control[2 * k + 1], kFriction * along, 1e-5) << k;
   }
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
@@ -129,12 +129,12 @@ TEST(ClosedContacts, AMassThatSticksIsPulledByASearch) {
   const double s = kWeight * (kTarget - free) / (kEffort * h + kWeight * with_lift * squares);
   const double missed = kTarget - free - s * with_lift * squares;
   const double sliding = kWeight * missed * missed + kEffort * h * with_lift * s * s * squares;
-  const SolveReport report = Solve("auto", problem, {.search_options = {.work = 2e5, .starts = 2}});
+  const SolveReport report = Solve("auto", problem, {.sequences = {.limits = {.work = 2e5, .starts = 2}}});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_EQ(report.solver, "mode_search") << report.reason;
   EXPECT_THAT(report.reason, Not(HasSubstr("tried"))) << "solvers that begin at the guess would stay there";
   // The mass sticks for a little while before it is pulled, as a phase before the control jumps has a length.
-  EXPECT_LT(report.final_loss, 1.003 * sliding);
+  EXPECT_LT(report.solution.loss, 1.003 * sliding);
 }
 
 // A mass on rough ground, with a smooth wall far to the right.
@@ -166,7 +166,7 @@ TEST(ClosedContacts, OptimaBesideAContactWithoutFrictionNameTheirEvents) {
                                         .control = {0, 0, 8, 0, 8, 0, 8, 0}},
                               .terms = {MakeTerminalCost(0, 1.5, 40, 4), MakeEffortCost(0.1, 2)},
                               .free = {.control = true}};
-  const SolveReport report = Solve("mode_search", problem, {.search_options = {.work = 2e5, .starts = 2}});
+  const SolveReport report = Solve("mode_search", problem, {.sequences = {.limits = {.work = 2e5, .starts = 2}}});
   ASSERT_FALSE(report.optima.empty()) << report.reason;
   const ContactSequence& best = report.optima[0].sequence;
   ASSERT_FALSE(best.empty()) << report.reason;
@@ -244,21 +244,23 @@ HybridProblem CartsProblem(double push) {
 void ExpectAsLowAsShooting(const HybridProblem& problem, const SolveReport& report) {
   HybridProblem shot = problem;
   shot.guess = SolutionOf(problem, report);
-  EXPECT_NEAR(Solve("ceres_lm", shot, {}).final_loss, report.final_loss, 1e-8 * report.final_loss);
+  EXPECT_NEAR(Solve("ceres_lm", shot, {}).solution.loss, report.solution.loss, 1e-8 * report.solution.loss);
 }
 
 // Sliding that reverses without friction changes nothing, and no plan has it. As intervals stretch with the time of the
 // hit, the hit moves by more than the end of the interval that follows it.
 TEST(Carts, WithoutFrictionHitOnce) {
   for (const char* solver : {"ceres_phases", "ipopt"}) {
-    if (Solve(solver, CartsProblem(20), {.iterations = 0}).termination == Termination::kNotApplicable) continue;
+    if (Solve(solver, CartsProblem(20), {.limits = {.iterations = 0}}).termination == Termination::kNotApplicable) {
+      continue;
+    }
     const HybridProblem problem = CartsProblem(20);
     const SolveReport report = Solve(solver, problem, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
     ASSERT_TRUE(report.certificate);
     EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
     ExpectAsLowAsShooting(problem, report);
-    EXPECT_LT(report.final_loss, 172) << solver;
+    EXPECT_LT(report.solution.loss, 172) << solver;
   }
 }
 
@@ -280,9 +282,9 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, Hybr
   ASSERT_TRUE(report.certificate->curvature);
   EXPECT_GT(report.certificate->curvature->smallest, 0);
   HybridInput best = problem.guess;
-  best.control = report.control;
-  best.lengths = report.durations;
-  best.num_intervals = static_cast<int>(report.durations.size());
+  best.control = report.solution.control;
+  best.lengths = report.solution.durations;
+  best.num_intervals = static_cast<int>(report.solution.durations.size());
   ASSERT_TRUE(simulator->Rollout(best)) << simulator->WhyFailed();
   std::map<double, bool> changes = {{best.duration, false}};  // of the mode, and the end; whether a guard makes them
   for (const HybridEvent& event : simulator->events()) changes[event.time] = true;
@@ -318,18 +320,18 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, Hybr
         ++i;
       }
     }
-    EXPECT_GT(outcome.loss, report.final_loss) << trial;
+    EXPECT_GT(outcome.loss, report.solution.loss) << trial;
   }
 }
 
 // The disc strikes the box, sticks to it, and pushes it until the end.
 TEST(ClosedContacts, APushedBoxReachesItsTargetWithACertificate) {
   const HybridProblem problem = PushedBoxProblem();
-  const SolveReport report = Solve("mode_search", problem, {.search_options = {.work = 1e6, .starts = 1}});
+  const SolveReport report = Solve("mode_search", problem, {.sequences = {.limits = {.work = 1e6, .starts = 1}}});
   HybridSimulator simulator(problem.system, problem.integration);
   ASSERT_NO_FATAL_FAILURE(ExpectMinimum(problem, report, &simulator));
   EXPECT_EQ(problem.system.ModeName(simulator.final_mode()), "s");
-  EXPECT_LT(report.final_loss, 0.1 * report.losses.front());
+  EXPECT_LT(report.solution.loss, 0.1 * report.history.losses.front());
 }
 
 // The foot sticks, takes off where the torques jump, lands and sticks again.
@@ -400,17 +402,17 @@ SolveReport SolvePolynomial(const std::vector<double>& start) {
                            .with_parameters = true,
                            .function = std::make_shared<ceres::AutoDiffCostFunction<Effort, 6, 7>>(new Effort())});
   problem.free.parameters = {0, 1, 2, 3, 4, 5};
-  return Solve("ceres_lm", problem, {.iterations = 2000});
+  return Solve("ceres_lm", problem, {.limits = {.iterations = 2000}});
 }
 
 TEST(PolynomialSwingUp, WithoutImpact) {
   const SolveReport report = SolvePolynomial({-5.1, -65.6, 206.4, -131.9, -82.4, 84.3});
-  EXPECT_NEAR(report.final_loss, 1.4856636733327897, 1e-9) << report.reason;
+  EXPECT_NEAR(report.solution.loss, 1.4856636733327897, 1e-9) << report.reason;
 }
 
 TEST(PolynomialSwingUp, WithOneImpact) {
   const SolveReport report = SolvePolynomial({-11, -11, -120, 870, -1330, 595});
-  EXPECT_NEAR(report.final_loss, 2.0435133468791774, 1e-9) << report.reason;
+  EXPECT_NEAR(report.solution.loss, 2.0435133468791774, 1e-9) << report.reason;
 }
 
 }  // namespace

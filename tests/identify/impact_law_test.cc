@@ -243,8 +243,8 @@ TEST(NeuralEvent, GoesWhereRolloutsDo) {
   const Contact contact = LearnedContact(SofteningLaw(0.95, 0.02));
   const Scene scene = ProblemScene("ground_wall");
   const SolveReport report = Solve("ceres_lm", {.scene = scene, .contact = contact}, {});
-  ASSERT_FALSE(report.losses.empty()) << report.reason;
-  EXPECT_LT(report.losses.back(), 1e-6 * report.losses.front());
+  ASSERT_FALSE(report.history.losses.empty()) << report.reason;
+  EXPECT_LT(report.history.losses.back(), 1e-6 * report.history.losses.front());
   const Scene strike = ProblemScene("two_balls");
   EXPECT_THAT(Solve("ceres_event", {.scene = strike, .contact = contact}, {}).reason,
               HasSubstr("requires exact impacts"));

@@ -19,7 +19,7 @@ using Verdict = Certificate::Verdict;
 SolveReport Optimum(const Scene& scene, const char* sequence = nullptr) {
   SolverOptions options;
   if (sequence != nullptr) {
-    EXPECT_EQ(ParseContactSequence(scene, sequence, &options.sequence.emplace()), "");
+    EXPECT_EQ(ParseContactSequence(scene, sequence, &options.sequences.given.emplace()), "");
   }
   const SolveReport report = Solve("ceres_event", {scene, "event"}, options);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
@@ -27,7 +27,7 @@ SolveReport Optimum(const Scene& scene, const char* sequence = nullptr) {
 }
 
 Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
-  return Certify(scene, report.initial_state, report.control, report.durations);
+  return Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 void ExpectOptimal(const Certificate& certificate) {
@@ -87,7 +87,7 @@ TEST(Certificate, RejectsOneControlChangedByOnePercent) {
   const Scene scene = ProblemScene("two_balls");
   for (int interval : {0, 100, 400}) {
     SolveReport report = Optimum(scene);
-    report.control[2 * interval] *= 1.01;
+    report.solution.control[2 * interval] *= 1.01;
     const Certificate certificate = CertifyReport(scene, report);
     EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << interval;
     EXPECT_FALSE(certificate.reason.empty());
@@ -97,7 +97,8 @@ TEST(Certificate, RejectsOneControlChangedByOnePercent) {
 TEST(Certificate, RejectsGradientDescent) {
   const Scene scene = ProblemScene("two_balls");
   for (const char* contact : {"event", "direct_toi"}) {
-    const SolveReport report = Solve("gd", {scene, contact}, {.iterations = 1000, .learning_rate = 10});
+    const SolveReport report =
+        Solve("gd", {scene, contact}, {.limits = {.iterations = 1000}, .descent = {.learning_rate = 10}});
     EXPECT_EQ(CertifyReport(scene, report).verdict, Verdict::kNotStationary) << contact;
   }
 }
@@ -108,7 +109,7 @@ TEST(Certificate, NamesTheConditionThatFails) {
   const SolveReport optimum = Optimum(scene);
 
   SolveReport crooked = optimum;
-  crooked.control[200] += 0.01;
+  crooked.solution.control[200] += 0.01;
   EXPECT_GT(CertifyReport(scene, crooked).stationarity, 1e-4);
   EXPECT_EQ(CertifyReport(scene, crooked).reason, "the largest residual is that of stationarity");
 
@@ -117,9 +118,9 @@ TEST(Certificate, NamesTheConditionThatFails) {
   const auto early = OptimizeWithImpactAt(scene, TwoDiscSequence::kImpact, 300);
   ASSERT_TRUE(early);
   SolveReport moved = optimum;
-  moved.durations.clear();
-  moved.control.clear();
-  for (const Vec2d& u : early->control) moved.control.insert(moved.control.end(), {u[0], u[1]});
+  moved.solution.durations.clear();
+  moved.solution.control.clear();
+  for (const Vec2d& u : early->control) moved.solution.control.insert(moved.solution.control.end(), {u[0], u[1]});
   const Certificate certificate = CertifyReport(scene, moved);
   EXPECT_EQ(certificate.transversality, 0);
   EXPECT_GT(certificate.hamiltonian, 1e-3);

@@ -21,7 +21,7 @@ SolveReport OptimumByPhases(const Scene& scene) {
 }
 
 Certificate CertifyOptimum(const Scene& scene, const SolveReport& report) {
-  return Certify(scene, report.initial_state, report.control, report.durations);
+  return Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 class ConstrainedCertificate : public testing::TestWithParam<Json> {};
@@ -50,7 +50,7 @@ TEST_P(ConstrainedCertificate, RejectsOneForceChangedByOnePercent) {
   SolveReport report = OptimumByPhases(scene);
   for (int interval : {0, 100, 250}) {
     SolveReport changed = report;
-    changed.control[2 * interval] *= 0.99;
+    changed.solution.control[2 * interval] *= 0.99;
     const Certificate certificate = CertifyOptimum(scene, changed);
     EXPECT_EQ(certificate.verdict, Verdict::kNotStationary) << interval;
     EXPECT_FALSE(certificate.reason.empty());
@@ -78,8 +78,8 @@ TEST(Certificate, KnowsWhichBoundHolds) {
 TEST(Certificate, RejectsAForceAtTheWrongBound) {
   const Scene scene = SceneOf(Reference("max_3.5"), 480);
   SolveReport report = OptimumByPhases(scene);
-  ASSERT_NEAR(report.control[0], 3.5, 1e-9);
-  report.control[2 * 479] = 3.5;  // after the impact, where a force is wasted
+  ASSERT_NEAR(report.solution.control[0], 3.5, 1e-9);
+  report.solution.control[2 * 479] = 3.5;  // after the impact, where a force is wasted
   EXPECT_EQ(CertifyOptimum(scene, report).verdict, Verdict::kNotStationary);
 }
 
@@ -107,7 +107,7 @@ TEST(Certificate, MultiplierIsTheDerivativeByTheTarget) {
   std::vector<double> losses;
   for (double by : {-kStep, kStep}) {
     scene.objective.terminal[0].target = {by, 0};
-    losses.push_back(OptimumByPhases(scene).final_loss);
+    losses.push_back(OptimumByPhases(scene).solution.loss);
   }
   const double slope = (losses[1] - losses[0]) / (2 * kStep);
   EXPECT_NEAR(slope, -certificate.constraints[0].multiplier[0], 1e-4);
@@ -124,9 +124,9 @@ TEST(Certificate, IsTheSameInOtherUnits) {
     Scene plain = rescaled;
     plain.units = {};
     const Certificate other = Certify(plain,
-                                      ConvertStates(report.initial_state, scene.units, units),
-                                      Multiplied(report.control, by.force),
-                                      Multiplied(report.durations, by.time));
+                                      ConvertStates(report.solution.initial_state, scene.units, units),
+                                      Multiplied(report.solution.control, by.force),
+                                      Multiplied(report.solution.durations, by.time));
     EXPECT_EQ(other.verdict, certificate.verdict) << name << ": " << other.reason;
     EXPECT_EQ(other.stationarity, certificate.stationarity) << name;
     EXPECT_EQ(other.hamiltonian, certificate.hamiltonian) << name;

@@ -134,7 +134,7 @@ INSTANTIATE_TEST_SUITE_P(
     [](const auto& at) { return at.param.name; });
 
 Certificate CertifyReport(const Scene& scene, const SolveReport& report) {
-  return Certify(scene, report.initial_state, report.control, report.durations);
+  return Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 // Optima that are known to be such.
@@ -224,8 +224,8 @@ TEST(Curvature, KnowsTheSaddleUnderBounds) {
 
   scene.control.max = {0.9 * largest};
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
-  EXPECT_LT(report.final_loss, saddle.exact.loss);  // that of any control straight back is higher
-  for (const double force : report.control) EXPECT_LE(std::abs(force), scene.control.max[0]);
+  EXPECT_LT(report.solution.loss, saddle.exact.loss);  // that of any control straight back is higher
+  for (const double force : report.solution.control) EXPECT_LE(std::abs(force), scene.control.max[0]);
 }
 
 // With the impact held on its node the direction keeps it there.
@@ -234,11 +234,12 @@ TEST(Curvature, OnTheGridDirectionsKeepImpactsOnNodes) {
   const SolveReport report = Solve("grid_optimum", {scene, "event"}, {});
   ASSERT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid);
   const std::vector<double>& direction = report.certificate->curvature->direction;
-  const double before = SimulateExactly(scene, report.initial_state, report.control).events[0].time;
+  const double before = SimulateExactly(scene, report.solution.initial_state, report.solution.control).events[0].time;
   for (const double eps : {1e-4, -1e-4}) {
-    const ExactRun moved = SimulateExactly(scene, report.initial_state, Along(report.control, direction, eps));
+    const ExactRun moved =
+        SimulateExactly(scene, report.solution.initial_state, Along(report.solution.control, direction, eps));
     EXPECT_NEAR(moved.events[0].time, before, 10 * eps * eps);
-    EXPECT_GT(moved.loss, report.final_loss);
+    EXPECT_GT(moved.loss, report.solution.loss);
   }
 }
 
@@ -281,7 +282,8 @@ class LeavesSaddle : public testing::TestWithParam<std::string> {};
 TEST_P(LeavesSaddle, AndTouchesThePost) {
   const Scene scene = HeadOn();
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
-  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  const ExactRun exact =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_LT(exact.loss, 2.7120);
   EXPECT_GT(exact.loss, 2.711708787);
   // There the loss has a kink, of which only hmp has no conditions.

@@ -71,9 +71,11 @@ double LeastNearBy(const Scene& scene, const SolveReport& report) {
   std::mt19937 random(1);
   std::normal_distribution<double> normal;
   const auto simulate = [&](const Eigen::VectorXd& control) {
-    return SimulateExactly(scene, report.initial_state, {control.begin(), control.end()}, report.durations);
+    return SimulateExactly(
+        scene, report.solution.initial_state, {control.begin(), control.end()}, report.solution.durations);
   };
-  Eigen::VectorXd best = Eigen::VectorXd::Map(report.control.data(), static_cast<Eigen::Index>(report.control.size()));
+  Eigen::VectorXd best =
+      Eigen::VectorXd::Map(report.solution.control.data(), static_cast<Eigen::Index>(report.solution.control.size()));
   const ExactRun start = simulate(best);
   const auto impacts = static_cast<Eigen::Index>(start.events.size());
   const double largest = best.lpNorm<Eigen::Infinity>();
@@ -109,10 +111,12 @@ TEST(KinksOnNodes, AStationaryVerdictIsThatOfTheControlOnItsIntervals) {
   for (const Scene& scene : {OverTheWall(), ThreeDiscs()}) {
     for (const char* solver : {"ceres_event", "ceres_phases", "hmp"}) {
       const SolveReport report = Solve(solver, {scene, "event"}, {});
-      ASSERT_FALSE(report.control.empty());
-      const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+      ASSERT_FALSE(report.solution.control.empty());
+      const ExactRun run =
+          SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
       ASSERT_TRUE(run.ok) << run.reason;
-      const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
+      const Certificate certificate =
+          Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
       const bool falls = LeastNearBy(scene, report) < run.loss * (1 - 1e-7);
       EXPECT_EQ(certificate.IsStationary(), !falls) << scene.name << " " << solver << ": " << certificate.reason;
       ++(certificate.IsStationary() ? certified : refused);
@@ -134,7 +138,7 @@ TEST(KinksOnNodes, AreNoneWhereForcesHardlyJump) {
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     ASSERT_TRUE(report.certificate);
     EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
-    EXPECT_GT(LeastNearBy(scene, report), report.final_loss * (1 - 1e-7));
+    EXPECT_GT(LeastNearBy(scene, report), report.solution.loss * (1 - 1e-7));
     for (const ImpactCertificate& impact : report.certificate->impacts) {
       const double theta = impact.theta.value_or(0);
       EXPECT_TRUE(theta >= 0 && theta <= 1) << theta;
@@ -146,10 +150,11 @@ TEST(KinksOnNodes, AreNoneWhereForcesHardlyJump) {
 TEST(KinksOnNodes, HmpCertifiesTheControlThatItReturns) {
   const Scene scene = ThreeDiscs();
   const SolveReport report = Solve("hmp", {scene, "event"}, {});
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   ASSERT_TRUE(run.ok);
   EXPECT_LT(run.loss, 0.13985);
-  EXPECT_NEAR(report.final_loss, 0.137199714885363, 1e-9);
+  EXPECT_NEAR(report.solution.loss, 0.137199714885363, 1e-9);
   ASSERT_TRUE(report.continuous);
   EXPECT_EQ(report.continuous->verdict, Verdict::kStationary);
   ASSERT_TRUE(report.certificate);

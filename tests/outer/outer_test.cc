@@ -144,10 +144,10 @@ TEST(OuterTest, InequalitiesHoldBetweenNodesToo) {
 // Returns the largest position of a unit mass under piecewise constant forces, from 0 with the speed 1.
 double Top(const Run& run) {
   double x = 0, v = 1, top = 0;
-  const std::vector<double>& control = run.report().control;
+  const std::vector<double>& control = run.report().solution.control;
   for (size_t k = 0; k < control.size(); ++k) {
-    const double h =
-        run.report().durations.empty() ? 1.0 / static_cast<double>(control.size()) : run.report().durations[k];
+    const double h = run.report().solution.durations.empty() ? 1.0 / static_cast<double>(control.size())
+                                                             : run.report().solution.durations[k];
     const double u = control[k], turn = -v / u;
     if (turn > 0 && turn < h) top = std::max(top, x - v * v / (2 * u));
     x += v * h + u * h * h / 2;
@@ -200,7 +200,7 @@ TEST(OuterTest, BrysonAndDenhamStayBelowTheLimitAtAllTimes) {
        {SolveBrysonDenham(DoubleIntegrator(), 3), SolveBrysonDenham(rail.hybrid(), 3, rail.Mode("o"))}) {
     ASSERT_TRUE(run.converged()) << run;
     EXPECT_NEAR(run.loss(), 8.25, 1e-7);
-    EXPECT_NEAR(run.report().control[1], 3, 1e-7);
+    EXPECT_NEAR(run.report().solution.control[1], 3, 1e-7);
     EXPECT_NEAR(Top(run), 1.0 / 9, 1e-9);
     EXPECT_TRUE(run.certificate().IsStationary()) << run.certificate();
   }
@@ -258,7 +258,7 @@ TEST(OuterTest, CostsOfAllIntervalsAreIntegrals) {
     Problem problem(DoubleIntegrator(), guess);
     add(&problem);
     problem.Free({.control = true});
-    return Solve("gd", problem.parts(), {.iterations = 0}).initial_loss;
+    return Solve("gd", problem.parts(), {.limits = {.iterations = 0}}).guess.loss;
   };
   const auto control = [](const auto& a) { return a.u[0]; };
   EXPECT_NEAR(loss([&](Problem* p) { p->AddCost(kAlways, control); }), 0.5 * (1 + 4 + 1 + 9), 1e-14);
@@ -299,7 +299,7 @@ TEST(OuterTest, TermsAtEventsCountEachEvent) {
   problem.AddValue(BeforeEvent("ground"), [](const auto& a) { return a.x[1]; });
   problem.AddValue(OnEvent("ground"), [](const auto& a) { return 10.0 * a.x[1]; });
   problem.Free({.initial = {{"x[0]"}}});
-  EXPECT_NEAR(Solve("gd", problem.parts(), {.iterations = 0}).initial_loss, -5 + 25, 1e-12);
+  EXPECT_NEAR(Solve("gd", problem.parts(), {.limits = {.iterations = 0}}).guess.loss, -5 + 25, 1e-12);
   EXPECT_THAT([&] { problem.AddValue(OnEvent("wall"), [](const auto& a) { return a.x[1]; }); },
               ThrowsMessage<std::invalid_argument>("Problem: term 2: found the event 'wall', expected some of ground"));
 }
@@ -360,7 +360,7 @@ TEST(OuterTest, ATermOfAnotherSizeThanForTheGuessIsRefused) {
     return numbers;
   });
   problem.Free({.initial = {{"x[0]"}}});
-  EXPECT_THAT([&] { Solve("gd", problem.parts(), {.iterations = 1}); },
+  EXPECT_THAT([&] { Solve("gd", problem.parts(), {.limits = {.iterations = 1}}); },
               ThrowsMessage<std::length_error>("term 0: found 100 numbers, expected 1 as for the guess"));
 }
 

@@ -69,7 +69,9 @@ TEST_F(Published, ResultsDoNotDependOnTheNumberOfThreads) {
     const Experiment& one = alone.all()[i];
     const Experiment& two = experiments_->all()[i];
     EXPECT_EQ(one.gradient.gradient.initial, two.gradient.gradient.initial);
-    for (size_t r = 0; r < one.runs.size(); ++r) EXPECT_EQ(one.runs[r].report.losses, two.runs[r].report.losses);
+    for (size_t r = 0; r < one.runs.size(); ++r) {
+      EXPECT_EQ(one.runs[r].report.history.losses, two.runs[r].report.history.losses);
+    }
   }
 }
 

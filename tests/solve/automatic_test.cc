@@ -41,7 +41,7 @@ TEST(Automatic, TakesPhasesWithConstraintsAndSaysSo) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_EQ(report.solver, "ceres_phases");
   EXPECT_THAT(report.reason, StartsWith("auto used ceres_phases, as the scene has terminal equality constraints"));
-  EXPECT_NEAR(report.final_loss, LeastEffort(20), 1e-9);
+  EXPECT_NEAR(report.solution.loss, LeastEffort(20), 1e-9);
   ASSERT_TRUE(report.certificate);
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
 }
@@ -49,7 +49,7 @@ TEST(Automatic, TakesPhasesWithConstraintsAndSaysSo) {
 TEST(Automatic, FindsTheStrikeOfTwoBalls) {
   const SolveReport report = Solve("auto", {ProblemScene("two_balls"), "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 1.39654285, 5e-9);
+  EXPECT_NEAR(report.solution.loss, 1.39654285, 5e-9);
 }
 
 // Without an impact the target stays where it is, and the loss is the square of its distance, 2.
@@ -57,10 +57,10 @@ TEST(Automatic, GoesOnFromAnOptimumThatHasLostTheContact) {
   const SolveRequest request{ProblemScene("two_balls"), "compliant_warp"};
   const SolveReport alone = Solve("ceres_lm", request, {});
   ASSERT_EQ(alone.termination, Termination::kConverged);
-  EXPECT_NEAR(alone.final_loss, 2, 1e-9);
+  EXPECT_NEAR(alone.solution.loss, 2, 1e-9);
   const SolveReport report = Solve("auto", request, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 1.3965, 5e-3);  // the optimum of exact contact, which the model approximates
+  EXPECT_NEAR(report.solution.loss, 1.3965, 5e-3);  // the optimum of exact contact, which the model approximates
   EXPECT_THAT(report.reason, HasSubstr("ceres_lm has converged, but no small change of its control changes a term"));
 }
 
@@ -70,17 +70,17 @@ TEST(Automatic, ReturnsAnOptimumWithoutContactIfNoneIsLower) {
   scene.objective.effort = 10;  // a strike costs more than it gains
   const SolveReport report = Solve("auto", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 2, 1e-9);
+  EXPECT_NEAR(report.solution.loss, 2, 1e-9);
   EXPECT_THAT(report.reason, HasSubstr("has converged, but no small change"));
 }
 
 TEST(Automatic, ShootsUnderModelsAndFollowsASurrogateByDescent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 48;
-  const SolveReport model = Solve("auto", {scene, "direct_toi"}, {.iterations = 20});
+  const SolveReport model = Solve("auto", {scene, "direct_toi"}, {.limits = {.iterations = 20}});
   EXPECT_EQ(model.solver, "ceres_lm");
   const Surrogate zeroth{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.01, .samples = 4};
-  const SolveReport surrogate = Solve("auto", {scene, "event"}, {.iterations = 1, .surrogate = zeroth});
+  const SolveReport surrogate = Solve("auto", {scene, "event"}, {.limits = {.iterations = 1}, .surrogate = zeroth});
   EXPECT_EQ(surrogate.solver, "gd");
   EXPECT_THAT(surrogate.reason, HasSubstr("auto used gd, as a surrogate takes the place of the gradient"));
 }
@@ -91,12 +91,12 @@ TEST(Automatic, GoesOnWhereASolverDoesNotApply) {
   scene.gravity = {0, -10};
   scene.planes = {{.name = "floor", .point = {0, -scene.bodies[0].radius}, .normal = {0, 1}}};
   for (TerminalTerm& term : scene.objective.terminal) term.hard = false;
-  const SolveReport report = Solve("auto", {scene, "event"}, {.iterations = 30});
+  const SolveReport report = Solve("auto", {scene, "event"}, {.limits = {.iterations = 30}});
   ASSERT_NE(report.termination, Termination::kNotApplicable) << report.reason;
   EXPECT_EQ(report.solver, "ceres_lm") << report.reason;
   EXPECT_THAT(report.reason, HasSubstr("ceres_phases does not apply: in the motion of the guess discs rest on"));
-  EXPECT_LE(report.iterations, 30);
-  EXPECT_EQ(report.losses.size(), static_cast<size_t>(report.iterations) + 1);
+  EXPECT_LE(report.work.iterations, 30);
+  EXPECT_EQ(report.history.losses.size(), static_cast<size_t>(report.work.iterations) + 1);
 }
 
 TEST(Automatic, SaysWhyNoSolverApplies) {
@@ -116,17 +116,17 @@ TEST(Automatic, RefinesTheBestEndWhereNoSolverHasConverged) {
     starts.push_back(std::string(name) + (from == nullptr ? " from the guess" : " from " + from->solver));
     SolveReport report;
     report.solver = name;
-    report.final_loss = name == "far" ? 3 : name == "near" ? 2 : 1;
-    report.losses = {5, report.final_loss};
-    report.final_violation = 0;
+    report.solution.loss = name == "far" ? 3 : name == "near" ? 2 : 1;
+    report.history.losses = {5, report.solution.loss};
+    report.solution.violation = 0;
     report.termination = name == "last" ? Termination::kConverged : Termination::kNoProgress;
     return report;
   };
   const SolveReport report = SolveInTurn({"near", "far"}, {"last", "never"}, "of a test", {}, solve);
   EXPECT_THAT(starts, testing::ElementsAre("near from the guess", "far from the guess", "last from near"));
   EXPECT_EQ(report.solver, "last");
-  EXPECT_EQ(report.final_loss, 1);
-  EXPECT_EQ(report.iterations, 3) << "of all three solves";
+  EXPECT_EQ(report.solution.loss, 1);
+  EXPECT_EQ(report.work.iterations, 3) << "of all three solves";
   EXPECT_THAT(report.reason, HasSubstr("tried: near, then far, then last from the end of near"));
 }
 
@@ -138,8 +138,8 @@ TEST(Automatic, KeepsALossThatIsLowerByFar) {
     SolveReport report;
     report.solver = name;
     report.termination = name == "optimal" ? Termination::kConverged : Termination::kNoProgress;
-    report.final_loss = name == "optimal" ? optimum : 1;
-    report.losses = {5, report.final_loss};
+    report.solution.loss = name == "optimal" ? optimum : 1;
+    report.history.losses = {5, report.solution.loss};
     return report;
   };
   optimum = 1.5;
@@ -157,14 +157,14 @@ TEST(Automatic, KeepsTheBestEndWhenItIsInterrupted) {
   const auto solve = [&](std::string_view name, const SolverOptions&, const SolveReport*) {
     SolveReport report;
     report.solver = name;
-    report.final_loss = name == "first" ? 2 : 4;
-    report.losses = {5, report.final_loss};
+    report.solution.loss = name == "first" ? 2 : 4;
+    report.history.losses = {5, report.solution.loss};
     report.termination = name == "first" ? Termination::kNoProgress : Termination::kInterrupted;
     return report;
   };
   const SolveReport report = SolveInTurn({"first", "second"}, {"never"}, "of a test", {}, solve);
   EXPECT_EQ(report.solver, "first");
-  EXPECT_EQ(report.final_loss, 2);
+  EXPECT_EQ(report.solution.loss, 2);
   EXPECT_EQ(report.termination, Termination::kInterrupted);
 }
 
@@ -173,8 +173,8 @@ TEST(InteriorPoint, FindsTheClosedFormOfAMovedDisc) {
   const SolveReport report = Solve("ipopt", {Moved(20), "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_EQ(report.solver, "ipopt");
-  EXPECT_NEAR(report.final_loss, LeastEffort(20), 1e-9);
-  EXPECT_LE(report.final_violation, kFeasible);
+  EXPECT_NEAR(report.solution.loss, LeastEffort(20), 1e-9);
+  EXPECT_LE(report.solution.violation, kFeasible);
 }
 
 // With bounds, hard terms, running costs and a free final time, through an impact.
@@ -187,9 +187,9 @@ TEST(InteriorPoint, FindsTheConstrainedOptimaOfDiscs) {
     const SolveReport interior = Solve("ipopt", {scene, "event"}, {});
     if (squares.termination != Termination::kConverged) continue;
     ASSERT_EQ(interior.termination, Termination::kConverged) << interior.reason;
-    EXPECT_NEAR(interior.final_loss, squares.final_loss, 1e-7 * squares.final_loss);
+    EXPECT_NEAR(interior.solution.loss, squares.solution.loss, 1e-7 * squares.solution.loss);
     // A control on intervals is not better than the optimum in continuous time.
-    EXPECT_GT(interior.final_loss, reference["loss"].get<double>() - 1e-9);
+    EXPECT_GT(interior.solution.loss, reference["loss"].get<double>() - 1e-9);
   }
 }
 

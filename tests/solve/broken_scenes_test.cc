@@ -61,7 +61,7 @@ TEST(BrokenScenes, NoSolverTakesThem) {
       SolveRequest request{.scene = broken.scene, .contact = "event"};
       request.scene.optimize = optimize;
       for (const SolverEntry& solver : AllSolvers()) {
-        const SolveReport report = Solve(solver.name, request, {.iterations = 2});
+        const SolveReport report = Solve(solver.name, request, {.limits = {.iterations = 2}});
         EXPECT_EQ(report.termination, Termination::kNotApplicable) << solver.name << " " << broken.key;
         EXPECT_THAT(report.reason, Names(broken)) << solver.name;
       }
@@ -143,8 +143,9 @@ TEST(WrongArguments, UnknownNamesAreSaidSo) {
 TEST(WrongArguments, OptionsOfSolversAreSaidSo) {
   const SolveRequest request{.scene = SceneToBreak(), .contact = "event"};
   const auto reason = [&](const SolverOptions& options) { return Solve("gd", request, options).reason; };
-  EXPECT_THAT(reason({.iterations = -1}), HasSubstr("iterations: found -1"));
-  EXPECT_THAT(reason({.learning_rate = std::numeric_limits<double>::quiet_NaN()}), HasSubstr("learning_rate"));
+  EXPECT_THAT(reason({.limits = {.iterations = -1}}), HasSubstr("iterations: found -1"));
+  EXPECT_THAT(reason({.descent = {.learning_rate = std::numeric_limits<double>::quiet_NaN()}}),
+              HasSubstr("learning_rate"));
   EXPECT_THAT(reason({.surrogate = Surrogate{.sigma = -1}}), HasSubstr("sigma"));
   EXPECT_THAT(reason({.threads = -3}), HasSubstr("threads: found -3"));
   for (const Candidate& pair : {Candidate{0, 40, false},
@@ -153,7 +154,7 @@ TEST(WrongArguments, OptionsOfSolversAreSaidSo) {
                                 Candidate{0, 2, true},
                                 Candidate{1, 0, false}}) {
     SolverOptions options;
-    options.sequence = ContactSequence{pair};
+    options.sequences.given = ContactSequence{pair};
     for (const SolverEntry& solver : AllSolvers()) {
       EXPECT_THAT(Solve(solver.name, request, options).reason, HasSubstr("sequence: found the pair")) << solver.name;
     }

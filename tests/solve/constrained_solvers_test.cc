@@ -17,16 +17,16 @@ using testing::HasSubstr;
 
 SolveReport SolveBy(const char* solver, const Scene& scene, int iterations = 1000) {
   SolverOptions options;
-  options.iterations = iterations;
-  options.learning_rate = 10.0 / 480;
-  options.rate_per_time = true;
+  options.limits.iterations = iterations;
+  options.descent.learning_rate = 10.0 / 480;
+  options.descent.rate_per_time = true;
   return Solve(solver, {scene, "event"}, options);
 }
 
 double LargestExcess(const Scene& scene, const SolveReport& report) {
   double excess = 0;
-  for (size_t k = 0; k < report.control.size(); k += 2) {
-    const Vec2d u(report.control[k], report.control[k + 1]);
+  for (size_t k = 0; k < report.solution.control.size(); k += 2) {
+    const Vec2d u(report.solution.control[k], report.solution.control[k + 1]);
     if (!scene.control.max.empty()) excess = std::max(excess, u.cwiseAbs().maxCoeff() / scene.control.max[0] - 1);
     if (!scene.control.max_norm.empty()) excess = std::max(excess, u.norm() / scene.control.max_norm[0] - 1);
   }
@@ -49,7 +49,7 @@ TEST_P(ConstrainedHmp, FindsTheOptimumInContinuousTimeWhateverTheGrid) {
       return;
     }
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_NEAR(report.final_loss, reference["loss"].get<double>(), 1e-11) << steps;
+    EXPECT_NEAR(report.solution.loss, reference["loss"].get<double>(), 1e-11) << steps;
     ASSERT_TRUE(report.certificate);
     EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
     ASSERT_TRUE(report.continuous);
@@ -62,10 +62,11 @@ TEST_P(ConstrainedHmp, FindsTheOptimumInContinuousTimeWhateverTheGrid) {
       EXPECT_NEAR(certificate.constraints[0].multiplier[1], -1.2626901100608278905, 1e-10);
     }
     // The control that it hands back is one on the grid, and no better than possible.
-    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun exact =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(exact.ok) << exact.reason;
-    EXPECT_GT(exact.loss, report.final_loss - 1e-9);
-    EXPECT_LT(exact.loss, report.final_loss + 0.3 / (steps * steps));
+    EXPECT_GT(exact.loss, report.solution.loss - 1e-9);
+    EXPECT_LT(exact.loss, report.solution.loss + 0.3 / (steps * steps));
   }
 }
 
@@ -107,16 +108,16 @@ TEST(ConstrainedHmp, TakesSeveralImpacts) {
   Scene scene = ProblemScene("multiple_collisions");
   scene.steps = 160;
   SolverOptions options;
-  ASSERT_EQ(ParseContactSequence(scene, "striker-target,target-ceiling", &options.sequence.emplace()), "");
+  ASSERT_EQ(ParseContactSequence(scene, "striker-target,target-ceiling", &options.sequences.given.emplace()), "");
   const SolveReport free = Solve("hmp", {scene, "event"}, options);
   ASSERT_EQ(free.termination, Termination::kConverged) << free.reason;
   double largest = 0;
-  for (double u : free.control) largest = std::max(largest, std::abs(u));
+  for (double u : free.solution.control) largest = std::max(largest, std::abs(u));
   // A bound that does not hold changes nothing.
   scene.control.max = {1.5 * largest};
   const SolveReport loose = Solve("hmp", {scene, "event"}, options);
   ASSERT_EQ(loose.termination, Termination::kConverged) << loose.reason;
-  EXPECT_NEAR(loose.final_loss, free.final_loss, 1e-11 * free.final_loss);
+  EXPECT_NEAR(loose.solution.loss, free.solution.loss, 1e-11 * free.solution.loss);
   ASSERT_EQ(loose.continuous->impacts.size(), 2u);
   for (int k = 0; k < 2; ++k) {
     const ImpactCertificate &a = loose.continuous->impacts[k], &b = free.continuous->impacts[k];
@@ -125,9 +126,10 @@ TEST(ConstrainedHmp, TakesSeveralImpacts) {
   scene.control.max = {0.8 * largest};
   const SolveReport bound = Solve("hmp", {scene, "event"}, options);
   ASSERT_EQ(bound.termination, Termination::kConverged) << bound.reason;
-  EXPECT_GT(bound.final_loss, free.final_loss * (1 + 1e-6));
+  EXPECT_GT(bound.solution.loss, free.solution.loss * (1 + 1e-6));
   EXPECT_LE(LargestExcess(scene, bound), 1e-12);
-  EXPECT_TRUE(Certify(scene, bound.initial_state, bound.control, bound.durations).IsStationary());
+  EXPECT_TRUE(
+      Certify(scene, bound.solution.initial_state, bound.solution.control, bound.solution.durations).IsStationary());
 }
 
 // Via terms, soft and hard: the optimum in continuous time is what finer grids tend to, with second order.
@@ -144,10 +146,10 @@ TEST(ConstrainedHmp, TakesViaTerms) {
       const SolveReport indirect = SolveBy("hmp", scene);
       ASSERT_EQ(indirect.termination, Termination::kConverged) << indirect.reason;
       if (!gaps.empty()) {
-        EXPECT_NEAR(indirect.final_loss, optimum, 1e-11);
+        EXPECT_NEAR(indirect.solution.loss, optimum, 1e-11);
       }
-      optimum = indirect.final_loss;
-      gaps.push_back(direct.final_loss - optimum);
+      optimum = indirect.solution.loss;
+      gaps.push_back(direct.solution.loss - optimum);
       EXPECT_GT(gaps.back(), 0);
     }
     EXPECT_NEAR(std::log(gaps[0] / gaps[1]) / std::log(4.0), 2, 0.2) << hard;
@@ -171,11 +173,12 @@ TEST_P(ConstrainedShooting, EndsNearTheOptimumWithinItsBounds) {
   const Json reference = Reference(shot.reference);
   const Scene scene = SceneOf(reference, 60);
   const SolveReport report = SolveBy(shot.solver, scene, shot.iterations);
-  ASSERT_FALSE(report.losses.empty()) << report.reason;
+  ASSERT_FALSE(report.history.losses.empty()) << report.reason;
   EXPECT_LE(LargestExcess(scene, report), 1e-12);
-  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  const ExactRun exact =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   ASSERT_TRUE(exact.ok) << exact.reason;
-  EXPECT_NEAR(exact.loss, report.final_loss, 1e-9);
+  EXPECT_NEAR(exact.loss, report.solution.loss, 1e-9);
   const double gap = exact.loss - reference["loss"].get<double>();
   EXPECT_GT(gap, 0);
   EXPECT_LT(gap, shot.most);
@@ -208,14 +211,16 @@ TEST(ConstrainedShooting, SolvesATrackingProblemWithBounds) {
   const SolveReport direct = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(direct.termination, Termination::kConverged) << direct.reason;
   const SolveReport gd = SolveBy("gd", scene, 20000);
-  EXPECT_NEAR(gd.final_loss, direct.final_loss, 1e-8 * direct.final_loss);
-  const Certificate certificate = Certify(scene, gd.initial_state, gd.control);
+  EXPECT_NEAR(gd.solution.loss, direct.solution.loss, 1e-8 * direct.solution.loss);
+  const Certificate certificate = Certify(scene, gd.solution.initial_state, gd.solution.control);
   EXPECT_TRUE(certificate.IsStationary()) << certificate.reason;
-  EXPECT_GT(std::count_if(gd.control.begin(), gd.control.end(), [](double u) { return std::abs(u) > 2.49999; }), 3);
+  EXPECT_GT(std::count_if(
+                gd.solution.control.begin(), gd.solution.control.end(), [](double u) { return std::abs(u) > 2.49999; }),
+            3);
   // Projected steps of Ceres may end early, and then say so.
   const SolveReport lm = SolveBy("ceres_lm", scene, 300);
-  EXPECT_NEAR(lm.final_loss, direct.final_loss, 1e-2 * direct.final_loss);
-  EXPECT_GT(lm.final_loss, direct.final_loss - 1e-9);
+  EXPECT_NEAR(lm.solution.loss, direct.solution.loss, 1e-2 * direct.solution.loss);
+  EXPECT_GT(lm.solution.loss, direct.solution.loss - 1e-9);
 }
 
 TEST(ConstrainedShooting, TakesRunningTermsUnderOtherModelsByTheirOwnSteps) {
@@ -223,11 +228,11 @@ TEST(ConstrainedShooting, TakesRunningTermsUnderOtherModelsByTheirOwnSteps) {
   const Scene scene = SceneOf(reference, 240);
   for (const char* solver : {"ceres_lbfgs", "ceres_lm"}) {
     SolverOptions options;
-    options.iterations = solver == std::string("ceres_lm") ? 10 : 100;
+    options.limits.iterations = solver == std::string("ceres_lm") ? 10 : 100;
     const SolveReport report = Solve(solver, {scene, "toi_velocity"}, options);
-    ASSERT_FALSE(report.losses.empty()) << report.reason;
-    EXPECT_LT(report.final_loss, report.initial_loss);
-    EXPECT_NEAR(report.final_loss, reference["loss"].get<double>(), 0.02) << solver;
+    ASSERT_FALSE(report.history.losses.empty()) << report.reason;
+    EXPECT_LT(report.solution.loss, report.guess.loss);
+    EXPECT_NEAR(report.solution.loss, reference["loss"].get<double>(), 0.02) << solver;
   }
 }
 
@@ -239,12 +244,12 @@ TEST(ConstrainedSolvers, GiveTheSameInOtherUnits) {
       Scene rescaled = InUnits(scene, units);
       rescaled.units = {};
       SolverOptions options;
-      options.iterations = 50;
+      options.limits.iterations = 50;
       const SolveReport one = Solve(solver, {scene, "event"}, options);
       const SolveReport other = Solve(solver, {rescaled, "event"}, options);
       EXPECT_EQ(one.termination, other.termination) << name << " " << solver;
-      EXPECT_EQ(one.iterations, other.iterations) << name << " " << solver;
-      EXPECT_EQ(one.final_loss, other.final_loss * units.loss) << name << " " << solver;
+      EXPECT_EQ(one.work.iterations, other.work.iterations) << name << " " << solver;
+      EXPECT_EQ(one.solution.loss, other.solution.loss * units.loss) << name << " " << solver;
     }
   }
 }
@@ -271,7 +276,8 @@ TEST(Constrained, PolishingKeepsHardTerms) {
     const SolveReport report = Solve(solver, {scene, "event"}, FromGuess(scene));
     if (report.termination == Termination::kNotApplicable) continue;  // this build has no IPOPT
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun exact =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     EXPECT_NEAR(exact.end[4], 0, 1e-8) << solver;
     EXPECT_NEAR(exact.end[5], 0.1, 1e-8) << solver;
   }

@@ -107,11 +107,11 @@ class DescentUnder : public testing::TestWithParam<Formulation> {};
 TEST_P(DescentUnder, EndsAtTheLossAndExactLoss) {
   const Scene scene = GetParam().MakeScene();
   const double rate = scene.optimize == Optimize::kControl ? 10 : 0.01;
-  const SolveReport report = Solve("gd", {scene, GetParam().contact}, {.learning_rate = rate});
-  Compare(GetParam(), "gd/loss", report.final_loss);
-  Compare(GetParam(), "gd/v_x", report.initial_state[2]);
-  Compare(GetParam(), "gd/v_y", report.initial_state[3]);
-  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control);
+  const SolveReport report = Solve("gd", {scene, GetParam().contact}, {.descent = {.learning_rate = rate}});
+  Compare(GetParam(), "gd/loss", report.solution.loss);
+  Compare(GetParam(), "gd/v_x", report.solution.initial_state[2]);
+  Compare(GetParam(), "gd/v_y", report.solution.initial_state[3]);
+  const ExactRun exact = SimulateExactly(scene, report.solution.initial_state, report.solution.control);
   ASSERT_TRUE(exact.ok) << exact.reason;
   Compare(GetParam(), "gd/exact_loss", exact.loss);
 }

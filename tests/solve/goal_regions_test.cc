@@ -60,10 +60,11 @@ class GoalRegions : public testing::TestWithParam<const char*> {
     Scene scene = PushedDisc();
     scene.objective.terminal = {GoalOf({1.5, -kNone}, {2, -0.5})};
     SolverOptions options;
-    options.iterations = 1;
+    options.limits.iterations = 1;
     const SolveReport report = Solve(GetParam(), {scene, "event"}, options);
-    if (report.termination == Termination::kNotApplicable && GetParam() == std::string("ipopt"))
+    if (report.termination == Termination::kNotApplicable && GetParam() == std::string("ipopt")) {
       GTEST_SKIP() << report.reason;
+    }
   }
 };
 
@@ -73,11 +74,12 @@ TEST_P(GoalRegions, AreReachedAtTheNearestPoint) {
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const double per_square = kEffort / Reach()(0, 0);
-  EXPECT_NEAR(report.final_loss, per_square * (1.5 * 1.5 + 0.5 * 0.5), 1e-8 * report.final_loss);
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  EXPECT_NEAR(report.solution.loss, per_square * (1.5 * 1.5 + 0.5 * 0.5), 1e-8 * report.solution.loss);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_NEAR(run.end[0], 1.5, 1e-8);
   EXPECT_NEAR(run.end[1], -0.5, 1e-8);
-  EXPECT_LE(report.final_violation, kFeasible);
+  EXPECT_LE(report.solution.violation, kFeasible);
 
   ASSERT_TRUE(report.certificate);
   const Certificate& certificate = *report.certificate;
@@ -96,8 +98,9 @@ TEST_P(GoalRegions, HoldOneComponentAlone) {
   scene.objective.terminal[0].region->min[0] = scene.objective.terminal[0].region->max[0] = -1;
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, kEffort / Reach()(0, 0), 1e-8);
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  EXPECT_NEAR(report.solution.loss, kEffort / Reach()(0, 0), 1e-8);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_NEAR(run.end[0], -1, 1e-8);
   EXPECT_NEAR(run.end[1], 0.2 * kDuration, 1e-6);
 }
@@ -113,11 +116,11 @@ TEST_P(GoalRegions, BoundAnAngularVelocity) {
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const double radius = 0.1, rim = 0.5 * kMass * radius * 3 / kDuration;  // N, I w / (T r)
-  EXPECT_NEAR(report.final_loss, kEffort * kDuration * rim * rim, 1e-8 * report.final_loss);
+  EXPECT_NEAR(report.solution.loss, kEffort * kDuration * rim * rim, 1e-8 * report.solution.loss);
   ASSERT_TRUE(report.certificate);
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
   ASSERT_EQ(report.certificate->constraints.size(), 1u);
-  EXPECT_NEAR(report.certificate->constraints[0].multiplier[0], -2 * report.final_loss / 3, 1e-6);
+  EXPECT_NEAR(report.certificate->constraints[0].multiplier[0], -2 * report.solution.loss / 3, 1e-6);
 }
 
 TEST_P(GoalRegions, ChangeNothingAroundAFreeOptimum) {
@@ -129,7 +132,7 @@ TEST_P(GoalRegions, ChangeNothingAroundAFreeOptimum) {
   scene.objective.limits = {{.body = 0, .max = 10, .at = SpeedLimit::At::kAlways}};
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, free.final_loss, 1e-8 * free.final_loss);
+  EXPECT_NEAR(report.solution.loss, free.solution.loss, 1e-8 * free.solution.loss);
   ASSERT_TRUE(report.certificate);
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
   ASSERT_EQ(report.certificate->constraints.size(), 1u);
@@ -146,8 +149,9 @@ TEST_P(GoalRegions, LimitTheSpeedAtTheEnd) {
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const Eigen::Vector2d changes(1, kMost), slopes = Reach().inverse() * changes;
-  EXPECT_NEAR(report.final_loss, kEffort * changes.dot(slopes), 1e-8 * report.final_loss);
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  EXPECT_NEAR(report.solution.loss, kEffort * changes.dot(slopes), 1e-8 * report.solution.loss);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_NEAR(std::hypot(run.end[2], run.end[3]), kMost, 1e-8);
 
   ASSERT_TRUE(report.certificate);
@@ -177,13 +181,13 @@ TEST_P(GoalRegions, LimitTheSpeedAlways) {
   Scene scene, other;
   const SolveReport report = solve(kMost, &scene);
   const double slope =
-      (solve(kMost + kStep, &other).final_loss - solve(kMost - kStep, &other).final_loss) / (2 * kStep);
+      (solve(kMost + kStep, &other).solution.loss - solve(kMost - kStep, &other).solution.loss) / (2 * kStep);
 
   Vec2d v = Vec2d::Zero();
   double fastest = 0;
   for (int k = 0; k < kSteps; ++k) {
-    const double h = report.durations.empty() ? kDuration / kSteps : report.durations[k];
-    v += h / kMass * Vec2d(report.control[2 * k], report.control[2 * k + 1]);
+    const double h = report.solution.durations.empty() ? kDuration / kSteps : report.solution.durations[k];
+    v += h / kMass * Vec2d(report.solution.control[2 * k], report.solution.control[2 * k + 1]);
     fastest = std::max(fastest, v.norm());
   }
   EXPECT_NEAR(fastest, kMost, 1e-7);
@@ -206,9 +210,9 @@ TEST_P(GoalRegions, LimitTheSpeedAlways) {
   EXPECT_DOUBLE_EQ(last, kDuration);
   EXPECT_NEAR(sum, -slope, 1e-4 * std::abs(slope));
 
-  std::vector<double> changed = report.control;
+  std::vector<double> changed = report.solution.control;
   changed[4] *= 1.01;
-  EXPECT_EQ(Certify(scene, report.initial_state, changed, report.durations).verdict,
+  EXPECT_EQ(Certify(scene, report.solution.initial_state, changed, report.solution.durations).verdict,
             Certificate::Verdict::kNotStationary);
 }
 
@@ -231,7 +235,7 @@ TEST(SpeedLimit, HasMultipliersUpToAnImpact) {
   Scene scene, other;
   const SolveReport report = solve(kMost, &scene);
   const double slope =
-      (solve(kMost + kStep, &other).final_loss - solve(kMost - kStep, &other).final_loss) / (2 * kStep);
+      (solve(kMost + kStep, &other).solution.loss - solve(kMost - kStep, &other).solution.loss) / (2 * kStep);
   ASSERT_TRUE(report.certificate);
   const Certificate& certificate = *report.certificate;
   EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
@@ -262,10 +266,10 @@ TEST(GoalRegion, LeavesAMassToBeChosen) {
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
   EXPECT_GT(report.certificate->constraints.at(1).multiplier[0], 0.1);
   for (const double beside : {-0.01, 0.01}) {
-    scene.bodies[1].mass = report.parameters.at(0) + beside;
+    scene.bodies[1].mass = report.solution.parameters.at(0) + beside;
     const SolveReport other = Solve("ceres_phases", {scene, "event"}, {});
     ASSERT_EQ(other.termination, Termination::kConverged) << other.reason;
-    EXPECT_GT(other.final_loss, report.final_loss + 1e-5);
+    EXPECT_GT(other.solution.loss, report.solution.loss + 1e-5);
   }
 }
 
@@ -281,15 +285,15 @@ TEST(GoalRegion, LeavesAMassUnderALimitToBeChosen) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
-  EXPECT_LE(report.final_violation, 1e-8);
-  ASSERT_EQ(report.parameters.size(), 1u);
-  EXPECT_GT(report.parameters[0], 0.2);
-  EXPECT_LT(report.parameters[0], 3);
+  EXPECT_LE(report.solution.violation, 1e-8);
+  ASSERT_EQ(report.solution.parameters.size(), 1u);
+  EXPECT_GT(report.solution.parameters[0], 0.2);
+  EXPECT_LT(report.solution.parameters[0], 3);
   for (const double beside : {-0.05, 0.05}) {
-    scene.bodies[0].mass = report.parameters[0] + beside;
+    scene.bodies[0].mass = report.solution.parameters[0] + beside;
     const SolveReport other = Solve("ceres_phases", {scene, "event"}, {});
     ASSERT_EQ(other.termination, Termination::kConverged) << other.reason;
-    EXPECT_GT(other.final_loss, report.final_loss);
+    EXPECT_GT(other.solution.loss, report.solution.loss);
   }
 }
 
@@ -319,9 +323,10 @@ Scene AirHockey(double duration, int steps, const Vec2d& force) {
 void ExpectTheOptimum(const Scene& scene, const SolveReport& report) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   // A hybrid system in Python of this game has this optimum on 40 intervals.
-  EXPECT_NEAR(report.final_loss, 0.556028, 6e-6);
-  EXPECT_NEAR(std::accumulate(report.durations.begin(), report.durations.end(), 0.0), 0.48805, 2e-5);
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  EXPECT_NEAR(report.solution.loss, 0.556028, 6e-6);
+  EXPECT_NEAR(std::accumulate(report.solution.durations.begin(), report.solution.durations.end(), 0.0), 0.48805, 2e-5);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_NEAR(run.end[4], 2, 1e-7);
   EXPECT_NEAR(run.end[5], 0.15, 1e-7);
   EXPECT_NEAR(std::hypot(run.end[2], run.end[3]), 0.3, 1e-7);
@@ -355,9 +360,10 @@ TEST(GoalRegion, IsNotLeftByACertificate) {
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   scene.objective.terminal = {GoalOf({1.5, -kNone}, {2, kNone})};
-  EXPECT_TRUE(Certify(scene, report.initial_state, report.control, report.durations).IsStationary());
+  EXPECT_TRUE(
+      Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations).IsStationary());
   scene.objective.terminal = {GoalOf({1, -kNone}, {1.5, kNone})};
-  EXPECT_EQ(Certify(scene, report.initial_state, report.control, report.durations).verdict,
+  EXPECT_EQ(Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations).verdict,
             Certificate::Verdict::kNotStationary);
 }
 

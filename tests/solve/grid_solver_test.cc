@@ -32,16 +32,16 @@ TEST(GridOptimumSolver, EqualsReferences) {
   for (const auto& [problem, steps, loss, node] : cases) {
     const SolveReport report = SolveOnGrid(problem, steps);
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_NEAR(report.final_loss, loss, 1e-9) << problem << steps;
+    EXPECT_NEAR(report.solution.loss, loss, 1e-9) << problem << steps;
     EXPECT_THAT(report.reason, HasSubstr(node));
     Scene scene = ProblemScene(problem);
     scene.steps = steps;
-    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control);
+    const ExactRun exact = SimulateExactly(scene, report.solution.initial_state, report.solution.control);
     ASSERT_TRUE(exact.ok) << exact.reason;
     EXPECT_NEAR(exact.loss, loss, 1e-9);
     EXPECT_EQ(exact.events.size(), std::string(problem) == "multiple_collisions" ? 2u : 1u);
-    EXPECT_EQ(report.losses.size(), 2u);
-    EXPECT_GT(report.initial_loss, report.final_loss);
+    EXPECT_EQ(report.history.losses.size(), 2u);
+    EXPECT_GT(report.guess.loss, report.solution.loss);
   }
 }
 

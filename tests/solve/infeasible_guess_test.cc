@@ -41,13 +41,14 @@ TEST(InfeasibleGuess, AnAnswerThatMeetsTheConstraintsIsBetterThanItsGuess) {
   for (const char* solver : {"ceres_phases", "mode_search"}) {
     const SolveReport report = Solve(solver, {scene, "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << solver << ": " << report.reason;
-    const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun run =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(run.ok) << run.reason;
     EXPECT_NEAR(run.end[4], 1, 1e-7) << solver;
     EXPECT_NEAR(run.end[5], 0.6, 1e-7) << solver;
-    EXPECT_GT(report.final_loss, report.initial_loss) << solver;
-    EXPECT_GT(report.initial_violation, 1e-3) << solver;
-    EXPECT_LE(report.final_violation, kFeasible) << solver;
+    EXPECT_GT(report.solution.loss, report.guess.loss) << solver;
+    EXPECT_GT(report.guess.violation, 1e-3) << solver;
+    EXPECT_LE(report.solution.violation, kFeasible) << solver;
     EXPECT_FALSE(EndsWorse(report)) << solver;
   }
 }
@@ -59,15 +60,15 @@ TEST(InfeasibleGuess, AForceBeyondItsBoundIsAViolation) {
   const SolveReport free = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(free.termination, Termination::kConverged) << free.reason;
   double largest = 0;
-  for (const double force : free.control) largest = std::max(largest, std::abs(force));
+  for (const double force : free.solution.control) largest = std::max(largest, std::abs(force));
   scene.control.max = {0.9 * largest};
   SolverOptions options;
-  options.guess = ControlGuess{free.control, free.durations};
+  options.guess = ControlGuess{free.solution.control, free.solution.durations};
   const SolveReport bounded = Solve("ceres_phases", {scene, "event"}, options);
   ASSERT_EQ(bounded.termination, Termination::kConverged) << bounded.reason;
-  EXPECT_GT(bounded.final_loss, bounded.initial_loss);
-  EXPECT_GT(bounded.initial_violation, 0);
-  EXPECT_EQ(bounded.final_violation, 0);
+  EXPECT_GT(bounded.solution.loss, bounded.guess.loss);
+  EXPECT_GT(bounded.guess.violation, 0);
+  EXPECT_EQ(bounded.solution.violation, 0);
   EXPECT_FALSE(EndsWorse(bounded));
 }
 
@@ -95,10 +96,10 @@ TEST(InfeasibleGuess, RunsAreComparedByViolationAndThenByLoss) {
   };
   for (const auto& [before, after, loss_before, loss_after, worse] : cases) {
     SolveReport report;
-    report.initial_violation = before;
-    report.final_violation = after;
-    report.initial_loss = loss_before;
-    report.final_loss = loss_after;
+    report.guess.violation = before;
+    report.solution.violation = after;
+    report.guess.loss = loss_before;
+    report.solution.loss = loss_after;
     EXPECT_EQ(EndsWorse(report), worse) << before << " " << after << " " << loss_before << " " << loss_after;
   }
 }
@@ -106,9 +107,9 @@ TEST(InfeasibleGuess, RunsAreComparedByViolationAndThenByLoss) {
 // Without constraints there is no violation, whatever the motion does.
 TEST(InfeasibleGuess, WithoutConstraintsLossesAloneAreCompared) {
   const SolveReport report = Solve("mode_search", {ProblemScene("two_balls"), "event"}, {});
-  EXPECT_EQ(report.initial_violation, 0);
-  EXPECT_EQ(report.final_violation, 0);
-  EXPECT_LT(report.final_loss, report.initial_loss);
+  EXPECT_EQ(report.guess.violation, 0);
+  EXPECT_EQ(report.solution.violation, 0);
+  EXPECT_LT(report.solution.loss, report.guess.loss);
 }
 
 }  // namespace

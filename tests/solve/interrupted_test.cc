@@ -49,10 +49,10 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
   SolveRequest request{ProblemScene("two_balls"), contact};
   request.scene.steps = 48;
   SolverOptions options;
-  options.iterations = 200;  // ceres_shooting then moves its impact along nodes
-  options.learning_rate = 10;
+  options.limits.iterations = 200;  // ceres_shooting then moves its impact along nodes
+  options.descent.learning_rate = 10;
   const auto asked = std::make_shared<std::atomic<int64_t>>(0);
-  options.stop = StopAfter(kMostQuestions, asked);
+  options.monitor.stop = StopAfter(kMostQuestions, asked);
   Solve(solver.name, request, options);
   // Solvers are stopped at the first questions, with growing distances, and at three times as many that are evenly
   // spaced.
@@ -62,17 +62,17 @@ void InterruptedTest::StopEverywhere(const std::string& contact) {
   for (int64_t i = 0; i < num_even; ++i) ends.push_back(*asked * i / num_even);
   int interrupted = 0, with_progress = 0;
   for (const int64_t most : ends) {
-    options.stop = StopAfter(most);
+    options.monitor.stop = StopAfter(most);
     const SolveReport report = Solve(solver.name, request, options);
     ASSERT_NE(report.termination, Termination::kFailed) << most << ": " << report.reason;
     if (report.termination != Termination::kInterrupted) continue;
     ++interrupted;
-    if (report.losses.empty()) continue;
-    with_progress += report.losses.size() > 1;
-    EXPECT_EQ(report.initial_loss, report.losses.front());
-    EXPECT_EQ(report.iterations, static_cast<int>(report.losses.size()) - 1);
-    if (!report.durations.empty()) continue;  // its control has other intervals
-    EXPECT_NEAR(LossAt(request, report.control), report.final_loss, 1e-12 * report.initial_loss) << most;
+    if (report.history.losses.empty()) continue;
+    with_progress += report.history.losses.size() > 1;
+    EXPECT_EQ(report.guess.loss, report.history.losses.front());
+    EXPECT_EQ(report.work.iterations, static_cast<int>(report.history.losses.size()) - 1);
+    if (!report.solution.durations.empty()) continue;  // its control has other intervals
+    EXPECT_NEAR(LossAt(request, report.solution.control), report.solution.loss, 1e-12 * report.guess.loss) << most;
   }
   EXPECT_GT(interrupted, 3);
   if (GetParam() != "grid_optimum" && GetParam() != "ceres_lm") {
@@ -89,13 +89,13 @@ INSTANTIATE_TEST_SUITE_P(All, InterruptedTest, testing::ValuesIn(Names()), [](co
 
 TEST(Interrupted, SmoothedGradientsStopInTheMiddleOfTheirSamples) {
   SolverOptions options;
-  options.learning_rate = 10;
+  options.descent.learning_rate = 10;
   options.surrogate = Surrogate{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.1, .samples = 1'000'000};
   options.threads = 2;
-  options.stop = StopAfter(1000);
+  options.monitor.stop = StopAfter(1000);
   const SolveReport report = Solve("gd", {ProblemScene("two_balls"), "direct"}, options);
   EXPECT_EQ(report.termination, Termination::kInterrupted);
-  EXPECT_EQ(report.losses.size(), 1u);
+  EXPECT_EQ(report.history.losses.size(), 1u);
 }
 
 }  // namespace

@@ -87,8 +87,8 @@ TEST(NoContact, IsKeptAtAnyNumberOfIntervals) {
     const SolveReport report = Solve("ceres_phases", {Around(steps, -0.02), "event"}, {});
     EXPECT_EQ(report.termination, Termination::kConverged) << steps << ": " << report.reason;
     const double expected = LossOn(steps, -0.02), quadratic = expected - LeastEffort(-0.02).force;
-    EXPECT_NEAR(report.final_loss, expected, 0.1 * quadratic + 1e-6) << steps;
-    EXPECT_LE(report.final_violation, 1e-7) << steps;
+    EXPECT_NEAR(report.solution.loss, expected, 0.1 * quadratic + 1e-6) << steps;
+    EXPECT_LE(report.solution.violation, 1e-7) << steps;
   }
   // By another method, on 60 intervals (SLSQP).
   EXPECT_NEAR(LossOn(60, -0.02), 9.65673, 1e-3);
@@ -97,7 +97,7 @@ TEST(NoContact, IsKeptAtAnyNumberOfIntervals) {
 TEST(NoContact, TheOptimumIsRecognisedThoughThePairStaysAMarginApart) {
   const SolveReport report = Solve("ceres_phases", {Around(60, -0.1), "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 8.960996, 1e-4);
+  EXPECT_NEAR(report.solution.loss, 8.960996, 1e-4);
   ASSERT_TRUE(report.certificate);
   EXPECT_NE(report.certificate->verdict, Certificate::Verdict::kNotStationary) << report.certificate->reason;
 }
@@ -107,12 +107,12 @@ TEST(NoContact, AFeasibleGuessIsImproved) {
   for (const int steps : {30, 40}) {
     const SolveReport wide = Solve("ceres_phases", {Around(steps, -0.02, 0.4), "event"}, {});
     ASSERT_EQ(wide.termination, Termination::kConverged) << wide.reason;
-    ASSERT_GT(wide.final_loss, 11);
+    ASSERT_GT(wide.solution.loss, 11);
     SolverOptions options;
-    options.guess = ControlGuess{wide.control, wide.durations};
+    options.guess = ControlGuess{wide.solution.control, wide.solution.durations};
     const SolveReport report = Solve("ceres_phases", {Around(steps, -0.02), "event"}, options);
     EXPECT_EQ(report.termination, Termination::kConverged) << steps << ": " << report.reason;
-    EXPECT_NEAR(report.final_loss, LossOn(steps, -0.02), 1e-2) << steps;
+    EXPECT_NEAR(report.solution.loss, LossOn(steps, -0.02), 1e-2) << steps;
   }
 }
 

@@ -25,7 +25,8 @@ Scene Problem() {
 }
 
 SolveReport SolveWith(const Scene& scene, std::vector<OwnTerm> terms, const char* solver = "ceres_phases") {
-  return Solve(solver, {.scene = scene, .contact = "event", .terms = std::move(terms)}, {.iterations = 300});
+  return Solve(
+      solver, {.scene = scene, .contact = "event", .terms = std::move(terms)}, {.limits = {.iterations = 300}});
 }
 
 struct FinalMiss {
@@ -97,9 +98,11 @@ TEST(OwnTerms, SeeRotationsAndTorques) {
       std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * scene.objective.effort});
   const SolveReport own = SolveWith(scene, {rotation, torque, effort});
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
-  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-8 * known.final_loss);
-  ASSERT_EQ(own.control.size(), known.control.size());
-  for (std::size_t i = 0; i < own.control.size(); ++i) EXPECT_NEAR(own.control[i], known.control[i], 1e-4);
+  EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-8 * known.solution.loss);
+  ASSERT_EQ(own.solution.control.size(), known.solution.control.size());
+  for (std::size_t i = 0; i < own.solution.control.size(); ++i) {
+    EXPECT_NEAR(own.solution.control[i], known.solution.control[i], 1e-4);
+  }
 
   rotation.at = OwnTerm::At::kEachStep;
   rotation.rotations = {1};
@@ -121,11 +124,11 @@ TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
   const SolveReport own = SolveWith(without, {FinalPosition(1, OwnTerm::Role::kCost, std::sqrt(2.5)), effort});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
-  EXPECT_NEAR(own.initial_loss, known.initial_loss, 1e-12);
-  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-9 * known.final_loss);
-  EXPECT_LT(own.final_loss, 0.9 * own.initial_loss);
+  EXPECT_NEAR(own.guess.loss, known.guess.loss, 1e-12);
+  EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-9 * known.solution.loss);
+  EXPECT_LT(own.solution.loss, 0.9 * own.guess.loss);
   // Without them it is another problem.
-  EXPECT_GT(std::abs(SolveWith(without, {}).final_loss - own.final_loss), 1e-2);
+  EXPECT_GT(std::abs(SolveWith(without, {}).solution.loss - own.solution.loss), 1e-2);
 }
 
 TEST(OwnTerms, AnEqualityIsAHardTerm) {
@@ -135,10 +138,11 @@ TEST(OwnTerms, AnEqualityIsAHardTerm) {
   const SolveReport own = SolveWith(Problem(), {FinalPosition(1, OwnTerm::Role::kEquality, 1)});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
-  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-7 * known.final_loss);
-  const ExactRun exact = SimulateExactly(Problem(), own.initial_state, own.control, own.durations);
+  EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-7 * known.solution.loss);
+  const ExactRun exact =
+      SimulateExactly(Problem(), own.solution.initial_state, own.solution.control, own.solution.durations);
   ASSERT_TRUE(exact.ok);
-  EXPECT_NEAR(exact.loss, own.final_loss, 1e-12);
+  EXPECT_NEAR(exact.loss, own.solution.loss, 1e-12);
 }
 
 // |u|^2 <= most^2, in every step.
@@ -163,10 +167,10 @@ TEST(OwnTerms, AnInequalityIsABound) {
   const SolveReport own = SolveWith(without, {bound});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
-  EXPECT_GT(own.final_loss, SolveWith(without, {}).final_loss + 1e-4);  // it is in the way
-  EXPECT_NEAR(own.final_loss, known.final_loss, 1e-7 * known.final_loss);
-  for (size_t i = 0; i < own.control.size(); i += 2) {
-    EXPECT_LE(std::hypot(own.control[i], own.control[i + 1]), kMost * (1 + 1e-8));
+  EXPECT_GT(own.solution.loss, SolveWith(without, {}).solution.loss + 1e-4);  // it is in the way
+  EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-7 * known.solution.loss);
+  for (size_t i = 0; i < own.solution.control.size(); i += 2) {
+    EXPECT_LE(std::hypot(own.solution.control[i], own.solution.control[i + 1]), kMost * (1 + 1e-8));
   }
 }
 
@@ -184,8 +188,8 @@ TEST(OwnTerms, UnitsAreThoseOfTheScene) {
   term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{1, 0.3 * 1024});
   const SolveReport other = SolveWith(large, {term});
   ASSERT_EQ(one.termination, Termination::kConverged) << one.reason;
-  EXPECT_EQ(other.iterations, one.iterations);
-  EXPECT_NEAR(other.final_loss, one.final_loss * 1024 * 1024, 1e-9 * other.final_loss);
+  EXPECT_EQ(other.work.iterations, one.work.iterations);
+  EXPECT_NEAR(other.solution.loss, one.solution.loss * 1024 * 1024, 1e-9 * other.solution.loss);
 }
 
 // A cost of the states of two discs, a force and a length, no two entries alike.
@@ -243,9 +247,10 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
   term.role = OwnTerm::Role::kEquality;
   ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
-  for (int r = 0; r < 2; ++r)
+  for (int r = 0; r < 2; ++r) {
     EXPECT_NEAR(
         residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
+  }
 }
 
 struct Nowhere {

@@ -26,7 +26,7 @@ Scene TowardsAPocket(const Vec2d& velocity) {
 TEST(PocketWords, SayWhichDiscLiesInWhichPocket) {
   for (const char* solver : {"ceres_lbfgs", "ceres_lm", "gd"}) {
     SolverOptions options;
-    options.iterations = 20;
+    options.limits.iterations = 20;
     const SolveReport in = Solve(solver, {TowardsAPocket({2, 0.1}), "event"}, options);
     ASSERT_EQ(in.termination, Termination::kConverged) << solver << ": " << in.reason;
     EXPECT_THAT(in.reason, HasSubstr("ball lies in the pocket corner, where the loss has no slope")) << solver;

@@ -38,9 +38,9 @@ double UnitOf(const Scene& scene, const Rescaling& by) {
 SolveReport SolveRescaled(std::string_view solver, const std::string& contact, const Scene& scene, const Rescaling& by,
                           double rate = 1) {
   SolverOptions options;
-  options.iterations = solver == "gd" ? 40 : solver == "ceres_phases" ? 1000 : 100;
+  options.limits.iterations = solver == "gd" ? 40 : solver == "ceres_phases" ? 1000 : 100;
   const double unit = UnitOf(scene, by);
-  options.learning_rate = rate * unit * unit / by.loss;
+  options.descent.learning_rate = rate * unit * unit / by.loss;
   options.keep_iterates = true;
   const Scene rescaled = Rescaled(scene, by);
   EXPECT_FALSE(Validate(rescaled)) << Validate(rescaled)->key << ": " << Validate(rescaled)->message;
@@ -50,26 +50,33 @@ SolveReport SolveRescaled(std::string_view solver, const std::string& contact, c
 // Checks that the results have the same bits.
 void ExpectSame(const SolveReport& own, const SolveReport& rescaled, const Scene& scene, const Rescaling& by) {
   EXPECT_EQ(rescaled.termination, own.termination) << own.reason << " / " << rescaled.reason;
-  EXPECT_EQ(rescaled.iterations, own.iterations);
-  EXPECT_EQ(rescaled.evaluations, own.evaluations);
-  EXPECT_EQ(rescaled.final_loss, own.final_loss * by.loss);
-  ASSERT_EQ(rescaled.losses.size(), own.losses.size());
-  for (size_t i = 0; i < own.losses.size(); ++i) ASSERT_EQ(rescaled.losses[i], own.losses[i] * by.loss) << i;
-  ASSERT_EQ(rescaled.iterates.size(), own.iterates.size());
-  for (size_t i = 0; i < own.iterates.size(); ++i) {
-    for (size_t j = 0; j < own.iterates[i].size(); ++j) {
-      ASSERT_EQ(rescaled.iterates[i][j], own.iterates[i][j] * UnitOf(scene, by)) << i << " " << j;
+  EXPECT_EQ(rescaled.work.iterations, own.work.iterations);
+  EXPECT_EQ(rescaled.work.evaluations, own.work.evaluations);
+  EXPECT_EQ(rescaled.solution.loss, own.solution.loss * by.loss);
+  ASSERT_EQ(rescaled.history.losses.size(), own.history.losses.size());
+  for (size_t i = 0; i < own.history.losses.size(); ++i) {
+    ASSERT_EQ(rescaled.history.losses[i], own.history.losses[i] * by.loss) << i;
+  }
+  ASSERT_EQ(rescaled.history.iterates.size(), own.history.iterates.size());
+  for (size_t i = 0; i < own.history.iterates.size(); ++i) {
+    for (size_t j = 0; j < own.history.iterates[i].size(); ++j) {
+      ASSERT_EQ(rescaled.history.iterates[i][j], own.history.iterates[i][j] * UnitOf(scene, by)) << i << " " << j;
     }
   }
-  ASSERT_EQ(rescaled.control.size(), own.control.size());
-  for (size_t i = 0; i < own.control.size(); ++i) ASSERT_EQ(rescaled.control[i], own.control[i] * by.force()) << i;
-  ASSERT_EQ(rescaled.initial_state.size(), own.initial_state.size());
-  for (size_t i = 0; i < own.initial_state.size(); ++i) {
-    ASSERT_EQ(rescaled.initial_state[i], own.initial_state[i] * (i % 4 < 2 ? by.length : by.speed())) << i;
+  ASSERT_EQ(rescaled.solution.control.size(), own.solution.control.size());
+  for (size_t i = 0; i < own.solution.control.size(); ++i) {
+    ASSERT_EQ(rescaled.solution.control[i], own.solution.control[i] * by.force()) << i;
   }
-  ASSERT_EQ(rescaled.durations.size(), own.durations.size());
-  for (size_t i = 0; i < own.durations.size(); ++i) ASSERT_EQ(rescaled.durations[i], own.durations[i] * by.time);
-  EXPECT_EQ(rescaled.defects, own.defects);
+  ASSERT_EQ(rescaled.solution.initial_state.size(), own.solution.initial_state.size());
+  for (size_t i = 0; i < own.solution.initial_state.size(); ++i) {
+    ASSERT_EQ(rescaled.solution.initial_state[i], own.solution.initial_state[i] * (i % 4 < 2 ? by.length : by.speed()))
+        << i;
+  }
+  ASSERT_EQ(rescaled.solution.durations.size(), own.solution.durations.size());
+  for (size_t i = 0; i < own.solution.durations.size(); ++i) {
+    ASSERT_EQ(rescaled.solution.durations[i], own.solution.durations[i] * by.time);
+  }
+  EXPECT_EQ(rescaled.history.defects, own.history.defects);
   ASSERT_EQ(rescaled.optima.size(), own.optima.size());
   for (size_t i = 0; i < own.optima.size(); ++i) {
     EXPECT_EQ(rescaled.optima[i].loss, own.optima[i].loss * by.loss);
@@ -102,7 +109,7 @@ TEST_P(EverySolver, TakesTheSameStepsInAnyUnits) {
   const Scene scene = TwoBalls();
   const SolveReport own = SolveRescaled(GetParam(), "event", scene, {});
   ASSERT_NE(own.termination, Termination::kNotApplicable) << own.reason;
-  ASSERT_GT(own.iterations, 0);
+  ASSERT_GT(own.work.iterations, 0);
   std::vector<Rescaling> all = UnitRescalings();
   for (const Rescaling& by : LossRescalings()) all.push_back(by);
   for (const Rescaling& by : all) {
@@ -117,15 +124,17 @@ TEST_P(EverySolver, TakesTheSameStepsFarFromTheOrigin) {
   // A million radii, and some that are a multiple of the natural length: then no bit is lost.
   const SolveReport exact = SolveRescaled(GetParam(), "event", scene, {.name = "", .shift = {Power(18), -Power(19)}});
   EXPECT_EQ(exact.termination, own.termination) << own.reason << " / " << exact.reason;
-  EXPECT_EQ(exact.losses, own.losses);
-  EXPECT_EQ(exact.control, own.control);
+  EXPECT_EQ(exact.history.losses, own.history.losses);
+  EXPECT_EQ(exact.solution.control, own.solution.control);
   const SolveReport near = SolveRescaled(GetParam(), "event", scene, {.name = "", .shift = {2e5, -3e5}});
   EXPECT_EQ(near.termination, own.termination) << own.reason << " / " << near.reason;
-  EXPECT_NEAR(near.final_loss, own.final_loss, 1e-6 * own.final_loss);
-  ASSERT_FALSE(near.losses.empty());
-  EXPECT_NEAR(near.losses[0], own.losses[0], 1e-14 * own.losses[0]);
-  const size_t first = std::min<size_t>({4, near.losses.size(), own.losses.size()});
-  for (size_t i = 0; i < first; ++i) EXPECT_NEAR(near.losses[i], own.losses[i], 1e-9 * own.losses[0]) << i;
+  EXPECT_NEAR(near.solution.loss, own.solution.loss, 1e-6 * own.solution.loss);
+  ASSERT_FALSE(near.history.losses.empty());
+  EXPECT_NEAR(near.history.losses[0], own.history.losses[0], 1e-14 * own.history.losses[0]);
+  const size_t first = std::min<size_t>({4, near.history.losses.size(), own.history.losses.size()});
+  for (size_t i = 0; i < first; ++i) {
+    EXPECT_NEAR(near.history.losses[i], own.history.losses[i], 1e-9 * own.history.losses[0]) << i;
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, EverySolver, testing::ValuesIn(Solvers()), NameOf);
@@ -159,7 +168,7 @@ TEST_P(ByPhases, TheSameStepsAndVerdictsInAnyUnits) {
   const Scene& scene = GetParam();
   const SolveReport own = SolveRescaled("ceres_phases", "event", scene, {});
   EXPECT_EQ(own.termination == Termination::kConverged, scene.name != "out_of_reach") << own.reason;
-  ASSERT_GT(own.iterations, 0);
+  ASSERT_GT(own.work.iterations, 0);
   std::vector<Rescaling> all = UnitRescalings();
   for (const Rescaling& by : LossRescalings()) all.push_back(by);
   for (const Rescaling& by : all) {
@@ -234,8 +243,8 @@ TEST(Rescaled, ASmallLossIsNotASolvedProblem) {
   scene.objective.effort *= 1e-8;
   for (const std::string solver : {"ceres_lm", "ceres_lbfgs", "ceres_shooting"}) {
     const SolveReport report = Solve(solver, {scene, "event"}, {});
-    EXPECT_LT(report.final_loss, 1.3996e-8) << solver;
-    EXPECT_GT(report.iterations, 5) << solver;
+    EXPECT_LT(report.solution.loss, 1.3996e-8) << solver;
+    EXPECT_GT(report.work.iterations, 5) << solver;
   }
 }
 

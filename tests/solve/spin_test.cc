@@ -306,29 +306,31 @@ TEST(SpinOptimum, SolversConvergeToIt) {
       for (int k = 1; k <= steps; ++k) ends.push_back(k * scene.dt());
       const ControlGuess guess{MeansOfOptimum(ends), {}};
       const SolveReport report =
-          Solve(solver, {scene, "event"}, {.iterations = 100, .learning_rate = 0.02 * steps, .guess = guess});
-      ASSERT_FALSE(report.losses.empty()) << solver << ": " << report.reason;
-      EXPECT_LE(report.final_loss, report.initial_loss + 1e-12) << solver;
-      EXPECT_GE(report.final_loss, exact) << solver;
-      EXPECT_LE(report.final_loss, exact + 0.1 / steps) << solver << " " << steps;
+          Solve(solver,
+                {scene, "event"},
+                {.limits = {.iterations = 100}, .descent = {.learning_rate = 0.02 * steps}, .guess = guess});
+      ASSERT_FALSE(report.history.losses.empty()) << solver << ": " << report.reason;
+      EXPECT_LE(report.solution.loss, report.guess.loss + 1e-12) << solver;
+      EXPECT_GE(report.solution.loss, exact) << solver;
+      EXPECT_LE(report.solution.loss, exact + 0.1 / steps) << solver << " " << steps;
     }
   }
 }
 
 TEST(SpinOptimum, FoundFromAwayBeatsWhatNeverTouchesTheWall) {
   for (const char* solver : {"ceres_lm", "ceres_lbfgs"}) {
-    const SolveReport report = Solve(solver, {SpinControl(120), "event"}, {.iterations = 300});
-    EXPECT_LT(report.final_loss, 0.58) << solver;
-    EXPECT_GE(report.final_loss, SpinOptimum("loss")) << solver;
-    EXPECT_LT(report.final_loss, SpinOptimum("without_wall"));
+    const SolveReport report = Solve(solver, {SpinControl(120), "event"}, {.limits = {.iterations = 300}});
+    EXPECT_LT(report.solution.loss, 0.58) << solver;
+    EXPECT_GE(report.solution.loss, SpinOptimum("loss")) << solver;
+    EXPECT_LT(report.solution.loss, SpinOptimum("without_wall"));
   }
 }
 
 TEST(SpinProblem, BankShotNeedsSideSpin) {
   const Scene scene = ProblemScene("bank_shot");
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  const ExactRun shot = SimulateExactly(scene, report.initial_state, {});
+  const ExactRun shot = SimulateExactly(scene, report.solution.initial_state, {});
   // By the cushion, past the ball in the way, and into the corner.
   ASSERT_EQ(shot.events.size(), 2u);
   EXPECT_EQ(shot.events[0].b, "cushion");
@@ -339,24 +341,25 @@ TEST(SpinProblem, BankShotNeedsSideSpin) {
   plain.free_spin.clear();
   plain.bodies[0].angular_velocity = 0;
   plain.bodies[0].velocity = {1, 0.8};  // from where a shot without spin finds that way too
-  const SolveReport without = Solve("ceres_lm", {plain, "event"}, {.iterations = 100});
+  const SolveReport without = Solve("ceres_lm", {plain, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(without.termination, Termination::kConverged) << without.reason;
-  EXPECT_GT(without.final_loss, 3 * report.final_loss);
+  EXPECT_GT(without.solution.loss, 3 * report.solution.loss);
 }
 
 // Walls that end and a table, of discs that do not spin: all is at rest where it shall be.
 TEST(EdgeProblem, CarromShotGoesThroughTheGate) {
   const Scene scene = ProblemScene("carrom_gate");
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 1e-3 * report.initial_loss);
-  const ExactRun shot = SimulateExactly(scene, report.initial_state, {});
+  EXPECT_LT(report.solution.loss, 1e-3 * report.guess.loss);
+  const ExactRun shot = SimulateExactly(scene, report.solution.initial_state, {});
   for (const Event& event : shot.events) EXPECT_TRUE(event.b.find("left") && event.b.find("right")) << event.b;
   for (const int entry : {2, 3, 6, 7}) EXPECT_EQ(shot.end[entry], 0) << entry;
   EXPECT_NEAR(shot.end[4], 0.65, 0.002);
   EXPECT_NEAR(shot.end[5], 0.25, 0.002);
   // On its way to the coin it is between the ends of the gate, by more than its radius.
-  const double y = report.initial_state[3] / report.initial_state[2] * 0.22, radius = scene.bodies[0].radius;
+  const double y = report.solution.initial_state[3] / report.solution.initial_state[2] * 0.22,
+               radius = scene.bodies[0].radius;
   EXPECT_GT(y, 0.0 + radius);
   EXPECT_LT(y, 0.07 - radius);
 }
@@ -364,12 +367,12 @@ TEST(EdgeProblem, CarromShotGoesThroughTheGate) {
 // A shot that misses is mended until the coin falls in, where it has no slope to the rim's square of the radius.
 TEST(EdgeProblem, CarromPotEndsInThePocket) {
   const Scene scene = ProblemScene("carrom_pot");
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const double radius = scene.pockets[0].radius;
-  EXPECT_GT(report.initial_loss, 100 * radius * radius);
-  EXPECT_NEAR(report.final_loss, radius * radius, 1e-12);
-  const ExactRun shot = SimulateExactly(scene, report.initial_state, {});
+  EXPECT_GT(report.guess.loss, 100 * radius * radius);
+  EXPECT_NEAR(report.solution.loss, radius * radius, 1e-12);
+  const ExactRun shot = SimulateExactly(scene, report.solution.initial_state, {});
   const auto pocketed = [](const Event& event) { return event.mode == ContactMode::kPocketed; };
   ASSERT_EQ(std::count_if(shot.events.begin(), shot.events.end(), pocketed), 1);
   const Event& last = *std::find_if(shot.events.begin(), shot.events.end(), pocketed);
@@ -385,21 +388,22 @@ TEST(EdgeProblem, CarromPotEndsInThePocket) {
 // Thrown away from the hand, it comes back to it: two solvers agree how. Without spin it cannot.
 TEST(SpinProblem, BallComesBack) {
   const Scene scene = ProblemScene("back_spin");
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
-  const SolveReport other = Solve("ceres_lbfgs", {scene, "event"}, {.iterations = 100});
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
+  const SolveReport other = Solve("ceres_lbfgs", {scene, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, other.final_loss, 1e-9);
-  for (std::size_t i = 0; i < report.initial_state.size(); ++i) {
-    EXPECT_NEAR(report.initial_state[i], other.initial_state[i], 1e-6) << i;
+  EXPECT_NEAR(report.solution.loss, other.solution.loss, 1e-9);
+  for (std::size_t i = 0; i < report.solution.initial_state.size(); ++i) {
+    EXPECT_NEAR(report.solution.initial_state[i], other.solution.initial_state[i], 1e-6) << i;
   }
-  EXPECT_GT(report.initial_state[2], 0.5);
-  const std::vector<double> end = SimulateExactly(scene, report.initial_state, {}).end;
+  EXPECT_GT(report.solution.initial_state[2], 0.5);
+  const std::vector<double> end = SimulateExactly(scene, report.solution.initial_state, {}).end;
   EXPECT_LT(end[2], -1.4);
   EXPECT_NEAR(end[0], 0, 0.01);
   Scene plain = scene;
   plain.bodies[0].angular_velocity = 0;
   plain.free_spin.clear();
-  EXPECT_GT(Solve("ceres_lm", {plain, "event"}, {.iterations = 100}).final_loss, 10 * report.final_loss);
+  EXPECT_GT(Solve("ceres_lm", {plain, "event"}, {.limits = {.iterations = 100}}).solution.loss,
+            10 * report.solution.loss);
 }
 
 TEST(SpinSolvers, RefuseWhatTheyCannot) {
@@ -412,7 +416,7 @@ TEST(SpinSolvers, RefuseWhatTheyCannot) {
   // Terms on the way are known to ceres_phases only.
   Scene on_the_way = scene;
   on_the_way.objective.running = {{.body = 0, .times = {0}, .targets = {{0, 0}}}};
-  const SolveReport report = Solve("gd", {on_the_way, "event"}, {.iterations = 3});
+  const SolveReport report = Solve("gd", {on_the_way, "event"}, {.limits = {.iterations = 3}});
   EXPECT_NE(report.termination, Termination::kConverged);
 }
 

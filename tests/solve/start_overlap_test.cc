@@ -62,13 +62,14 @@ TEST(StartOverlap, NoSolverEndsWithDiscsThatOverlap) {
   for (const Scene& scene : {Pushed(2.3), Pushed(1.7), Falling()}) {
     for (const SolverEntry& solver : AllSolvers()) {
       SolverOptions options;
-      options.iterations = 100;
-      options.learning_rate = 0.1;
+      options.limits.iterations = 100;
+      options.descent.learning_rate = 0.1;
       const SolveReport report = Solve(solver.name, {scene, "event"}, options);
       if (report.termination == Termination::kNotApplicable) continue;
       ++tried;
-      EXPECT_GT(GapAtStart(scene, report.initial_state), -1e-7) << solver.name << " " << scene.name;
-      const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+      EXPECT_GT(GapAtStart(scene, report.solution.initial_state), -1e-7) << solver.name << " " << scene.name;
+      const ExactRun run =
+          SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
       EXPECT_TRUE(run.ok) << solver.name << " " << scene.name << ": " << run.reason;
     }
   }

@@ -35,7 +35,7 @@ Scene RestToRest(int steps, bool hard) {
 }
 
 double TorqueOf(const Scene& scene, const SolveReport& report, int k, int t = 0) {
-  return report.control[scene.TurnIndex(k, t)] * scene.bodies[scene.control.turned[t]].radius;
+  return report.solution.control[scene.TurnIndex(k, t)] * scene.bodies[scene.control.turned[t]].radius;
 }
 
 // In continuous time 6 I d / T^2 (1 - 2 t / T), at the cost 12 I^2 d^2 / (T^3 r^2); in N equal intervals by 1 / (1 -
@@ -48,10 +48,10 @@ TEST(TorqueControl, TurnsFromRestToRest) {
     const double more = 1 / (1 - 1.0 / (steps * steps)), most = 6 * kInertia * kAngle / (kTime * kTime) * more;
     for (int k = 0; k < steps; ++k) {
       EXPECT_NEAR(TorqueOf(scene, report, k), most * (1 - 2 * (k + 0.5) / steps), 1e-8 * most) << k;
-      EXPECT_NEAR(report.control[scene.ForceIndex(k, 0)], 0, 1e-6 * most / kRadius);
+      EXPECT_NEAR(report.solution.control[scene.ForceIndex(k, 0)], 0, 1e-6 * most / kRadius);
     }
     const double cost = 12 * std::pow(kInertia * kAngle / kRadius, 2) / std::pow(kTime, 3) * kEffort * more;
-    EXPECT_NEAR(report.final_loss, cost, 1e-8 * cost);
+    EXPECT_NEAR(report.solution.loss, cost, 1e-8 * cost);
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
     // The loss is the effort alone, and the motion is linear in the torques.
@@ -62,9 +62,9 @@ TEST(TorqueControl, TurnsFromRestToRest) {
     ASSERT_EQ(report.certificate->constraints.size(), 2u);
     EXPECT_NEAR(std::abs(report.certificate->constraints[0].multiplier[0]), 2 * cost / kAngle, 1e-6 * cost);
 
-    std::vector<double> other = report.control;
+    std::vector<double> other = report.solution.control;
     other[scene.TurnIndex(1, 0)] *= 1.01;
-    EXPECT_EQ(Certify(scene, InitialState(scene), other, report.durations).verdict,
+    EXPECT_EQ(Certify(scene, InitialState(scene), other, report.solution.durations).verdict,
               Certificate::Verdict::kNotStationary);
   }
 }
@@ -111,8 +111,8 @@ TEST(TorqueControl, KeepsBounds) {
   EXPECT_EQ(phases.certificate->verdict, Certificate::Verdict::kStationary) << phases.certificate->reason;
   for (const char* solver : {"ceres_lm", "gd", "ceres_phases"}) {
     SolverOptions options;
-    options.learning_rate = 0.1;
-    options.iterations = 3000;
+    options.descent.learning_rate = 0.1;
+    options.limits.iterations = 3000;
     const SolveReport report = Solve(solver, {scene, "event"}, options);
     int at_bound = 0;
     for (int k = 0; k < scene.steps; ++k) {
@@ -122,7 +122,7 @@ TEST(TorqueControl, KeepsBounds) {
     EXPECT_GE(at_bound, 4) << solver;
     // Steps of ceres_lm may end early at bounds.
     const double slack = solver == std::string("ceres_lm") ? 0.1 : 1e-4;
-    EXPECT_NEAR(report.final_loss, phases.final_loss, slack * phases.final_loss) << solver;
+    EXPECT_NEAR(report.solution.loss, phases.solution.loss, slack * phases.solution.loss) << solver;
   }
   EXPECT_THAT(Solve("ceres_lbfgs", {scene, "event"}, {}).reason, HasSubstr("bounds on the control"));
 }
@@ -131,21 +131,21 @@ TEST(TorqueControl, KeepsBounds) {
 // the control.
 TEST(TorqueControl, HelpsThroughAnImpact) {
   Scene scene = SpinControl(40);
-  const double without = Solve("ceres_phases", {scene, "event"}, {}).final_loss;
+  const double without = Solve("ceres_phases", {scene, "event"}, {}).solution.loss;
   scene.control.turned = {0};
   scene.control.initial_torque = {0};
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.9 * without);
+  EXPECT_LT(report.solution.loss, 0.9 * without);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
   ASSERT_EQ(report.certificate->impacts.size(), 1u);
   const SolveReport shooting = Solve("ceres_lm", {scene, "event"}, {});
-  EXPECT_NEAR(shooting.final_loss, report.final_loss, 1e-2 * report.final_loss);
+  EXPECT_NEAR(shooting.solution.loss, report.solution.loss, 1e-2 * report.solution.loss);
   // Under the steps of another model, between exact impacts.
   const SolveReport stepped = Solve("ceres_phases", {scene, "compliant_warp"}, {});
   EXPECT_EQ(stepped.termination, Termination::kConverged) << stepped.reason;
-  EXPECT_NEAR(stepped.final_loss, report.final_loss, 0.1 * report.final_loss);
+  EXPECT_NEAR(stepped.solution.loss, report.solution.loss, 0.1 * report.solution.loss);
 }
 
 TEST(TorqueControl, SolversByClosedArcsRefuse) {

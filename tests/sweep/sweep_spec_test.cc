@@ -161,7 +161,7 @@ TEST(SweepOptions, ChangeWhatTheyName) {
       {"steps", [&] { return request.scene.steps; }},
       {"gravity_y", [&] { return request.scene.gravity[1]; }},
       {"effort", [&] { return request.scene.objective.effort; }},
-      {"learning_rate", [&] { return request.options.learning_rate; }},
+      {"learning_rate", [&] { return request.options.descent.learning_rate; }},
       {"target.mass", [&] { return request.scene.bodies[1].mass; }},
       {"target.position_y", [&] { return request.scene.bodies[1].position[1]; }},
       {"striker.force_y", [&] { return request.scene.control.initial[0][1]; }},

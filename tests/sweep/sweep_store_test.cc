@@ -70,8 +70,9 @@ TEST_F(SweepStoreTest, GivesBackWhatItWasGivenAfterReopening) {
     EXPECT_EQ(*store.Find(point), Row(study, point));
   }
   const SweepStore store(directory_, "sweep", study);
-  for (int64_t point = 0; point < study.size(); ++point)
+  for (int64_t point = 0; point < study.size(); ++point) {
     EXPECT_EQ(store.Find(point) != nullptr, point == 7 || point == 2);
+  }
   EXPECT_EQ(*store.Find(7), Row(study, 7));
   EXPECT_EQ(store.Find(7)->row[2].type(), Json::value_t::number_float);
   EXPECT_TRUE(std::signbit(store.Find(7)->row[3].get<double>()));
@@ -246,8 +247,8 @@ TEST(SweepPoint, IsStoppedAtItsTimeLimit) {
   Request request = Study().request();
   request.contacts = {"direct_toi"};
   request.solvers = {"gd"};
-  request.options.learning_rate = 10;
-  request.options.iterations = 1'000'000'000;
+  request.options.descent.learning_rate = 10;
+  request.options.limits.iterations = 1'000'000'000;
   const SweepStudy study(request, ParseSweep("friction=0", request.scene));
   const PointResult result = ComputePoint(study, 0, 1e-9);
   EXPECT_EQ(result.status, PointStatus::kFailed);

@@ -23,7 +23,8 @@ struct RunOptions {
   Contact contact = "event";    // for scenes only
   int iterations = 1000;        // largest number of iterations
   double seconds = 0;           // limit of time, s; 0: none
-  std::function<bool(int iteration, double loss)> callback = nullptr;  // SolverOptions::callback; false interrupts
+  std::function<bool(int iteration, double loss)> callback =
+      nullptr;  // SolverOptions::Monitor::callback; false interrupts
 };
 
 // A number with its name.
@@ -39,7 +40,7 @@ class Run {
       : report_(std::move(report)), certificate_(std::move(certificate)), found_(std::move(found)) {}
 
   bool converged() const { return report_.termination == Termination::kConverged; }
-  double loss() const { return report_.final_loss; }
+  double loss() const { return report_.solution.loss; }
   // Returns control, durations, losses, iterations and everything else that the solver reports.
   const SolveReport& report() const { return report_; }
   // Returns the certificate of the solution; kNotApplicable if there is nothing to certify.

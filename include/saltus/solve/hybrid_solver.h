@@ -27,7 +27,7 @@ const std::vector<HybridSolverEntry>& HybridSolvers();
 //                               motion found from having a derivative: guards that graze, ties, events at the final
 //                               time, and events at or near jumps of the control, where the loss has a kink.
 //   ceres_phases                phases between events have free lengths, and their control intervals move with the
-//                               events (SolveReport::durations). Supports constraints and bounds, and reports a
+//                               events (Solution::durations). Supports constraints and bounds, and reports a
 //                               certificate (hybrid_certificate.h). Options: iterations (of Ceres, in all), callback,
 //                               stop; with `search` off the sequence of events of the guess is kept.
 //   ipopt                       the problem of ceres_phases by the interior-point method of IPOPT, with second

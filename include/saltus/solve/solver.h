@@ -60,46 +60,61 @@ struct ControlGuess {
 };
 
 struct SolverOptions {
-  int iterations = 1000;        // largest number of iterations; of mode_search: of solves
-  double learning_rate = 0.01;  // gradient descent only: z <- z - learning_rate * gradient
-  // Whether the learning rate is divided by the length of a step (s), because a force that acts for a shorter time has
-  // a smaller derivative. For controls only.
-  bool rate_per_time = false;
+  // Limits that end a solve.
+  struct Limits {
+    int iterations = 1000;                      // largest number of iterations; of mode_search: of solves
+    std::size_t memory = std::size_t{1} << 30;  // of Simulator::set_memory_limit, bytes
+    // Largest number of impacts of one motion, for solvers by shooting: a motion with more interrupts them.
+    std::optional<int> impacts = std::nullopt;
+  };
+  Limits limits = {};
 
-  bool keep_iterates = false;  // whether SolveReport::iterates is filled (single shooting)
+  // Gradient descent: z <- z - learning_rate * gradient.
+  struct Descent {
+    double learning_rate = 0.01;
+    // Whether the learning rate is divided by the length of a step (s), because a force that acts for a shorter time
+    // has a smaller derivative. For controls only.
+    bool rate_per_time = false;
+  };
+  Descent descent = {};
 
-  // Whether solvers in phases of a hybrid system that end without an optimum try again with few control intervals,
-  // whose number they double up to that of the guess, each time from the solution before.
-  bool coarse_to_fine = true;
-
-  // The collision sequence of solvers that need one; if none is given, that of the motion of the initial guess.
-  // `search` lets mode_search change it, and without a given sequence also solvers with an active-set update of it.
-  // Events of a hybrid system are {a = mode, b = guard}, and {a = last mode, b = -1} ends the sequence.
-  std::optional<ContactSequence> sequence = std::nullopt;
-  bool search = true;
-  SearchOptions search_options = {};  // of mode_search
+  // A replacement of the gradient, for solvers that support one.
+  std::optional<Surrogate> surrogate = std::nullopt;
 
   // An initial guess that replaces that of the scene; only if a control is optimized. Solvers on a grid of equal steps
   // take its mean over each of them. The sum of the intervals is the scene's duration or, if that is free, its initial
   // guess.
   std::optional<ControlGuess> guess = std::nullopt;
 
-  // A replacement of the gradient, for solvers that support one. The number of threads is that for its samples, and for
-  // the solves of a search; results do not depend on it.
-  std::optional<Surrogate> surrogate = std::nullopt;
+  // Collision sequences, for solvers that need one.
+  struct Sequences {
+    // The sequence; if none is given, that of the motion of the initial guess. Events of a hybrid system are
+    // {a = mode, b = guard}, and {a = last mode, b = -1} ends the sequence.
+    std::optional<ContactSequence> given = std::nullopt;
+    // Lets mode_search change it, and without a given sequence also solvers with an active-set update of it.
+    bool search = true;
+    SearchOptions limits = {};  // of mode_search
+  };
+  Sequences sequences = {};
+
+  // Whether solvers in phases of a hybrid system that end without an optimum try again with few control intervals,
+  // whose number they double up to that of the guess, each time from the solution before.
+  bool coarse_to_fine = true;
+  bool keep_iterates = false;  // whether SolveReport::history.iterates is filled (single shooting)
+  // The number of threads for the samples of a surrogate and for the solves of a search; results do not depend on it.
   int threads = 1;
 
-  std::size_t memory_limit = std::size_t{1} << 30;  // of Simulator::set_memory_limit, bytes
-  // Largest number of impacts of one motion, for solvers by shooting: a motion with more interrupts them.
-  std::optional<int> most_impacts = std::nullopt;
-
-  // Called after each iteration with its number (0 is the initial guess) and the loss there. If it returns false, the
-  // solver stops with kInterrupted and reports the result so far.
-  std::function<bool(int iteration, double loss)> callback = nullptr;
-  // Interrupts within an iteration as soon as it returns true; the result of the last complete iteration is reported.
-  StopRequest stop = nullptr;
-  // Receives lines about what is being computed, for a user to read, from solvers that take long.
-  std::function<void(const std::string&)> status = nullptr;
+  // How a caller follows and interrupts a solve.
+  struct Monitor {
+    // Called after each iteration with its number (0 is the initial guess) and the loss there. If it returns false, the
+    // solver stops with kInterrupted and reports the result so far.
+    std::function<bool(int iteration, double loss)> callback = nullptr;
+    // Interrupts within an iteration as soon as it returns true; the result of the last complete iteration is reported.
+    StopRequest stop = nullptr;
+    // Receives lines about what is being computed, for a user to read, from solvers that take long.
+    std::function<void(const std::string&)> status = nullptr;
+  };
+  Monitor monitor = {};
 };
 
 // One optimum of a search over collision sequences.
@@ -125,14 +140,19 @@ struct Searched {
   std::optional<Proof> proof;
 };
 
-// The iterate with the lowest loss, of a solver that returns its last iterate.
-struct BestIterate {
-  double loss = 0;
-  int iteration = 0;                  // its number
-  std::vector<double> initial_state;  // as in SolveReport; this and the rest are empty if the last iterate is the best
-  std::vector<double> control;        // SolveReport::control
-  std::vector<double> durations;      // SolveReport::durations
-  std::vector<double> parameters;     // SolveReport::parameters
+// A motion, by what it depends on. Vectors are empty if the problem or the solver has no such part.
+struct Solution {
+  double loss = 0;  // under the contact model
+  // The violation of constraints: the largest of hard terms and bounds on the control, in natural units of the scene
+  // (units.h), and of constraints of the user. It is infinite if discs that must not touch do so. Residuals of a hybrid
+  // problem that change by less than 0.1 or more than 500 as the states, controls and parameters that they read change
+  // by their sizes in the motion of the guess are divided by this change. Only solvers that support constraints set it.
+  double violation = 0;
+  std::vector<double> initial_state = {};  // B x 4 or B x 6, or the state of a hybrid system
+  std::vector<double> control = {};        // K x control_width() forces, N; K x m for a hybrid system
+  std::vector<double> durations = {};      // of the K control intervals, s; none if they are equal
+  std::vector<double> parameters = {};     // all of a hybrid system; or the values of Scene::design
+  double integration_error = 0;            // of a hybrid system: relative error of final state and event times
 };
 
 // The result of a solver. kConverged means that the solver's own measure is met for the loss under the contact model;
@@ -146,30 +166,40 @@ struct SolveReport {
   std::optional<Surrogate> surrogate;  // if set, the run is biased: the surrogate replaced the derivative of the loss
   Termination termination = Termination::kFailed;
   std::string reason;  // the reason of kFailed and kNotApplicable; otherwise a remark, if there is one
-  double initial_loss = 0;
-  double final_loss = 0;  // at `initial_state` and `control`, under the contact model
-  // The violation of the constraints at the initial guess and at the solution: the largest of hard terms and bounds on
-  // the control, in natural units of the scene (units.h), and of constraints of the user. It is infinite if discs that
-  // must not touch do so. Residuals of a hybrid problem that change by less than 0.1 or more than 500 as the states,
-  // controls and parameters that they read change by their sizes in the motion of the guess are divided by this change.
-  // Only solvers that support constraints set them.
-  double initial_violation = 0, final_violation = 0;
-  std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
-  std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
-  std::optional<BestIterate> best;            // of gradient descent, which returns its last iterate
-  int iterations = 0;
-  int evaluations = 0;                 // number of computed gradients or Jacobians
-  double seconds = 0;                  // time of the solve, s
-  std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
-  // Step shooting: the largest component of the defect of each step, in natural units of the scene (units.h); one
-  // vector each time that defects were computed, the last one at the solution. The loss is that of a rollout, with any
-  // defects.
-  std::vector<std::vector<double>> defects;
-  std::vector<double> initial_state;  // the solution: B x 4 or B x 6, or the state of a hybrid system
-  std::vector<double> control;        // K x control_width() forces, N; K x m for a hybrid system
-  std::vector<double> durations;      // of the K control intervals, s; none if they are equal
-  std::vector<double> parameters;     // all of a hybrid system; or the values of Scene::design
-  double integration_error = 0;       // of a hybrid system: relative error of final state and event times
+
+  // The loss and the violation (Solution) at the initial guess.
+  struct Guess {
+    double loss = 0, violation = 0;
+  };
+  Guess guess;
+  Solution solution;
+
+  struct Work {
+    int iterations = 0;
+    int evaluations = 0;  // number of computed gradients or Jacobians
+    double seconds = 0;   // time of the solve, s
+  };
+  Work work;
+
+  // The iterates of solvers that have them.
+  struct History {
+    std::vector<double> losses;                 // losses[k] after k iterations; losses[0] at the initial guess
+    std::vector<std::vector<double>> iterates;  // decision variables after k iterations, if asked for
+    // The iterate with the lowest loss, of gradient descent, which returns its last iterate. Its vectors are empty if
+    // the last iterate is the best.
+    struct Best {
+      int iteration = 0;
+      Solution solution = {};
+    };
+    std::optional<Best> best;
+    std::vector<double> standard_error;  // of the last smoothed gradient, one per decision variable (single_shooting.h)
+    // Step shooting: the largest component of the defect of each step, in natural units of the scene (units.h); one
+    // vector each time that defects were computed, the last one at the solution. The loss is that of a rollout, with
+    // any defects.
+    std::vector<std::vector<double>> defects;
+  };
+  History history;
+
   std::optional<Certificate>
       certificate;                        // of solvers with a certificate, and of runs that converged in exact dynamics
   std::optional<Certificate> continuous;  // of hmp: the conditions in continuous time, at the optimum there
@@ -177,7 +207,7 @@ struct SolveReport {
   std::optional<Searched> searched;       // of mode_search
 };
 
-inline constexpr double kFeasible = 1e-8;  // the largest violation (SolveReport::final_violation) of a feasible motion
+inline constexpr double kFeasible = 1e-8;  // the largest Solution::violation of a feasible motion
 
 // Returns whether a run ends worse than it began, with a larger violation of constraints above kFeasible or, if both
 // motions are feasible, with a loss that is larger by more than 1e-9, relatively.

@@ -70,8 +70,9 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
   PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
   const bool kinks = plan.HasTies() || plan.HasRegimes() || !plan.apart.empty();
   const bool interior = run->algorithm() == Algorithm::kInteriorPoint;
-  if (!arcs_can || interior || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations())
+  if (!arcs_can || interior || kinks || left || !attempt.realized || attempt.interrupted || run->IsOutOfIterations()) {
     return attempt;
+  }
   if (attempt.converged) {
     if (run->Certify(attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
   } else if (HasFriction(run->scene())) {
@@ -92,7 +93,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
     return exact;
   };
   if (exact.termination != Termination::kConverged) return give_up(exact.reason);
-  Trial trial{exact.control, exact.durations, {}, {}, exact.initial_state};
+  Trial trial{exact.solution.control, exact.solution.durations, {}, {}, exact.solution.initial_state};
   Scene scene = request.scene;
   scene.duration = DurationOf(trial);
   Simulate(scene, request.terms, &trial);
@@ -105,8 +106,8 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
   for (int& steps : phases->steps) steps = std::max(1, steps / flight->traits().grid_steps);
 
   PhaseRun run(exact.solver, request, options);
-  run.report().losses = exact.losses;
-  run.report().evaluations = exact.evaluations;
+  run.report().history.losses = exact.history.losses;
+  run.report().work.evaluations = exact.work.evaluations;
   ContactSequence apart;
   for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
   PhaseTranscription transcription(BeginningAs(trial, scene),
@@ -119,10 +120,10 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                                    flight.get());
   AugmentedLagrangian::Options limits;
   limits.algorithm = algorithm;
-  limits.iterations = std::max(1, options.iterations - exact.iterations);
+  limits.iterations = std::max(1, options.limits.iterations - exact.work.iterations);
   limits.callback = [&](double cost) { return run.Record(cost); };
   const AugmentedLagrangian::Summary summary = transcription.Minimize(limits);
-  run.report().evaluations += summary.jacobians;
+  run.report().work.evaluations += summary.jacobians;
   Trial found;
   TakeControl(transcription, scene, &found);
   const Termination termination = summary.interrupted ? Termination::kInterrupted
@@ -130,8 +131,8 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
                                                       : Termination::kIterationLimit;
   SolveReport report =
       run.Finish(found, summary.cost, termination, "steps of " + request.contact.name() + " between exact impacts");
-  report.final_violation = summary.violation;  // under the contact model, which no exact run shows
-  report.seconds += exact.seconds;
+  report.solution.violation = summary.violation;  // under the contact model, which no exact run shows
+  report.work.seconds += exact.work.seconds;
   return report;
 }
 
@@ -158,15 +159,15 @@ SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& opt
   SolveChain chain(options);
   chain.Add(first);
   Trial start = run.guess();
-  if (first.final_violation <= kFeasible) {
-    start = {first.control, first.durations, {}, {}, first.initial_state};
+  if (first.solution.violation <= kFeasible) {
+    start = {first.solution.control, first.solution.durations, {}, {}, first.solution.initial_state};
     run.Simulate(&start);
   }
   const SolverOptions rest = chain.Next();
   SolveReport report = SolveFrom(request, rest, Algorithm::kLeastSquares, std::move(start));
   chain.Add(report);
   report = chain.Finish(std::move(report));
-  report.initial_violation = run.ViolationOf(run.guess());
+  report.guess.violation = run.ViolationOf(run.guess());
   return report;
 }
 
@@ -180,9 +181,10 @@ std::string WhyNotPhases(const SolveRequest& request) {
   }
   const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
   const std::optional<FlightOver> over = simulator->FreeFlightOver(simulator->step());
-  if (!over)
+  if (!over) {
     return request.contact.name() +
            " has no derivative of free flight by the length of a step, which is a variable here";
+  }
   const bool turns = over->turn.pp != 0;  // linearly
   if (request.scene.num_turned() > 0 && !turns) {
     return request.contact.name() + " does not change rotations linearly, and some discs have a torque control";
@@ -201,7 +203,7 @@ SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOption
 
 SolveReport SolveByCeresPhases(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm) {
   SolverOptions quiet = options;
-  quiet.callback = nullptr;
+  quiet.monitor.callback = nullptr;
   const PhaseRun run(NameOf(algorithm), request, quiet);
   const Trial& guess = run.guess();
   const bool misses = HasGoalRegion(request.scene) && guess.exact.ok && run.ViolationOf(guess) > kFeasible;

@@ -593,11 +593,13 @@ std::string HybridPhaseRun::DescribeMiss(const HybridMotion& motion) const {
 
 std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const {
   if (!motion.exact.ok) return motion.exact.reason;
-  if (!motion.exact.only_impacts)
+  if (!motion.exact.only_impacts) {
     return "in simulation of the solution a guard grazes zero or has a transition at once";
+  }
   const std::string planned = NameOf(sequence), met = NameOf(motion.exact.contacts);
-  if (sequence == motion.exact.contacts)
+  if (sequence == motion.exact.contacts) {
     return "in simulation the events " + planned + " are at other times than in the solution";
+  }
   return "the optimum for the sequence " + planned + " is not a motion of the system: in simulation its events are " +
          met;
 }
@@ -650,15 +652,15 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
               "the control intervals of the solution end at its events, and are not those of the guess";
   }
   FinishReport(loss, termination, std::move(reason));
-  report_.initial_violation = ViolationOf(guess_);
-  report_.final_violation = ViolationOf(motion);
-  report_.initial_state = motion.initial;
-  report_.control = motion.control;
-  report_.durations = motion.durations;
-  report_.parameters = motion.parameters;
+  report_.guess.violation = ViolationOf(guess_);
+  report_.solution.violation = ViolationOf(motion);
+  report_.solution.initial_state = motion.initial;
+  report_.solution.control = motion.control;
+  report_.solution.durations = motion.durations;
+  report_.solution.parameters = motion.parameters;
   HybridShooting::Outcome outcome;
   if (shooting_->Simulate(InputOf(motion), &outcome)) {
-    report_.integration_error = shooting_->simulator().IntegrationError();
+    report_.solution.integration_error = shooting_->simulator().IntegrationError();
   }
   return std::move(report_);
 }
@@ -711,10 +713,10 @@ HybridProblem OnGrid(HybridProblem problem, int intervals) {
 
 // The events along which the options ask to solve; none: those of the motion.
 std::optional<std::vector<ModeEvent>> GivenSequence(const SolverOptions& options) {
-  if (!options.sequence) return std::nullopt;
+  if (!options.sequences.given) return std::nullopt;
   std::vector<ModeEvent> events;
-  for (std::size_t i = 0; i + 1 < options.sequence->size(); ++i) {
-    const Candidate &event = (*options.sequence)[i], &next = (*options.sequence)[i + 1];
+  for (std::size_t i = 0; i + 1 < options.sequences.given->size(); ++i) {
+    const Candidate &event = (*options.sequences.given)[i], &next = (*options.sequences.given)[i + 1];
     events.push_back({event.a, event.b, next.a});
   }
   return events;
@@ -728,13 +730,13 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
   SolveChain chain(options);
   SolveReport report;
   SolverOptions silent = options;
-  silent.callback = nullptr;
+  silent.monitor.callback = nullptr;
   std::optional<HybridPhaseRun> guess;
   if (grids.size() > 1) guess.emplace(solver, problem, silent);
   for (const int intervals : grids) {
     const SolverOptions of_grid = chain.Next();
     const bool last = intervals == grids.back();
-    if (of_grid.iterations == 0 && !last) continue;
+    if (of_grid.limits.iterations == 0 && !last) continue;
     HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start, GivenSequence(options));
     run.set_algorithm(algorithm);
     if (auto refused = run.WhyNotStart()) {
@@ -745,17 +747,21 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
     chain.Add(report);
     if (report.termination == Termination::kInterrupted && !last) continue;
     const bool ran_out = report.termination == Termination::kIterationLimit && !last &&
-                         report.final_loss < guess->guess().exact.loss &&
-                         report.final_violation <= guess->ViolationOf(guess->guess());
+                         report.solution.loss < guess->guess().exact.loss &&
+                         report.solution.violation <= guess->ViolationOf(guess->guess());
     if (report.termination == Termination::kConverged || ran_out) {
-      start = {report.control, report.durations, report.initial_state, report.parameters, {}};
+      start = {report.solution.control,
+               report.solution.durations,
+               report.solution.initial_state,
+               report.solution.parameters,
+               {}};
     }
   }
   if (!guess) return report;
   report = chain.Finish(std::move(report));
   if (!guess->guess().exact.ok) return report;
-  report.initial_loss = report.losses.front() = guess->guess().exact.loss;
-  report.initial_violation = guess->ViolationOf(guess->guess());
+  report.guess.loss = report.history.losses.front() = guess->guess().exact.loss;
+  report.guess.violation = guess->ViolationOf(guess->guess());
   return report;
 }
 
@@ -763,7 +769,7 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
 std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridProblem& problem,
                                           const SolverOptions& options) {
   SolverOptions silent = options;
-  silent.callback = nullptr;
+  silent.monitor.callback = nullptr;
   HybridPhaseRun run(solver, problem, silent);
   const HybridMotion& guess = run.guess();
   if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
@@ -772,7 +778,7 @@ std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridP
   const bool is_minimum =
       certificate.curvature ? certificate.curvature->kind == Curvature::Kind::kMinimum : certificate.reason.empty();
   if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
-  if (options.callback) options.callback(0, guess.exact.loss);
+  if (options.monitor.callback) options.monitor.callback(0, guess.exact.loss);
   run.report().certificate = certificate;
   return run.Finish(guess, guess.exact.loss, Termination::kConverged, "the guess is an optimum");
 }
@@ -782,7 +788,7 @@ std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridP
 // start.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
-  if (!options.sequence) {
+  if (!options.sequences.given) {
     if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
   }
   SolverOptions directly = options;

@@ -257,11 +257,11 @@ std::string PhaseRun::DescribeMiss(const Trial& trial) const {
 
 SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termination, std::string reason) {
   FinishReport(loss, termination, std::move(reason));
-  report_.initial_violation = ViolationOfAll(scene_, guess_);
-  report_.final_violation = ViolationOfAll(scene_, trial);
-  report_.initial_state = InitialOf(scene_, trial);
-  report_.control = trial.control;
-  report_.durations = trial.durations;
+  report_.guess.violation = ViolationOfAll(scene_, guess_);
+  report_.solution.violation = ViolationOfAll(scene_, trial);
+  report_.solution.initial_state = InitialOf(scene_, trial);
+  report_.solution.control = trial.control;
+  report_.solution.durations = trial.durations;
   return std::move(report_);
 }
 

@@ -56,7 +56,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   const Scene& scene() const { return scene_; }
   const std::vector<OwnTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
-  const std::optional<ContactSequence>& given_sequence() const { return options_.sequence; }
+  const std::optional<ContactSequence>& given_sequence() const { return options_.sequences.given; }
   int num_steps() const { return scene_.steps; }
   int control_width() const { return scene_.control_width(); }
   // Return a report if there is nothing to start from, with the reason; otherwise std::nullopt. The second also refuses

@@ -118,8 +118,9 @@ bool IsExact(const SolveRequest& request) {
 
 std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
-  if (!scene.objective.IsSumOfSquares())
+  if (!scene.objective.IsSumOfSquares()) {
     return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
+  }
   const std::string beyond = BeyondPlanes(scene);
   return beyond.empty() ? ""
                         : "the scene has " + beyond +
@@ -129,16 +130,18 @@ std::string WhyNoPhases(const Scene& scene) {
 std::string WhyNotExactPhases(const SolveRequest& request) {
   if (!IsExact(request)) return "this solver requires exact impacts (contact model event)";
   if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
-  if (request.scene.Spins())
+  if (request.scene.Spins()) {
     return "the scene has discs that spin; the flight that this solver eliminates has no rotation: use ceres_phases";
+  }
   if (request.scene.optimize == Optimize::kControl) return "";
   return "this solver optimizes a control only, and the scene optimizes something else: use ceres_lm or ceres_phases";
 }
 
 std::string WhyNotEventPhases(const SolveRequest& request) {
   if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
-  if (request.scene.objective.effort == 0)
+  if (request.scene.objective.effort == 0) {
     return "without a cost of effort the best control is not unique: give objective.effort, or use ceres_phases";
+  }
   return "";
 }
 
@@ -304,7 +307,7 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
 }
 
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess) {
-  return options.sequence ? *options.sequence : guess.exact.contacts;
+  return options.sequences.given ? *options.sequences.given : guess.exact.contacts;
 }
 
 }  // namespace saltus

@@ -71,7 +71,7 @@ class SequenceUpdate {
 
   SolveReport Solve() {
     const SolverOptions& options = run_.options();
-    const bool mends = options.search && !run_.given_sequence();
+    const bool mends = options.sequences.search && !run_.given_sequence();
     lowest_ = run_.WithinBounds(run_.guess());
     if (!lowest_.exact.ok) lowest_ = run_.guess();
     Add(TaskAlong(SequenceFor(run_.guess()), run_.guess()));
@@ -186,7 +186,7 @@ class SequenceUpdate {
       left = mends && (leaves || vanished > mending::kMostVanished);
       return !left;
     });
-    run_.report().evaluations += attempt.jacobians;
+    run_.report().work.evaluations += attempt.jacobians;
     interrupted_ = attempt.interrupted;
     if (!attempt.valid) return;
     if (!left) {
@@ -530,8 +530,9 @@ class SequenceUpdate {
     std::string reason;
     const Termination termination = Judge(&reason);
     if (saddles_ > 0) reason = DescribeSaddle(reason);
-    if (passed_.size() > 1)
+    if (passed_.size() > 1) {
       reason += (reason.empty() ? "sequences passed: " : "; sequences passed: ") + run_.NamesOf(passed_);
+    }
     const Trial& result = termination == Termination::kConverged ? best_->trial : lowest_;
     return run_.Finish(result, result.exact.loss, termination, std::move(reason));
   }
@@ -557,8 +558,9 @@ class SequenceUpdate {
     } else if (!best_ && last_ && !last_->realized) {
       *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
       const Sequence& returned = lowest_.exact.contacts;
-      if (last_->trial.exact.contacts != returned)
+      if (last_->trial.exact.contacts != returned) {
         *reason += "; the sequence of the motion returned is " + run_.NameOf(returned);
+      }
     }
     if (reason->empty()) *reason = "no solve along the sequences tried ended at an optimum";
     if (unrealized_ && unrealized_->first.planned_loss < lowest_.exact.loss) {
@@ -569,8 +571,9 @@ class SequenceUpdate {
   }
 
   std::string WhyNothingTried() const {
-    if (passed_.empty())
+    if (passed_.empty()) {
       return "the events of the sequence cannot follow one another, or the last one cannot end the motion";
+    }
     const PhasePlan& plan = passed_.front();
     const auto phases = std::count(plan.tied.begin(), plan.tied.end(), false) + 1;
     if (phases > run_.num_steps()) {

@@ -19,10 +19,10 @@ SequenceRun::SequenceRun(std::string_view solver, const SolverOptions& options)
 }
 
 bool SequenceRun::Record(double loss) {
-  report_.losses.push_back(loss);
-  const int iteration = static_cast<int>(report_.losses.size()) - 1;
-  if (options_.stop && options_.stop()) interrupted_ = true;
-  if (options_.callback && !options_.callback(iteration, loss)) interrupted_ = true;
+  report_.history.losses.push_back(loss);
+  const int iteration = static_cast<int>(report_.history.losses.size()) - 1;
+  if (options_.monitor.stop && options_.monitor.stop()) interrupted_ = true;
+  if (options_.monitor.callback && !options_.monitor.callback(iteration, loss)) interrupted_ = true;
   return !interrupted_;
 }
 
@@ -38,10 +38,10 @@ SolveReport SequenceRun::Refuse(Termination termination, std::string reason) con
 void SequenceRun::FinishReport(double loss, Termination termination, std::string reason) {
   report_.termination = termination;
   report_.reason = std::move(reason);
-  report_.initial_loss = report_.losses.front();
-  report_.final_loss = loss;
-  report_.iterations = static_cast<int>(report_.losses.size()) - 1;
-  report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  report_.guess.loss = report_.history.losses.front();
+  report_.solution.loss = loss;
+  report_.work.iterations = static_cast<int>(report_.history.losses.size()) - 1;
+  report_.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
 }
 
 }  // namespace saltus

@@ -27,7 +27,7 @@ class SequenceRun {
   bool interrupted() const { return interrupted_; }
   // Returns the number of iterations that are left.
   int iterations_left() const {
-    return std::max(0, options_.iterations - std::max(0, static_cast<int>(report_.losses.size()) - 1));
+    return std::max(0, options_.limits.iterations - std::max(0, static_cast<int>(report_.history.losses.size()) - 1));
   }
   bool IsOutOfIterations() const { return iterations_left() == 0; }
   SolveReport& report() { return report_; }

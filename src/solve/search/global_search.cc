@@ -22,27 +22,33 @@ constexpr double kRelativeGap = 1e-6;  // of the loss
 // controls on as many intervals.
 void Refine(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
   if (request.scene.steps >= kFineSteps || !WhyNotEventPhases(request).empty()) return;
-  const ExactRun run =
-      SimulateExactly(request.scene, report->initial_state, report->control, report->durations, options.stop);
+  const ExactRun run = SimulateExactly(request.scene,
+                                       report->solution.initial_state,
+                                       report->solution.control,
+                                       report->solution.durations,
+                                       options.monitor.stop);
   if (!run.ok || !run.only_impacts) return;
   SolveRequest fine = request;
   fine.scene.steps = kFineSteps;
   SolverOptions along = options;
-  along.sequence = run.contacts;
-  along.callback = nullptr;
-  along.guess = ControlGuess{report->control, report->durations};
+  along.sequences.given = run.contacts;
+  along.monitor.callback = nullptr;
+  along.guess = ControlGuess{report->solution.control, report->solution.durations};
   // Without an impact there are no phases between impacts.
   SolveReport finer = run.contacts.empty() ? SolveByModeSearch(fine, along) : SolveByCeresEvent(fine, along);
-  if (finer.control.empty() || !(finer.final_loss < report->final_loss)) return;
-  const ExactRun exact =
-      SimulateExactly(request.scene, finer.initial_state, finer.control, finer.durations, options.stop);
-  if (!exact.ok || !(exact.loss < report->final_loss)) return;
-  report->final_loss = exact.loss;
-  report->losses.push_back(exact.loss);
-  ++report->iterations;
-  report->initial_state = std::move(finer.initial_state);
-  report->control = std::move(finer.control);
-  report->durations = std::move(finer.durations);
+  if (finer.solution.control.empty() || !(finer.solution.loss < report->solution.loss)) return;
+  const ExactRun exact = SimulateExactly(request.scene,
+                                         finer.solution.initial_state,
+                                         finer.solution.control,
+                                         finer.solution.durations,
+                                         options.monitor.stop);
+  if (!exact.ok || !(exact.loss < report->solution.loss)) return;
+  report->solution.loss = exact.loss;
+  report->history.losses.push_back(exact.loss);
+  ++report->work.iterations;
+  report->solution.initial_state = std::move(finer.solution.initial_state);
+  report->solution.control = std::move(finer.solution.control);
+  report->solution.durations = std::move(finer.solution.durations);
   report->certificate = std::move(finer.certificate);
   if (report->searched) report->searched->lower_bound = finer.searched ? finer.searched->lower_bound : 0;
 }
@@ -97,45 +103,49 @@ std::string WhyNotGlobal(const SolveRequest& request) {
 
 SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& options) {
   SolverOptions searching = options;
-  searching.search = true;
+  searching.sequences.search = true;
   SolveReport report = SolveByModeSearch(request, searching);
   report.solver = "global";
-  if (report.control.empty() || report.termination == Termination::kInterrupted) return report;
+  if (report.solution.control.empty() || report.termination == Termination::kInterrupted) return report;
   Refine(request, options, &report);
 
-  const SearchOptions& limits = options.search_options;
+  const SearchOptions& limits = options.sequences.limits;
   GlobalOptions global{
-      .gap = kRelativeGap * report.final_loss,
+      .gap = kRelativeGap * report.solution.loss,
       .seconds = limits.seconds,
       .boxes = static_cast<std::size_t>(std::max(limits.work > 0 ? 1.0 : 0.0, limits.work / kWorkOfBox)),
       .memory = limits.memory,
-      .stop = options.stop};
-  if (options.status) {
-    global.progress = [&](const GlobalBound& bound) { options.status(Describe(request, bound, bound.gap())); };
+      .stop = options.monitor.stop};
+  if (options.monitor.status) {
+    global.progress = [&](const GlobalBound& bound) { options.monitor.status(Describe(request, bound, bound.gap())); };
   }
-  const GlobalBound bound = BoundGlobally(request.scene, report.final_loss, global);
+  const GlobalBound bound = BoundGlobally(request.scene, report.solution.loss, global);
   double lower = bound.lower;
   if (report.searched) {
     lower = std::max(report.searched->lower_bound, lower);
     report.searched->lower_bound = lower;
-    report.searched->proof = {.gap = report.final_loss - lower, .boxes = bound.boxes};
+    report.searched->proof = {.gap = report.solution.loss - lower, .boxes = bound.boxes};
   }
   if (!report.certificate) {
-    report.certificate = Certify(request.scene, report.initial_state, report.control, report.durations, options.stop);
+    report.certificate = Certify(request.scene,
+                                 report.solution.initial_state,
+                                 report.solution.control,
+                                 report.solution.durations,
+                                 options.monitor.stop);
   }
   std::string proved = Describe(request, bound, global.gap);
   if (lower > bound.lower) {
     const double in_si = ConvertLoss(lower, request.scene.units, Units());
     proved = "no control on as many intervals has a loss below " + Digits(in_si, 12) + "; " + proved;
   }
-  if (report.final_loss - lower <= global.gap) {
+  if (report.solution.loss - lower <= global.gap) {
     report.termination = Termination::kConverged;
     report.certificate->verdict = Certificate::Verdict::kGlobal;
     report.certificate->reason = proved;
   } else {
-    report.termination = options.stop && options.stop() ? Termination::kInterrupted
-                         : bound.interrupted            ? Termination::kIterationLimit
-                                                        : Termination::kNoProgress;
+    report.termination = options.monitor.stop && options.monitor.stop() ? Termination::kInterrupted
+                         : bound.interrupted                            ? Termination::kIterationLimit
+                                                                        : Termination::kNoProgress;
     report.reason = proved;
   }
   return report;

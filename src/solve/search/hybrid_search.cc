@@ -124,7 +124,11 @@ class HybridSearch {
         other.set_algorithm(AugmentedLagrangian::Algorithm::kInteriorPoint);
         if (SolveReport second = MendHybrid(&other); EndsBetter(second, report)) report = std::move(second);
       }
-      finding.trial = {report.control, report.durations, report.initial_state, report.parameters, {}};
+      finding.trial = {report.solution.control,
+                       report.solution.durations,
+                       report.solution.initial_state,
+                       report.solution.parameters,
+                       {}};
       run.Simulate(&finding.trial);
       return report;
     });
@@ -142,13 +146,13 @@ class HybridSearch {
     relaxed.guess.initial = motion->initial;
     relaxed.guess.parameters = motion->parameters;
     const SolveReport report = Solve("ceres_lm", relaxed, options);
-    if (!report.losses.empty()) {
-      motion->control = report.control;
-      motion->initial = report.initial_state;
-      motion->parameters = report.parameters;
-      if (!report.durations.empty()) motion->durations = report.durations;
+    if (!report.history.losses.empty()) {
+      motion->control = report.solution.control;
+      motion->initial = report.solution.initial_state;
+      motion->parameters = report.solution.parameters;
+      if (!report.solution.durations.empty()) motion->durations = report.solution.durations;
     }
-    return report.evaluations;
+    return report.work.evaluations;
   }
 
   double WorkByRollout() const { return 10 + 1.0 * StatesOfSteps(); }
@@ -198,8 +202,9 @@ class HybridSearch {
     const HybridFunctions& functions = problem_.system.functions();
     std::vector<int> modes = {problem_.guess.mode};
     const auto add = [&](int mode) {
-      if (std::find(modes.begin(), modes.end(), mode) == modes.end() && modes.size() < kMostModes)
+      if (std::find(modes.begin(), modes.end(), mode) == modes.end() && modes.size() < kMostModes) {
         modes.push_back(mode);
+      }
     };
     for (const ModeEvent& event : events) add(event.next_mode);
     for (size_t i = 0; i < modes.size(); ++i) {
@@ -287,8 +292,8 @@ SolveReport SolveHybridByModeSearch(const HybridProblem& problem, const SolverOp
   if (auto refused = run.WhyNotStart()) return *refused;
   SolveReport report = SequenceSearch(&run, HybridSearch(run, problem)).Search();
   HybridSimulator simulator(problem.system, problem.integration);
-  if (!report.losses.empty() && simulator.Rollout(SolutionOf(problem, report))) {
-    report.integration_error = simulator.IntegrationError();
+  if (!report.history.losses.empty() && simulator.Rollout(SolutionOf(problem, report))) {
+    report.solution.integration_error = simulator.IntegrationError();
   }
   return report;
 }

@@ -148,15 +148,15 @@ class ModeSearch : LimitedSearch {
         request_(request),
         scene_(run->scene()),
         bound_(scene_),
-        queue_(options_.search_options.memory / 2) {
-    const SearchOptions& search = options_.search_options;
-    options_.memory_limit = std::min(options_.memory_limit, search.memory / (2 * NumThreads(options_.threads)));
+        queue_(options_.sequences.limits.memory / 2) {
+    const SearchOptions& search = options_.sequences.limits;
+    options_.limits.memory = std::min(options_.limits.memory, search.memory / (2 * NumThreads(options_.threads)));
     searched_.lower_bound = bound_.lowest();
   }
 
   SolveReport Search(const ContactSequence& first) {
     best_trial_ = run_.guess();
-    if (options_.search) {
+    if (options_.sequences.search) {
       BeginWithStarts(first);
     } else {
       starts_left_.push_back(AlongGuess(first));
@@ -166,7 +166,7 @@ class ModeSearch : LimitedSearch {
       Leave(IsLong() ? "no improvement in most of the work"
                      : "no improvement in " + std::to_string(kPatience) + " solves");
     }
-    if (options_.search && !end_) {
+    if (options_.sequences.search && !end_) {
       ShareBest();
       MendUnstationary();
     }
@@ -203,14 +203,14 @@ class ModeSearch : LimitedSearch {
     starts_left_.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
     if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
     searched_.starts = 1;
-    AddStarts(0, options_.search_options.starts);
+    AddStarts(0, options_.sequences.limits.starts);
   }
 
   // Starts from `first` on.
   void AddStarts(int first, int number, bool coarse = false) {
     for (int i = first; i < first + number; ++i) {
       starts_left_.push_back({.kind = SearchTask::Kind::kShoot,
-                              .forces = SearchStart(scene_, options_.search_options.seed, i),
+                              .forces = SearchStart(scene_, options_.sequences.limits.seed, i),
                               .coarse = coarse});
     }
     drawn_starts_ += number;
@@ -220,9 +220,9 @@ class ModeSearch : LimitedSearch {
   // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
   // mended. False if there are none.
   bool AddMoreStarts(bool coarse) {
-    const int more = kMoreStarts * options_.search_options.starts;
+    const int more = kMoreStarts * options_.sequences.limits.starts;
     if (rounds_ == kMostRounds || more == 0) return false;
-    if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.iterations) return false;
+    if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.limits.iterations) return false;
     ++rounds_;
     AddStarts(drawn_starts_, more, coarse);
     coarse_around_ = coarse;
@@ -243,7 +243,7 @@ class ModeSearch : LimitedSearch {
 
   // Returns the next task: first those of updates of sequences, then those that updates do not reach.
   std::optional<SearchTask> Next() {
-    if (!options_.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
+    if (!options_.sequences.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
     if (auto mend = MendBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
@@ -275,7 +275,7 @@ class ModeSearch : LimitedSearch {
       --around_best_;
       auto start = std::make_shared<Trial>();
       const ControlGuess guess{best_trial_.control, best_trial_.durations};
-      start->control = ControlAround(scene_, guess, options_.search_options.seed, number_of_around_++);
+      start->control = ControlAround(scene_, guess, options_.sequences.limits.seed, number_of_around_++);
       start->durations = guess.durations;
       return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start), .coarse = coarse_around_};
     }
@@ -380,7 +380,7 @@ class ModeSearch : LimitedSearch {
     Meet(trial, finding.remark);
     for (const Trial& aside : finding.aside) {
       Meet(aside, "");
-      if (options_.search) queue_.AddMotion(aside);
+      if (options_.sequences.search) queue_.AddMotion(aside);
     }
     if (!trial.exact.only_impacts) return;
     if (finding.optimal) {
@@ -388,7 +388,7 @@ class ModeSearch : LimitedSearch {
     } else if (task.kind != SearchTask::Kind::kMend) {
       runners_up_.Meet(trial);
     }
-    if (!options_.search) {
+    if (!options_.sequences.search) {
       if (!finding.optimal) failure_ = finding.remark;
       return;
     }
@@ -467,10 +467,10 @@ class ModeSearch : LimitedSearch {
   }
 
   void Say(const SearchTask& task) const {
-    if (!options_.status) return;
+    if (!options_.monitor.status) return;
     const bool along = task.kind == SearchTask::Kind::kAlong;
-    options_.status(Status(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
-                    (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
+    options_.monitor.status(Status(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
+                            (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
@@ -482,8 +482,8 @@ class ModeSearch : LimitedSearch {
     const bool best_is_optimum = HasBestOptimum();
     searched_.sequences = static_cast<int>(tried_.size());
     run_.report().optima = TakeOptima();
-    run_.report().evaluations = jacobians_;
-    if (options_.search) run_.report().searched = searched_;
+    run_.report().work.evaluations = jacobians_;
+    if (options_.sequences.search) run_.report().searched = searched_;
     const Termination end = TerminationOf(best_is_optimum);
     if (!best_is_optimum) {
       std::string reason = best_remark_.empty() ? failure_ : best_remark_;
@@ -510,7 +510,7 @@ class ModeSearch : LimitedSearch {
   void Certify() {
     if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
     certificate_->sequences_searched = searched_.sequences;
-    if (options_.search && end_ != End::kInterrupt && !certificate_->IsSaddle()) {
+    if (options_.sequences.search && end_ != End::kInterrupt && !certificate_->IsSaddle()) {
       certificate_->scope = Certificate::Scope::kBestOfSearched;
     }
     if (certificate_->verdict == Certificate::Verdict::kStationary && IsProved()) {
@@ -555,7 +555,7 @@ SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& 
       request.terms.empty() && BeyondTerminalCost(request.scene).empty() && WhyNotEventPhases(request).empty();
   if (!arcs_can) return SearchByPhases(request, options);
   PhaseRun run("mode_search", request, options);
-  if (auto refused = options.search ? run.WhyNoMotion() : run.WhyNotStart()) return *refused;
+  if (auto refused = options.sequences.search ? run.WhyNoMotion() : run.WhyNotStart()) return *refused;
   return ModeSearch(&run, request).Search(SequenceFor(options, run.guess()));
 }
 

@@ -26,7 +26,7 @@
 // computed when they are looked at, and a solve may use what was left of it when it was drawn. Only with a limit of
 // time, SearchOptions::seconds, the answer depends on the machine.
 //
-// With SolverOptions::search off, only the sequence given (or that of the initial guess) is solved.
+// With SolverOptions::Sequences::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once
 
 #include "saltus/solve/solver.h"

@@ -58,10 +58,10 @@ class DiscSearch {
     SolveRequest relaxed{Relaxed(scene_), request_.contact};
     if (!WhyNotEventPhases(relaxed).empty()) return optima;
     const SolveReport found = SolveByModeSearch(relaxed, options);
-    optima.evaluations = found.evaluations;
+    optima.evaluations = found.work.evaluations;
     if (found.searched) optima.work = found.searched->work;
-    if (found.control.empty()) return optima;
-    Trial& trial = optima.best.emplace(Trial{found.control, found.durations, {}, {}});
+    if (found.solution.control.empty()) return optima;
+    Trial& trial = optima.best.emplace(Trial{found.solution.control, found.solution.durations, {}, {}});
     if (trial.durations.empty()) trial.durations.assign(scene_.steps, scene_.dt());
     Simulate(scene_, request_.terms, &trial);
     optima.is_bound = !scene_.objective.duration && !HasGoalRegion(scene_);
@@ -84,7 +84,7 @@ class DiscSearch {
   }
 
   Finding SolveAlong(Trial from, const SearchStartOf<Run>& start, double /*most_loss*/, SolverOptions options) const {
-    options.sequence = start.sequence;
+    options.sequences.given = start.sequence;
     Finding finding;
     PhaseRun run("mode_search", request_, options, run_.WithinBounds(std::move(from)));
     if (auto refused = run.WhyNotStart()) {
@@ -93,9 +93,9 @@ class DiscSearch {
     }
     finding.report = MendBySteps(&run, request_);
     Trial& trial = finding.trial;
-    trial.control = finding.report.control;
-    trial.durations = finding.report.durations;
-    if (scene_.optimize != Optimize::kControl) trial.initial = finding.report.initial_state;
+    trial.control = finding.report.solution.control;
+    trial.durations = finding.report.solution.durations;
+    if (scene_.optimize != Optimize::kControl) trial.initial = finding.report.solution.initial_state;
     Simulate(scene_, request_.terms, &trial);
     return finding;
   }
@@ -107,19 +107,19 @@ class DiscSearch {
       relaxed.scene.control.max = scene_.control.max;
       relaxed.scene.steps = std::min(scene_.steps, kIntervalsOfStarts);
     }
-    options.memory_limit = run_.options().memory_limit;
-    options.most_impacts = kMostImpactsOfMotion;
+    options.limits.memory = run_.options().limits.memory;
+    options.limits.impacts = kMostImpactsOfMotion;
     if (scene_.optimize == Optimize::kControl) options.guess = ControlGuess{trial->control, trial->durations};
     const SolveReport report = SolveByCeresLm(relaxed, options);
-    if (report.losses.empty()) return report.evaluations;
+    if (report.history.losses.empty()) return report.work.evaluations;
     if (scene_.optimize == Optimize::kControl) {
-      trial->control = report.control;
+      trial->control = report.solution.control;
       trial->durations.assign(relaxed.scene.steps, relaxed.scene.dt());
     } else {
-      trial->initial = report.initial_state;
+      trial->initial = report.solution.initial_state;
     }
     Simulate(scene_, request_.terms, trial);
-    return report.evaluations;
+    return report.work.evaluations;
   }
 
   double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
@@ -141,10 +141,10 @@ class DiscSearch {
 // Returns random motions, after shooting within the bounds, whose merit is below `most`; best first.
 std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run, double most) {
   SolverOptions own;
-  own.stop = run.options().stop;
-  own.iterations = sequence_search::kIterationsShooting;
+  own.monitor.stop = run.options().monitor.stop;
+  own.limits.iterations = sequence_search::kIterationsShooting;
   std::vector<Trial> starts;
-  for (int i = 0; i < kStarts && !(own.stop && own.stop()); ++i) {
+  for (int i = 0; i < kStarts && !(own.monitor.stop && own.monitor.stop()); ++i) {
     std::optional<Trial> start = search.BeginAtRandom(SearchOptions{}.seed, i);
     if (!start) break;
     search.Shoot(own, &*start, /*is_start=*/true);
@@ -156,9 +156,9 @@ std::vector<Trial> PromisingStarts(const DiscSearch& search, const PhaseRun& run
 
 // Whether a report is better than another; constraints come before losses.
 bool IsBetter(const SolveReport& report, const SolveReport& than) {
-  const bool mine = report.final_violation <= kFeasible, other = than.final_violation <= kFeasible;
-  if (!mine || !other) return mine || (!other && report.final_violation < than.final_violation);
-  return report.final_loss < than.final_loss - kSameOptimum * std::abs(than.final_loss);
+  const bool mine = report.solution.violation <= kFeasible, other = than.solution.violation <= kFeasible;
+  if (!mine || !other) return mine || (!other && report.solution.violation < than.solution.violation);
+  return report.solution.loss < than.solution.loss - kSameOptimum * std::abs(than.solution.loss);
 }
 
 }  // namespace
@@ -166,40 +166,44 @@ bool IsBetter(const SolveReport& report, const SolveReport& than) {
 SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   const SolveReport first = SolveByCeresPhases(request, options);
-  const bool given = !options.search || options.sequence || options.guess;
+  const bool given = !options.sequences.search || options.sequences.given || options.guess;
   bool interrupted = first.termination == Termination::kInterrupted;
-  if (given || interrupted || first.control.empty() || first.iterations >= options.iterations) return first;
+  if (given || interrupted || first.solution.control.empty() || first.work.iterations >= options.limits.iterations) {
+    return first;
+  }
   if (!request.scene.control.IsBounded() || AllPairs(request.scene).empty()) return first;
 
   SolverOptions own = options;
-  own.callback = nullptr;
+  own.monitor.callback = nullptr;
   const PhaseRun run("ceres_phases", request, own);
-  Trial end{first.control, first.durations, {}, {}, first.initial_state};
+  Trial end{first.solution.control, first.solution.durations, {}, {}, first.solution.initial_state};
   run.Simulate(&end);
   std::vector<ContactSequence> tried = {end.exact.contacts};
   SolveReport best = first;
-  int iterations = first.iterations;
+  int iterations = first.work.iterations;
   for (const Trial& start : PromisingStarts(DiscSearch(run, request), run, kPromising * run.MeritOf(end))) {
-    if (interrupted || iterations >= options.iterations || tried.size() > kMostSolves) break;
+    if (interrupted || iterations >= options.limits.iterations || tried.size() > kMostSolves) break;
     if (std::ranges::count(tried, start.exact.contacts) > 0) continue;
     tried.push_back(start.exact.contacts);
     SolverOptions from = own;
     from.guess = ControlGuess{start.control, start.durations};
-    from.iterations = options.iterations - iterations;
-    if (options.callback) {
-      from.callback = [&](int iteration, double loss) { return options.callback(iterations + iteration, loss); };
+    from.limits.iterations = options.limits.iterations - iterations;
+    if (options.monitor.callback) {
+      from.monitor.callback = [&](int iteration, double loss) {
+        return options.monitor.callback(iterations + iteration, loss);
+      };
     }
     SolveReport found = SolveByCeresPhases(request, from);
-    iterations += found.iterations;
+    iterations += found.work.iterations;
     interrupted = found.termination == Termination::kInterrupted;
-    if (found.losses.empty() || !IsBetter(found, best)) continue;
+    if (found.history.losses.empty() || !IsBetter(found, best)) continue;
     best = std::move(found);
     best.reason = "from a random start" + (best.reason.empty() ? "" : "; " + best.reason);
   }
-  if (interrupted || (options.stop && options.stop())) best.termination = Termination::kInterrupted;
-  best.initial_loss = best.losses.front() = first.initial_loss;
-  best.initial_violation = first.initial_violation;
-  best.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  if (interrupted || (options.monitor.stop && options.monitor.stop())) best.termination = Termination::kInterrupted;
+  best.guess.loss = best.history.losses.front() = first.guess.loss;
+  best.guess.violation = first.guess.violation;
+  best.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return best;
 }
 

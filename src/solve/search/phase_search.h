@@ -27,7 +27,7 @@ SolveReport SearchByPhases(const SolveRequest& request, const SolverOptions& opt
 // iterations of shooting: those whose loss is near that of the first solution, and whose sequence is another. The
 // report is that of the best solve, constraints first, with `initial_loss` of the initial guess and `seconds` of all
 // solves; `iterations` limits all solves together. It solves once if a guess or a sequence is given, or without
-// SolverOptions::search. Precondition: WhyNotPhases is empty.
+// SolverOptions::Sequences::search. Precondition: WhyNotPhases is empty.
 SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

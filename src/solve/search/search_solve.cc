@@ -31,12 +31,13 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
   PhaseMinimumOptions phase_options;
   const double each = WorkByArcs(scene, task.sequence.size());
   phase_options.iterations = IterationsWithin(task.most_work, each, kIterationsAlong);
-  phase_options.callback = [&](double) { return !options.stop || !options.stop(); };
+  phase_options.callback = [&](double) { return !options.monitor.stop || !options.monitor.stop(); };
   const bool shares = task.kind == SearchTask::Kind::kShare;
   const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, *task.from), task.sequence);
   PhaseSolution solution = SolveAlong(scene, task.sequence, guess, phase_options, kLossChange);
-  if (shares && solution.valid && solution.trial.exact.ok)
+  if (shares && solution.valid && solution.trial.exact.ok) {
     solution = ShareBetter(scene, std::move(solution), phase_options, kShareGain);
+  }
   SearchFinding finding;
   finding.jacobians = solution.minimum.jacobians;
   finding.work = each * finding.jacobians;
@@ -54,9 +55,9 @@ SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
   const Scene& scene = run->scene();
   SolveReport report = by_steps != nullptr ? SolveMending(run, *by_steps) : MendByArcs(run);
   SearchFinding finding;
-  finding.jacobians = report.evaluations;
-  finding.trial.control = std::move(report.control);
-  finding.trial.durations = std::move(report.durations);
+  finding.jacobians = report.work.evaluations;
+  finding.trial.control = std::move(report.solution.control);
+  finding.trial.durations = std::move(report.solution.durations);
   Simulate(scene, {}, &finding.trial);
   const size_t impacts = run->guess().exact.contacts.size();
   finding.work = finding.jacobians * (by_steps != nullptr ? WorkBySteps(scene) : WorkByArcs(scene, impacts));
@@ -73,12 +74,13 @@ SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, co
   const Trial& from = *task.from;
   SolverOptions own;
   const double by_arcs = WorkByArcs(request.scene, from.exact.contacts.size());
-  own.iterations = IterationsWithin(task.most_work, by_arcs, kIterationsMending);
-  own.stop = options.stop;
+  own.limits.iterations = IterationsWithin(task.most_work, by_arcs, kIterationsMending);
+  own.monitor.stop = options.monitor.stop;
   PhaseRun arcs("mode_search", request, own, from);
   SearchFinding finding = MendBy(nullptr, &arcs);
   if (finding.optimal || !finding.trial.exact.ok || !finding.trial.exact.only_impacts) return finding;
-  own.iterations = IterationsWithin(task.most_work - finding.work, WorkBySteps(request.scene), kIterationsMending);
+  own.limits.iterations =
+      IterationsWithin(task.most_work - finding.work, WorkBySteps(request.scene), kIterationsMending);
   PhaseRun steps("mode_search", request, own, finding.trial.exact.loss < from.exact.loss ? finding.trial : from);
   const TryPlan by_steps = [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
     return TryByTranscription(&steps, plan, start, may_go_on);
@@ -106,32 +108,34 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   } else {
     scene.control.initial = task.forces;
   }
-  own.stop = options.stop;
-  own.memory_limit = options.memory_limit;
-  own.most_impacts = kMostImpactsOfMotion;
+  own.monitor.stop = options.monitor.stop;
+  own.limits.memory = options.limits.memory;
+  own.limits.impacts = kMostImpactsOfMotion;
   const int steps = scene.steps;
   if (task.coarse) scene.steps /= IntervalsInOne(steps);
   SolveReport report;
   if (task.kind == SearchTask::Kind::kShoot) {
-    own.iterations = IterationsWithin(
-        task.most_work, WorkByRollout(scene), given ? options.iterations : sequence_search::kIterationsShooting);
+    own.limits.iterations = IterationsWithin(
+        task.most_work, WorkByRollout(scene), given ? options.limits.iterations : sequence_search::kIterationsShooting);
     report = SolveByCeresLm(request, own);
   } else {
     const UnitFactors to(Units{}, scene.units);  // the rate is N^2 per unit of the loss
-    own.learning_rate = options.learning_rate * to.force * to.force / to.loss;
-    own.rate_per_time = options.rate_per_time;
-    if (own.rate_per_time) own.learning_rate *= to.time;
-    own.iterations = IterationsWithin(task.most_work, WorkByRollout(scene), options.iterations);
+    own.descent.learning_rate = options.descent.learning_rate * to.force * to.force / to.loss;
+    own.descent.rate_per_time = options.descent.rate_per_time;
+    if (own.descent.rate_per_time) own.descent.learning_rate *= to.time;
+    own.limits.iterations = IterationsWithin(task.most_work, WorkByRollout(scene), options.limits.iterations);
     report = SolveByGradientDescent(request, own);
   }
-  if (report.best && !report.best->control.empty()) report.control = std::move(report.best->control);
+  if (report.history.best && !report.history.best->solution.control.empty()) {
+    report.solution.control = std::move(report.history.best->solution.control);
+  }
   SearchFinding finding;
-  finding.jacobians = report.evaluations;
+  finding.jacobians = report.work.evaluations;
   finding.work = finding.jacobians * WorkByRollout(scene);
   finding.remark = "no sequence tried has its optimum there";
-  if (report.control.empty()) return finding;
+  if (report.solution.control.empty()) return finding;
   scene.steps = steps;
-  finding.trial.control = MeanOverSteps({std::move(report.control), {}}, scene.control_width(), steps);
+  finding.trial.control = MeanOverSteps({std::move(report.solution.control), {}}, scene.control_width(), steps);
   finding.trial.durations.assign(steps, scene.dt());
   Simulate(scene, {}, &finding.trial);
   return finding;
@@ -210,8 +214,9 @@ std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial
   }
   std::sort(order.begin(), order.end());
   std::vector<ContactSequence> nearest;
-  for (size_t n = 0; n < sequence_search::kMostNeighbours; ++n)
+  for (size_t n = 0; n < sequence_search::kMostNeighbours; ++n) {
     nearest.push_back(std::move(neighbours[order[n].second]));
+  }
   return nearest;
 }
 

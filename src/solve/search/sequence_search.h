@@ -87,20 +87,20 @@ class LimitedSearch {
   // The limits that end a search.
   enum class End { kInterrupt, kTime, kWork, kIterations };
 
-  explicit LimitedSearch(const SolverOptions& options) : options_(options), interrupt_(options.stop) {
-    options_.stop = StopAfter(options.search_options.seconds, interrupt_);
+  explicit LimitedSearch(const SolverOptions& options) : options_(options), interrupt_(options.monitor.stop) {
+    options_.monitor.stop = StopAfter(options.sequences.limits.seconds, interrupt_);
     searched_.complete = true;
   }
 
-  bool Stopped() const { return options_.stop && options_.stop(); }
+  bool Stopped() const { return options_.monitor.stop && options_.monitor.stop(); }
   void EndByStop() { end_ = interrupt_ && interrupt_() ? End::kInterrupt : End::kTime; }
 
   // Counts one more solve: the work that it may take (SearchOptions::work), or nothing where a limit ends the search.
   std::optional<double> CountDrawn() {
-    const double most_work = options_.search_options.work;
+    const double most_work = options_.sequences.limits.work;
     if (most_work > 0 && searched_.work >= most_work) {
       end_ = End::kWork;
-    } else if (drawn_++ >= options_.iterations) {
+    } else if (drawn_++ >= options_.limits.iterations) {
       end_ = End::kIterations;
     } else {
       return most_work > 0 ? most_work - searched_.work : std::numeric_limits<double>::infinity();
@@ -171,7 +171,7 @@ class SequenceSearch : LimitedSearch {
   SolveReport Search() {
     searched_.starts = 1;
     SolveAll({{run_.guess(), false, run_.given_sequence(), /*is_guess=*/true}});
-    if (!options_.search || IsZero()) return Report();
+    if (!options_.sequences.search || IsZero()) return Report();
     std::vector<Start> along;
     SolveAll(FirstStarts(&along));
     SolveAll(std::move(along));
@@ -198,21 +198,21 @@ class SequenceSearch : LimitedSearch {
 
   // Whether no motion can have a lower loss.
   bool IsZero() const {
-    const double first = run_.report().losses.front();
+    const double first = run_.report().history.losses.front();
     return best_ && std::isfinite(first) && problem_.AllCostsAreSquares() && MeetsConstraints(best_->trial) &&
            best_->report.termination == Termination::kConverged &&
            best_->trial.exact.loss <= sequence_search::kZero * first;
   }
 
-  double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().losses.front(); }
+  double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().history.losses.front(); }
 
   // ----------------------------------------------------------------------------------------------------------- starts
 
   std::vector<Start> FirstStarts(std::vector<Start>* along) {
     std::vector<Start> starts;
     SearchRelaxed(&starts, along);
-    for (int i = 0; i < options_.search_options.starts && !Stopped(); ++i) {
-      std::optional<Trial> trial = problem_.BeginAtRandom(options_.search_options.seed, i);
+    for (int i = 0; i < options_.sequences.limits.starts && !Stopped(); ++i) {
+      std::optional<Trial> trial = problem_.BeginAtRandom(options_.sequences.limits.seed, i);
       if (!trial) break;
       starts.push_back({std::move(*trial), true});
     }
@@ -223,14 +223,14 @@ class SequenceSearch : LimitedSearch {
   void SearchRelaxed(std::vector<Start>* starts, std::vector<Start>* along) {
     if (end_) return;
     SolverOptions own = options_;
-    own.callback = nullptr;
-    own.status = nullptr;
-    own.sequence.reset();
+    own.monitor.callback = nullptr;
+    own.monitor.status = nullptr;
+    own.sequences.given.reset();
     own.guess.reset();
-    own.search_options.seconds *= sequence_search::kShareRelaxed;
-    own.search_options.work *= sequence_search::kShareRelaxed;
+    own.sequences.limits.seconds *= sequence_search::kShareRelaxed;
+    own.sequences.limits.work *= sequence_search::kShareRelaxed;
     RelaxedOptima<typename Problem::Run> found = problem_.SolveRelaxed(own);
-    run_.report().evaluations += found.evaluations;
+    run_.report().work.evaluations += found.evaluations;
     searched_.work += found.work;
     if (!found.best) return;
     starts->push_back({*found.best, false});
@@ -244,8 +244,9 @@ class SequenceSearch : LimitedSearch {
 
   std::vector<Start> NeighboursOfBest() {
     const Trial& trial = best_->trial;
-    if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), trial.exact.contacts) > 0)
+    if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), trial.exact.contacts) > 0) {
       return {};
+    }
     expanded_.push_back(trial.exact.contacts);
     bool left_out = false;
     std::vector<Start> starts;
@@ -295,15 +296,16 @@ class SequenceSearch : LimitedSearch {
     const auto& [start_of_draw, most_work, most_loss] = draw;
     const Start& start = *start_of_draw;
     SolverOptions own;
-    own.stop = options_.stop;
-    own.search = options_.search;
+    own.monitor.stop = options_.monitor.stop;
+    own.sequences.search = options_.sequences.search;
     Trial from = start.trial;
     int shooting = 0;
     if (start.shoot) {
-      own.iterations = IterationsWithin(most_work, problem_.WorkByRollout(), sequence_search::kIterationsShooting);
+      own.limits.iterations =
+          IterationsWithin(most_work, problem_.WorkByRollout(), sequence_search::kIterationsShooting);
       shooting = problem_.Shoot(own, &from);
     }
-    own.iterations =
+    own.limits.iterations =
         IterationsWithin(most_work,
                          problem_.WorkBySteps(),
                          start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
@@ -314,9 +316,10 @@ class SequenceSearch : LimitedSearch {
 
   void Look(Finding finding) {
     ++solves_;
-    run_.report().evaluations += finding.report.evaluations + finding.shooting;
-    searched_.work += finding.report.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
-    if (options_.status) options_.status(Status(problem_.LossForUser(BestLoss())));
+    run_.report().work.evaluations += finding.report.work.evaluations + finding.shooting;
+    searched_.work +=
+        finding.report.work.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
+    if (options_.monitor.status) options_.monitor.status(Status(problem_.LossForUser(BestLoss())));
     const Trial& trial = finding.trial;
     if (!trial.exact.ok) {
       if (!best_ && reason_.empty()) reason_ = finding.report.reason;
@@ -356,7 +359,7 @@ class SequenceSearch : LimitedSearch {
     searched_.sequences = static_cast<int>(searched_along_.size());
     const size_t found = optima_.size();
     run_.report().optima = TakeOptima();
-    if (options_.search) run_.report().searched = searched_;
+    if (options_.sequences.search) run_.report().searched = searched_;
     if (!best_) {
       const Trial& guess = run_.guess();
       const Termination none = end_ == End::kInterrupt ? Termination::kInterrupted : Termination::kNoProgress;
@@ -367,14 +370,17 @@ class SequenceSearch : LimitedSearch {
     run_.report().certificate = std::move(best.certificate);
     if (auto& certificate = run_.report().certificate; certificate && converged) {
       certificate->sequences_searched = searched_.sequences;
-      if (options_.search && end_ != End::kInterrupt) certificate->scope = Certificate::Scope::kBestOfSearched;
+      if (options_.sequences.search && end_ != End::kInterrupt) {
+        certificate->scope = Certificate::Scope::kBestOfSearched;
+      }
     }
     Termination end = best.termination;
     if (end_ == End::kInterrupt) end = Termination::kInterrupted;
     if (end_ == End::kIterations) end = Termination::kIterationLimit;
     const Trial trial = best_->trial;
     const std::string sequence = run_.NameOf(trial.exact.contacts);
-    const std::string zero = options_.search && IsZero() ? ", with a loss of zero, which ends the search" : "";
+    const std::string zero =
+        options_.sequences.search && IsZero() ? ", with a loss of zero, which ends the search" : "";
     const std::string reason = converged ? BestOf(found) + ", along " + sequence + zero : best.reason;
     return run_.Finish(trial, trial.exact.loss, end, with_limits(reason));
   }

@@ -57,7 +57,7 @@ SolveReport SolveByCeresLagrangian(const SolveRequest& request, const SolverOpti
   double open = 0;
   std::vector<std::vector<double>> defects;
   AugmentedLagrangian::Options rounds;
-  rounds.iterations = options.iterations;
+  rounds.iterations = options.limits.iterations;
   rounds.equality_weight = 1 / simulator.step();
   rounds.callback = [&](double) {
     const std::vector<double> next = variables.Decisions();
@@ -82,7 +82,7 @@ SolveReport SolveByCeresLagrangian(const SolveRequest& request, const SolverOpti
     termination = Termination::kInterrupted;
   } else if (summary.converged) {
     termination = Termination::kConverged;
-  } else if (summary.iterations >= options.iterations) {
+  } else if (summary.iterations >= options.limits.iterations) {
     termination = Termination::kIterationLimit;
   }
   if (open > rounds.tolerance) {
@@ -93,8 +93,8 @@ SolveReport SolveByCeresLagrangian(const SolveRequest& request, const SolverOpti
     reason = "defects are closed, but the gradient of the rollout has not vanished";
   }
   SolveReport report = run.Finish(z, termination, reason);
-  report.evaluations = summary.jacobians;
-  report.defects = std::move(defects);
+  report.work.evaluations = summary.jacobians;
+  report.history.defects = std::move(defects);
   return report;
 }
 

@@ -228,7 +228,7 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
   PathProblem problem(&shooting, z);
   RecordIteration record(
       &run, [&problem](double) { return problem.loss(); }, &problem.z());
-  const ceres::Solver::Summary summary = problem.Minimize(options.iterations, kFunctionTolerance, {&record});
+  const ceres::Solver::Summary summary = problem.Minimize(options.limits.iterations, kFunctionTolerance, {&record});
   z = problem.z();
   int num_jacobians = summary.num_jacobian_evaluations;
   End end = RecordEnd(&run, &record, z, {summary.termination_type, summary.iterations, false});
@@ -236,7 +236,7 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
   std::optional<double> final_loss;
   const bool kinks = shooting.simulator().traits().event_driven && request.scene.optimize == Optimize::kControl;
   if (kinks && end.termination == Termination::kNoProgress && shooting.Evaluate(z, &loss, nullptr)) {
-    end = MoveAlongNodes(&run, options.iterations - (run.num_recorded() - 1), end, &loss, &z, &num_jacobians);
+    end = MoveAlongNodes(&run, options.limits.iterations - (run.num_recorded() - 1), end, &loss, &z, &num_jacobians);
     final_loss = loss;
   }
   std::vector<std::vector<double>> defects;
@@ -246,8 +246,8 @@ SolveReport SolveByCeresShooting(const SolveRequest& request, const SolverOption
     defects.push_back(LargestDefects(simulator, StatesOf(simulator), shooting.ControlAt(z)));
   }
   SolveReport report = run.Finish(z, end.termination, end.words, final_loss);
-  report.evaluations = num_jacobians;
-  report.defects = std::move(defects);
+  report.work.evaluations = num_jacobians;
+  report.history.defects = std::move(defects);
   return report;
 }
 

@@ -79,7 +79,7 @@ class HybridRun final : public ShootingRun {
  public:
   HybridRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options)
       : ShootingRun(solver, options), shooting_(problem) {
-    shooting_.set_stop([this] { return options_.stop && options_.stop(); });
+    shooting_.set_stop([this] { return options_.monitor.stop && options_.monitor.stop(); });
     guess_ = shooting_.initial_guess();
   }
 
@@ -91,7 +91,7 @@ class HybridRun final : public ShootingRun {
   std::string RemarkOn(std::span<const double> z, Termination termination) override {
     double loss = 0;
     if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
-    report_.integration_error = shooting_.simulator().IntegrationError();
+    report_.solution.integration_error = shooting_.simulator().IntegrationError();
     std::string why = shooting_.simulator().WhyNotDifferentiable();
     const std::string jumps = shooting_.WhereLossJumps(loss);
     if (!jumps.empty()) why += (why.empty() ? "" : "; ") + jumps;
@@ -120,15 +120,17 @@ bool IsBounded(const HybridFree& free) {
 }
 
 std::string WhyNotLbfgs(const HybridProblem& problem) {
-  if (IsBounded(problem.free))
+  if (IsBounded(problem.free)) {
     return "the problem has bounds, which its steps would leave: use ceres_lm, ceres_phases or ipopt";
+  }
   return WhyNotShot(problem);
 }
 
 std::string WhyNotLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
-    if (term.role == HybridTerm::Role::kValue)
+    if (term.role == HybridTerm::Role::kValue) {
       return term.name + " is a cost that is no square: least squares needs squares";
+    }
     if (term.at == HybridTerm::At::kEvent && term.occurrence < 0) {
       return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
     }
@@ -161,8 +163,9 @@ SolveReport SolveByGradientDescent(const HybridProblem& problem, const SolverOpt
   };
   rule.step = [&](const std::vector<double>& gradient, std::vector<double>* z) {
     for (std::size_t i = 0; i < z->size(); ++i) {
-      const bool per_time = options.rate_per_time && shooting.variables()[i].kind == FreeVariable::Kind::kControl;
-      (*z)[i] -= options.learning_rate / (per_time ? length : 1.0) * gradient[i];
+      const bool per_time =
+          options.descent.rate_per_time && shooting.variables()[i].kind == FreeVariable::Kind::kControl;
+      (*z)[i] -= options.descent.learning_rate / (per_time ? length : 1.0) * gradient[i];
     }
     rule.move_within(z);
   };
@@ -348,8 +351,8 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input
 void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
   const bool squares =
       std::ranges::none_of(problem.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kValue; });
-  const bool zero = squares && report->final_violation <= kFeasible && std::isfinite(report->initial_loss) &&
-                    report->final_loss <= kZero * report->initial_loss;
+  const bool zero = squares && report->solution.violation <= kFeasible && std::isfinite(report->guess.loss) &&
+                    report->solution.loss <= kZero * report->guess.loss;
   if (!zero || !report->certificate || report->certificate->verdict != Certificate::Verdict::kNotStationary) return;
   if (!HasNoLoss(problem, *report)) return;  // the guess was far off
   report->certificate->verdict = Certificate::Verdict::kNotApplicable;
@@ -463,7 +466,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
 // Returns the problem without events that change nothing, such as reversals of contacts without friction, which a plan
 // would hold for no gain; nothing if it has none, or names events or modes.
 std::optional<HybridProblem> WithoutIdleEvents(const HybridProblem& problem, const SolverOptions& options) {
-  const bool names = options.sequence || std::ranges::any_of(problem.terms, [](const HybridTerm& term) {
+  const bool names = options.sequences.given || std::ranges::any_of(problem.terms, [](const HybridTerm& term) {
                        return term.at == HybridTerm::At::kEvent || term.mode >= 0;
                      });
   if (names) return std::nullopt;
@@ -537,7 +540,7 @@ SolveReport Solve(std::string_view solver, const HybridProblem& given, const Sol
   const HybridProblem problem = WithConstraintsOfOrderOne(given, given.guess);
   report = SolveBy(*entry, problem, options);
   if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
-  if (!report.losses.empty()) NameTermsWithoutEvents(problem, &report);
+  if (!report.history.losses.empty()) NameTermsWithoutEvents(problem, &report);
   return report;
 }
 

@@ -42,11 +42,11 @@ class Step {
       : scene_(shooting.scene()),
         design_(shooting.num_design()),
         forces_(shooting.num_variables() - shooting.has_duration() - design_),
-        rate_(options.learning_rate),
-        rate_of_time_(options.learning_rate),
-        rate_of_design_(options.learning_rate) {
+        rate_(options.descent.learning_rate),
+        rate_of_time_(options.descent.learning_rate),
+        rate_of_design_(options.descent.learning_rate) {
     const double length = shooting.simulator().step();
-    if (options.rate_per_time) {
+    if (options.descent.rate_per_time) {
       rate_ /= length;
     } else {
       rate_of_time_ *= length;
@@ -84,8 +84,8 @@ class Best {
  public:
   // `last` is the iterate before.
   void Meet(double loss, int iteration, const std::vector<double>& last) {
-    if (iteration == 0 || loss < best_.loss) {
-      best_.loss = loss;
+    if (iteration == 0 || loss < best_.solution.loss) {
+      best_.solution.loss = loss;
       best_.iteration = iteration;
     } else if (best_.iteration == iteration - 1) {
       z_ = last;
@@ -95,18 +95,13 @@ class Best {
 
   SolveReport AddTo(SolveReport report, const ShootingFunction& shooting) {
     if (last_ < 0) return report;
-    if (best_.iteration < last_) {
-      best_.initial_state = shooting.InitialStateAt(z_);
-      best_.control = shooting.ControlAt(z_);
-      best_.durations = shooting.DurationsAt(z_);
-      best_.parameters = shooting.ParametersAt(z_);
-    }
-    report.best = std::move(best_);
+    if (best_.iteration < last_) SetSolution(shooting, z_, &best_.solution);
+    report.history.best = std::move(best_);
     return report;
   }
 
  private:
-  BestIterate best_;
+  SolveReport::History::Best best_;
   std::vector<double> z_;
   int last_ = -1;
 };
@@ -121,8 +116,8 @@ std::optional<SmoothedGradient> MakeSmoothedGradient(const SolveRequest& request
   if (!options.surrogate || !options.surrogate->smooths()) return std::nullopt;
   std::optional<SmoothedGradient> smoothed;
   smoothed.emplace(request.contact, request.scene, request.precision, *options.surrogate, options.threads);
-  smoothed->set_memory_limit(options.memory_limit);
-  smoothed->set_stop(options.stop);
+  smoothed->set_memory_limit(options.limits.memory);
+  smoothed->set_stop(options.monitor.stop);
   return smoothed;
 }
 
@@ -143,7 +138,7 @@ bool IsBlocked(const DescentRule& rule, const std::vector<double>& z, const std:
 
 SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
   ShootingFunction& function = run->function();
-  const int iterations = run->options().iterations;
+  const int iterations = run->options().limits.iterations;
   std::vector<double> z = run->initial_guess();
   rule.move_within(&z);
   std::vector<double> last = z, gradient(z.size()), standard_error(z.size());
@@ -363,7 +358,7 @@ ceres::Solver::Options LeastSquaresOptions(const SolverOptions& options, int num
     ceres_options.jacobi_scaling = false;
     ceres_options.eta = 1e-6;
   }
-  SetCommonOptions(options.iterations, &ceres_options);
+  SetCommonOptions(options.limits.iterations, &ceres_options);
   return ceres_options;
 }
 
@@ -402,7 +397,7 @@ SolveReport MinimizeByLbfgs(ShootingRun* run) {
   ceres::GradientProblemSolver::Options ceres_options;
   ceres_options.line_search_direction_type = ceres::LBFGS;
   ceres_options.line_search_type = ceres::WOLFE;
-  SetCommonOptions(run->options().iterations, &ceres_options);
+  SetCommonOptions(run->options().limits.iterations, &ceres_options);
   ceres_options.callbacks = {&record};
 
   const ceres::GradientProblem problem(new Loss(&run->function()));
@@ -442,7 +437,7 @@ SolveReport MinimizeLeastSquares(
   ceres::Solve(ceres_options, &problem, &summary);
   if (!summary.IsSolutionUsable() && record.iterate()) z = *record.iterate();
   SolveReport report = Conclude(run, &record, z, {summary.termination_type, summary.iterations, false});
-  report.evaluations = shot->num_jacobians();
+  report.work.evaluations = shot->num_jacobians();
   return report;
 }
 

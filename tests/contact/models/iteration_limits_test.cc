@@ -99,7 +99,7 @@ TEST(IterationLimits, ASolverPassesTheReasonOn) {
   scene.free = {0};
   scene.objective.terminal = {{.body = 0}};
   const SolveReport report =
-      Solve("gd", {.scene = scene, .contact = "soft_convex:dmin=0.9999:dmax=0.9999"}, {.iterations = 1});
+      Solve("gd", {.scene = scene, .contact = "soft_convex:dmin=0.9999:dmax=0.9999"}, {.limits = {.iterations = 1}});
   EXPECT_EQ(report.termination, Termination::kFailed);
   EXPECT_THAT(report.reason, HasSubstr("step 0 of soft_convex"));
 }

@@ -31,19 +31,20 @@ TEST_P(ConstrainedOptimum, IsReachedFromThePapersGuess) {
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const double optimum = reference["loss"];
-  EXPECT_GT(report.final_loss, optimum - 1e-9) << "below the optimum in continuous time";
-  EXPECT_LT(report.final_loss, optimum + 3e-6);
+  EXPECT_GT(report.solution.loss, optimum - 1e-9) << "below the optimum in continuous time";
+  EXPECT_LT(report.solution.loss, optimum + 3e-6);
   if (reference.contains("loss_480")) {
-    EXPECT_NEAR(report.final_loss, reference["loss_480"].get<double>(), 1e-9);
+    EXPECT_NEAR(report.solution.loss, reference["loss_480"].get<double>(), 1e-9);
   }
 
-  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  const ExactRun exact =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   ASSERT_TRUE(exact.ok) << exact.reason;
-  EXPECT_DOUBLE_EQ(exact.loss, report.final_loss);
+  EXPECT_DOUBLE_EQ(exact.loss, report.solution.loss);
   ASSERT_EQ(exact.events.size(), 1u);
   EXPECT_NEAR(exact.events[0].time, reference["impact_time"].get<double>(), 2e-5);
   if (reference.contains("duration_found")) {
-    const double duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+    const double duration = std::accumulate(report.solution.durations.begin(), report.solution.durations.end(), 0.0);
     EXPECT_NEAR(duration, reference["duration_found"].get<double>(), 2e-5);
   }
 }
@@ -53,8 +54,8 @@ TEST_P(ConstrainedOptimum, KeepsBoundsAndConstraintsOnTheExactRollOut) {
   const Scene scene = SceneOf(reference, 240);
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  for (size_t k = 0; k < report.control.size(); k += 2) {
-    const Vec2d u(report.control[k], report.control[k + 1]);
+  for (size_t k = 0; k < report.solution.control.size(); k += 2) {
+    const Vec2d u(report.solution.control[k], report.solution.control[k + 1]);
     if (!scene.control.max.empty()) {
       EXPECT_LE(u.cwiseAbs().maxCoeff(), scene.control.max[0] * (1 + 1e-12));
     }
@@ -66,9 +67,10 @@ TEST_P(ConstrainedOptimum, KeepsBoundsAndConstraintsOnTheExactRollOut) {
   // The miss of the target is what its term would cost if it were soft.
   Scene soft = scene;
   soft.objective.terminal[0].hard = false;
-  const double miss = SimulateExactly(soft, report.initial_state, report.control, report.durations).loss -
-                      SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
-  EXPECT_LT(miss, 1e-18 + 4 * std::numeric_limits<double>::epsilon() * report.final_loss);
+  const double miss =
+      SimulateExactly(soft, report.solution.initial_state, report.solution.control, report.solution.durations).loss -
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations).loss;
+  EXPECT_LT(miss, 1e-18 + 4 * std::numeric_limits<double>::epsilon() * report.solution.loss);
 }
 
 // A control that is constant over each step is off by the square of the step.
@@ -78,7 +80,7 @@ TEST_P(ConstrainedOptimum, IsApproachedWithSecondOrder) {
   for (const int steps : {30, 120, 480}) {
     const SolveReport report = Solve("ceres_phases", {SceneOf(reference, steps), "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << steps << " steps: " << report.reason;
-    gaps.push_back(report.final_loss - reference["loss"].get<double>());
+    gaps.push_back(report.solution.loss - reference["loss"].get<double>());
   }
   if (gaps[0] < 1e-9) return;  // the optimum is constant itself
   const double order = std::log(gaps[0] / gaps[2]) / std::log(16.0);
@@ -116,10 +118,11 @@ TEST(CeresPhases, TakesAtMostTwentyIterationsToTheOptimumOfTheGrid) {
     scene.steps = steps;
     const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LE(report.iterations, 20) << steps;
-    const auto same = [&](double h) { return std::abs(h - report.durations[0]) < 1e-6 * h; };
-    const auto n = std::find_if_not(report.durations.begin(), report.durations.end(), same) - report.durations.begin();
-    EXPECT_NEAR(report.final_loss, OptimumOfGrid(n), 1e-9) << n << " of " << steps;
+    EXPECT_LE(report.work.iterations, 20) << steps;
+    const auto same = [&](double h) { return std::abs(h - report.solution.durations[0]) < 1e-6 * h; };
+    const auto n = std::find_if_not(report.solution.durations.begin(), report.solution.durations.end(), same) -
+                   report.solution.durations.begin();
+    EXPECT_NEAR(report.solution.loss, OptimumOfGrid(n), 1e-9) << n << " of " << steps;
   }
 }
 
@@ -135,18 +138,21 @@ TEST(CeresPhases, FindsWhereAndHowFastToStart) {
       if (what == Optimize::kPosition) scene.objective.terminal[0].target = {-0.5, 1.2};
       const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
       ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-      EXPECT_LT(report.final_loss, 1e-16);
-      const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+      EXPECT_LT(report.solution.loss, 1e-16);
+      const ExactRun exact =
+          SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
       ASSERT_TRUE(exact.ok) << exact.reason;
-      EXPECT_EQ(exact.loss, report.final_loss);
+      EXPECT_EQ(exact.loss, report.solution.loss);
       EXPECT_EQ(exact.events.size(), 2u);
       // The part of the initial state that is not optimised stays.
       const std::vector<double> given = InitialState(scene);
       const int held = what == Optimize::kVelocity ? 0 : 2;
-      for (int j = held; j < held + 2; ++j) EXPECT_EQ(report.initial_state[j], given[j]);
+      for (int j = held; j < held + 2; ++j) EXPECT_EQ(report.solution.initial_state[j], given[j]);
       const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {});
-      ASSERT_LT(shot.final_loss, 1e-16) << shot.reason;
-      for (int j = 0; j < 4; ++j) EXPECT_NEAR(report.initial_state[j], shot.initial_state[j], 1e-6) << j;
+      ASSERT_LT(shot.solution.loss, 1e-16) << shot.reason;
+      for (int j = 0; j < 4; ++j) {
+        EXPECT_NEAR(report.solution.initial_state[j], shot.solution.initial_state[j], 1e-6) << j;
+      }
     }
   }
 }
@@ -158,8 +164,8 @@ TEST(CeresPhases, ReachesTheOptimaOfTheFollowUp) {
   for (const auto& [name, optimum] : problems) {
     const SolveReport report = Solve("ceres_phases", {ProblemScene(name), "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << name << ": " << report.reason;
-    EXPECT_GT(report.final_loss, optimum - 1e-9) << name;
-    EXPECT_LT(report.final_loss, optimum + 1e-6) << name;
+    EXPECT_GT(report.solution.loss, optimum - 1e-9) << name;
+    EXPECT_LT(report.solution.loss, optimum + 1e-6) << name;
   }
 }
 
@@ -192,30 +198,30 @@ TEST_P(FlownByAModel, HasTheLossOfItsStepsAndOfAnExactImpact) {
   for (const int steps : {60, 240, 960}) {
     Scene scene = ProblemScene("two_balls");
     scene.steps = steps;
-    const SolveReport report = Solve("ceres_phases", {scene, model}, {.iterations = 1000});
+    const SolveReport report = Solve("ceres_phases", {scene, model}, {.limits = {.iterations = 1000}});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
     EXPECT_THAT(report.reason, HasSubstr(model));
-    gaps.push_back(std::abs(report.final_loss - 1.3965421601));
+    gaps.push_back(std::abs(report.solution.loss - 1.3965421601));
     if (steps != 60) continue;
 
     // Steps are equal before the impact, and after it.
-    const auto after = std::find_if(report.durations.begin(), report.durations.end(), [&](double h) {
-      return std::abs(h - report.durations[0]) > 1e-9 * h;
+    const auto after = std::find_if(report.solution.durations.begin(), report.solution.durations.end(), [&](double h) {
+      return std::abs(h - report.solution.durations[0]) > 1e-9 * h;
     });
-    ASSERT_NE(after, report.durations.end());
-    const size_t before = after - report.durations.begin();
-    const std::vector<double>& u = report.control;
-    const auto length = [&](size_t k) { return report.durations[k] / FindContactModel(model)->grid_steps; };
+    ASSERT_NE(after, report.solution.durations.end());
+    const size_t before = after - report.solution.durations.begin();
+    const std::vector<double>& u = report.solution.control;
+    const auto length = [&](size_t k) { return report.solution.durations[k] / FindContactModel(model)->grid_steps; };
     Vec4d striker = FlyBy(model, scene.bodies[0], {-2, -2, 0, 0}, std::span(u).first(2 * before), length(0));
     const Vec2d normal = Vec2d(-1 - striker[0], -1 - striker[1]).normalized();
     EXPECT_NEAR((Vec2d(-1, -1) - striker.head<2>()).norm(), 0.4, 1e-9);
     Vec4d target(-1, -1, 0, 0);
     target.tail<2>() = normal * normal.dot(striker.tail<2>());
-    const std::vector<double> none(2 * (report.durations.size() - before), 0.0);
+    const std::vector<double> none(2 * (report.solution.durations.size() - before), 0.0);
     target = FlyBy(model, scene.bodies[1], target, none, length(before));
     double loss = target.head<2>().squaredNorm();
-    for (size_t k = 0; k < u.size(); ++k) loss += 0.1 * u[k] * u[k] * report.durations[k / 2];
-    EXPECT_NEAR(report.final_loss, loss, 1e-9);
+    for (size_t k = 0; k < u.size(); ++k) loss += 0.1 * u[k] * u[k] * report.solution.durations[k / 2];
+    EXPECT_NEAR(report.solution.loss, loss, 1e-9);
   }
   const double order = std::log(gaps[0] / gaps[2]) / std::log(16.0);
   EXPECT_GT(order, 0.9) << gaps[0] << " " << gaps[1] << " " << gaps[2];
@@ -231,9 +237,10 @@ TEST(CeresPhases, LaunchesByAModelsSteps) {
     scene.steps = steps;
     const SolveReport report = Solve("ceres_phases", {scene, "direct_toi"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LT(report.final_loss, 1e-16);
+    EXPECT_LT(report.solution.loss, 1e-16);
     // Euler's steps under gravity are off by g T h / 2.
-    const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun exact =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(exact.ok) << exact.reason;
     EXPECT_NEAR(std::sqrt(exact.loss), 9.8 * 0.6 * 0.3 / steps, 0.6 * 9.8 * 0.6 * 0.3 / steps);
   }
@@ -276,7 +283,7 @@ TEST(Solve, SaysWhichConstraintsASolverCannotTake) {
     std::vector<std::string> names;
     for (const SolverEntry& solver : AllSolvers()) {
       SolverOptions options;
-      options.iterations = 1;
+      options.limits.iterations = 1;
       const SolveReport report = Solve(solver.name, {scene, "event"}, options);
       if (report.termination != Termination::kNotApplicable) continue;
       EXPECT_THAT(report.reason, HasSubstr(what)) << solver.name;
@@ -326,8 +333,8 @@ TEST(CeresPhases, MeetsTheConditionsWhereBoundsOnNormsHold) {
   scene.optimize = Optimize::kControl;
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.60203);
-  EXPECT_LT(report.final_violation, 1e-8);
+  EXPECT_LT(report.solution.loss, 0.60203);
+  EXPECT_LT(report.solution.violation, 1e-8);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
 }
@@ -343,29 +350,33 @@ TEST(FreeDuration, BetweenEqualBoundsIsAFixedOne) {
   for (const char* solver : {"ceres_phases", "ceres_event", "gd", "hmp", "ceres_lm"}) {
     SCOPED_TRACE(solver);
     std::vector<double> losses;
-    SolverOptions options{.iterations = 60};
-    options.callback = [&](int, double loss) {
+    SolverOptions options{.limits = {.iterations = 60}};
+    options.monitor.callback = [&](int, double loss) {
       losses.push_back(loss);
       return true;
     };
-    const SolveReport expected = Solve(solver, {fixed, "event"}, {.iterations = 60});
+    const SolveReport expected = Solve(solver, {fixed, "event"}, {.limits = {.iterations = 60}});
     const SolveReport report = Solve(solver, {equal, "event"}, options);
     ASSERT_EQ(report.termination, expected.termination) << report.reason;
-    EXPECT_EQ(report.control, expected.control);
-    EXPECT_DOUBLE_EQ(report.initial_loss, expected.initial_loss + 1.5);
-    EXPECT_DOUBLE_EQ(report.final_loss, expected.final_loss + 1.5);
-    ASSERT_EQ(report.losses.size(), expected.losses.size());
+    EXPECT_EQ(report.solution.control, expected.solution.control);
+    EXPECT_DOUBLE_EQ(report.guess.loss, expected.guess.loss + 1.5);
+    EXPECT_DOUBLE_EQ(report.solution.loss, expected.solution.loss + 1.5);
+    ASSERT_EQ(report.history.losses.size(), expected.history.losses.size());
     if (solver == std::string("gd")) {
-      EXPECT_EQ(losses, report.losses);
+      EXPECT_EQ(losses, report.history.losses);
     }
-    EXPECT_NEAR(std::accumulate(report.durations.begin(), report.durations.end(), 0.0), 0.75, 1e-12);
+    EXPECT_NEAR(std::accumulate(report.solution.durations.begin(), report.solution.durations.end(), 0.0), 0.75, 1e-12);
     // The scene that is asked about says the same of the solution.
-    const ExactRun exact = SimulateExactly(equal, report.initial_state, report.control, report.durations);
+    const ExactRun exact =
+        SimulateExactly(equal, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(exact.ok) << exact.reason;
-    const ExactRun of_fixed = SimulateExactly(fixed, expected.initial_state, expected.control, expected.durations);
+    const ExactRun of_fixed =
+        SimulateExactly(fixed, expected.solution.initial_state, expected.solution.control, expected.solution.durations);
     EXPECT_NEAR(exact.loss, of_fixed.loss + 1.5, 1e-9);
-    const Certificate certificate = Certify(equal, report.initial_state, report.control, report.durations);
-    const Certificate same = Certify(fixed, expected.initial_state, expected.control, expected.durations);
+    const Certificate certificate =
+        Certify(equal, report.solution.initial_state, report.solution.control, report.solution.durations);
+    const Certificate same =
+        Certify(fixed, expected.solution.initial_state, expected.solution.control, expected.solution.durations);
     EXPECT_EQ(certificate.verdict, same.verdict);
     EXPECT_FALSE(certificate.final_time);
   }

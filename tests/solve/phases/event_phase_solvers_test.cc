@@ -21,7 +21,7 @@ ContactSequence Sequence(const Scene& scene, const std::string& text) {
 }
 
 ExactRun Resimulate(const Scene& scene, const SolveReport& report) {
-  return SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  return SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 struct Reference {
@@ -35,7 +35,7 @@ TEST_P(TwoDiscs, HmpMeetsTheReferenceToRounding) {
   const Scene scene = ProblemScene(GetParam().problem);
   const SolveReport report = Solve("hmp", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, GetParam().loss, 1e-12);
+  EXPECT_NEAR(report.solution.loss, GetParam().loss, 1e-12);
   ASSERT_TRUE(report.continuous);
   ASSERT_EQ(report.continuous->impacts.size(), 1u);
   EXPECT_NEAR(report.continuous->impacts[0].time, GetParam().time, 1e-12);
@@ -46,7 +46,8 @@ TEST_P(TwoDiscs, HmpMeetsTheReferenceToRounding) {
   const ExactRun exact = Resimulate(scene, report);
   ASSERT_EQ(exact.events.size(), 1u);
   EXPECT_NEAR(exact.loss, GetParam().loss, 1e-6);
-  const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  const Certificate certificate =
+      Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary);
@@ -59,13 +60,13 @@ TEST_P(TwoDiscs, CeresEventComesNearInFewIterations) {
     scene.steps = steps;
     const SolveReport report = Solve("ceres_event", {scene, "event"}, {});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LE(report.iterations, 50);
-    EXPECT_EQ(report.durations.size(), static_cast<size_t>(steps));
-    EXPECT_EQ(report.control.size(), 2u * steps);
+    EXPECT_LE(report.work.iterations, 50);
+    EXPECT_EQ(report.solution.durations.size(), static_cast<size_t>(steps));
+    EXPECT_EQ(report.solution.control.size(), 2u * steps);
     const ExactRun exact = Resimulate(scene, report);
     EXPECT_NEAR(exact.loss, GetParam().loss, tolerance);
     EXPECT_GT(exact.loss, GetParam().loss);
-    EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+    EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
   }
 }
 
@@ -77,16 +78,16 @@ INSTANTIATE_TEST_SUITE_P(
 
 TEST(CeresEvent, NeedsAtMostThirtyIterationsOnTwoBalls) {
   const SolveReport report = Solve("ceres_event", {ProblemScene("two_balls"), "event"}, {});
-  EXPECT_LE(report.iterations, 30);
+  EXPECT_LE(report.work.iterations, 30);
 }
 
 TEST(Hmp, TakesASequence) {
   const Scene scene = ProblemScene("multiple_collisions");
   SolverOptions options;
-  options.sequence = Sequence(scene, "target-striker,target-ceiling");
+  options.sequences.given = Sequence(scene, "target-striker,target-ceiling");
   const SolveReport report = Solve("hmp", {scene, "event"}, options);
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 0.3736363502324362710513, 1e-12);
+  EXPECT_NEAR(report.solution.loss, 0.3736363502324362710513, 1e-12);
   ASSERT_TRUE(report.continuous);
   ASSERT_EQ(report.continuous->impacts.size(), 2u);
   EXPECT_NEAR(report.continuous->impacts[0].time, 0.56208767372745729796, 1e-12);
@@ -104,7 +105,7 @@ void PrintTo(const Case& item, std::ostream* out) { *out << item.name; }
 
 SolveReport SolveCase(const Case& item, const char* solver) {
   SolverOptions options;
-  options.sequence = Sequence(item.scene, item.sequence);
+  options.sequences.given = Sequence(item.scene, item.sequence);
   return Solve(solver, {item.scene, "event"}, options);
 }
 
@@ -180,12 +181,12 @@ TEST_P(General, TwoMethodsAgree) {
   const SolveReport direct = SolveCase(GetParam(), "ceres_event");
   ASSERT_EQ(indirect.termination, Termination::kConverged) << indirect.reason;
   ASSERT_EQ(direct.termination, Termination::kConverged) << direct.reason;
-  EXPECT_LT(direct.final_loss, 0.9 * direct.initial_loss);
+  EXPECT_LT(direct.solution.loss, 0.9 * direct.guess.loss);
   // Second order in the step, from above.
-  EXPECT_NEAR(direct.final_loss, indirect.final_loss, 2e-6 * indirect.final_loss);
-  EXPECT_GT(direct.final_loss, indirect.final_loss - 1e-12);
+  EXPECT_NEAR(direct.solution.loss, indirect.solution.loss, 2e-6 * indirect.solution.loss);
+  EXPECT_GT(direct.solution.loss, indirect.solution.loss - 1e-12);
   const ExactRun exact = Resimulate(scene, direct);
-  EXPECT_NEAR(exact.loss, direct.final_loss, 1e-10);
+  EXPECT_NEAR(exact.loss, direct.solution.loss, 1e-10);
   ASSERT_EQ(exact.events.size(), indirect.certificate->impacts.size());
   for (size_t k = 0; k < exact.events.size(); ++k) {
     EXPECT_NEAR(exact.events[k].time, indirect.certificate->impacts[k].time, 1e-4) << k;
@@ -197,14 +198,16 @@ TEST_P(General, BothAreCertified) {
   const Scene& scene = GetParam().scene;
   EXPECT_EQ(SolveCase(GetParam(), "hmp").certificate->verdict, Certificate::Verdict::kStationary);
   const SolveReport report = SolveCase(GetParam(), "ceres_event");
-  const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
+  const Certificate certificate =
+      Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
   EXPECT_LT(certificate.costate_jump, 1e-6);
   EXPECT_LT(certificate.hamiltonian, 1e-6);
   SolveReport changed = report;
-  changed.control[report.control.size() / 8 * 2] *= 1.01;
-  EXPECT_EQ(Certify(scene, changed.initial_state, changed.control, changed.durations).verdict,
-            Certificate::Verdict::kNotStationary);
+  changed.solution.control[report.solution.control.size() / 8 * 2] *= 1.01;
+  EXPECT_EQ(
+      Certify(scene, changed.solution.initial_state, changed.solution.control, changed.solution.durations).verdict,
+      Certificate::Verdict::kNotStationary);
 }
 
 // The control found is better than its neighbours, judged by exact simulation alone.
@@ -215,8 +218,8 @@ TEST_P(General, NoPerturbationIsBetter) {
   const double loss = Resimulate(scene, report).loss;
   for (int wave = 0; wave < 6; ++wave) {
     SolveReport moved = report;
-    for (size_t i = 0; i < moved.control.size(); ++i) {
-      moved.control[i] += 1e-3 * std::cos(0.003 * (wave / 2) * i + (i % 2 == 0 ? 1 : 2) * wave);
+    for (size_t i = 0; i < moved.solution.control.size(); ++i) {
+      moved.solution.control[i] += 1e-3 * std::cos(0.003 * (wave / 2) * i + (i % 2 == 0 ? 1 : 2) * wave);
     }
     EXPECT_GT(Resimulate(scene, moved).loss, loss) << wave;
   }
@@ -258,10 +261,10 @@ TEST_P(ByPhases, SaysWhyNot) {
 
 TEST_P(ByPhases, StopsWhenTold) {
   SolverOptions options;
-  options.callback = [](int iteration, double) { return iteration < 3; };
+  options.monitor.callback = [](int iteration, double) { return iteration < 3; };
   const SolveReport report = Solve(GetParam(), {ProblemScene("single_collision"), "event"}, options);
   EXPECT_EQ(report.termination, Termination::kInterrupted);
-  EXPECT_EQ(report.iterations, 3);
+  EXPECT_EQ(report.work.iterations, 3);
 }
 
 // Along "striker-target" alone the target would be shot through a wall.
@@ -269,7 +272,7 @@ TEST_P(ByPhases, DoesNotCallAnImpossibleMotionConverged) {
   Scene scene = ProblemScene("two_balls");
   scene.planes = {{"wall", {-0.5, 0}, {-1, 0}}};
   SolverOptions options;
-  options.sequence = Sequence(scene, "striker-target");
+  options.sequences.given = Sequence(scene, "striker-target");
   const SolveReport report = Solve(GetParam(), {scene, "event"}, options);
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_THAT(report.reason, HasSubstr("target-wall"));

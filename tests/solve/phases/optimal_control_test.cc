@@ -188,10 +188,11 @@ HybridProblem RocketProblem(int intervals) {
 
 void ExpectOptimum(const HybridProblem& problem, double optimum, double digits, const std::string& name,
                    std::string_view solver = "auto") {
-  const SolveReport report = Solve(solver, problem, {.iterations = 3000, .search_options = {.starts = 1}});
+  const SolveReport report =
+      Solve(solver, problem, {.limits = {.iterations = 3000}, .sequences = {.limits = {.starts = 1}}});
   ASSERT_EQ(report.termination, Termination::kConverged) << name << ": " << report.reason;
-  EXPECT_NEAR(report.final_loss, optimum, digits) << name;
-  EXPECT_LE(report.final_violation, kFeasible) << name;
+  EXPECT_NEAR(report.solution.loss, optimum, digits) << name;
+  EXPECT_LE(report.solution.violation, kFeasible) << name;
   ASSERT_TRUE(report.certificate) << name;
   EXPECT_TRUE(report.certificate->IsStationary()) << name << ": " << report.certificate->reason;
   EXPECT_FALSE(report.certificate->IsSaddle()) << name;
@@ -229,7 +230,7 @@ TEST(OptimalControl, FindsAValueThatIsNoSquareWithoutBounds) {
   for (const auto& [intervals, optimum, digits] : cases) {
     ExpectOptimum(VanDerPolProblem(intervals, false), optimum, digits, std::to_string(intervals) + " intervals");
     const SolveReport lbfgs = Solve("ceres_lbfgs", VanDerPolProblem(intervals, false), {});
-    EXPECT_NEAR(lbfgs.final_loss, optimum, digits);
+    EXPECT_NEAR(lbfgs.solution.loss, optimum, digits);
   }
 }
 
@@ -247,10 +248,10 @@ TEST(OptimalControl, BothAlgorithmsAgreeOnSquares) {
   const SolveReport squares = Solve("ceres_phases", problem, {}), interior = Solve("ipopt", problem, {});
   ASSERT_EQ(squares.termination, Termination::kConverged) << squares.reason;
   ASSERT_EQ(interior.termination, Termination::kConverged) << interior.reason;
-  EXPECT_NEAR(squares.final_loss, interior.final_loss, 1e-10);
+  EXPECT_NEAR(squares.solution.loss, interior.solution.loss, 1e-10);
   const SolveReport automatic = Solve("auto", problem, {});
   EXPECT_EQ(automatic.solver, "ceres_lm");
-  EXPECT_NEAR(automatic.final_loss, interior.final_loss, 1e-10);
+  EXPECT_NEAR(automatic.solution.loss, interior.solution.loss, 1e-10);
   ASSERT_TRUE(automatic.certificate);
   EXPECT_TRUE(automatic.certificate->IsStationary());
 }
@@ -264,14 +265,14 @@ TEST(OptimalControl, RecogniseAGuessAtTheOptimum) {
                                 BrysonDenhamProblem(20),
                                 RobotArmProblem(20),
                                 RocketProblem(20)}) {
-    const SolveReport first = Solve("auto", problem, {.iterations = 3000});
+    const SolveReport first = Solve("auto", problem, {.limits = {.iterations = 3000}});
     ASSERT_EQ(first.termination, Termination::kConverged) << first.reason;
     problem.guess = SolutionOf(problem, first);
     for (const char* solver : {"auto", "ipopt", "ceres_phases"}) {
       const SolveReport again = Solve(solver, problem, {});
       EXPECT_EQ(again.termination, Termination::kConverged) << solver << ": " << again.reason;
-      EXPECT_LE(again.iterations, 5) << solver;
-      EXPECT_NEAR(again.final_loss, first.final_loss, 1e-6 * std::abs(first.final_loss)) << solver;
+      EXPECT_LE(again.work.iterations, 5) << solver;
+      EXPECT_NEAR(again.solution.loss, first.solution.loss, 1e-6 * std::abs(first.solution.loss)) << solver;
     }
   }
 }
@@ -302,8 +303,8 @@ TEST(OptimalControl, AutomaticSolversHaveEnoughStepsEach) {
   const SolveReport report = Solve("auto", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_EQ(report.solver, "ipopt") << report.reason;
-  EXPECT_LT(report.iterations, 300);
-  EXPECT_NEAR(report.final_loss, Solve("ipopt", problem, {}).final_loss, 1e-7);
+  EXPECT_LT(report.work.iterations, 300);
+  EXPECT_NEAR(report.solution.loss, Solve("ipopt", problem, {}).solution.loss, 1e-7);
   ASSERT_TRUE(report.certificate);
   EXPECT_TRUE(report.certificate->IsStationary()) << report.certificate->reason;
 }
@@ -322,15 +323,15 @@ TEST(OptimalControl, BeginsFromStatesWhereTheControlOfTheGuessHasNoMotion) {
   if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
   HybridProblem problem = Problem<Escaping, 2, 1>({2, 0}, 3, 0, 60);
   problem.terms = {MakeEffortCost(1, 1), StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
-  EXPECT_NE(Solve("auto", problem, {.iterations = 20}).termination, Termination::kConverged);
+  EXPECT_NE(Solve("auto", problem, {.limits = {.iterations = 20}}).termination, Termination::kConverged);
   for (int i = 0; i <= 10; ++i) {
     problem.guess_states.push_back(2 - 0.2 * i);
     problem.guess_states.push_back(-2.0 / 3);
   }
   const SolveReport report = Solve("auto", problem, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LE(report.final_violation, kFeasible);
-  EXPECT_NEAR(report.final_loss, 43.527179629, 1e-5);  // by multiple shooting on the same grid with SLSQP of scipy
+  EXPECT_LE(report.solution.violation, kFeasible);
+  EXPECT_NEAR(report.solution.loss, 43.527179629, 1e-5);  // by multiple shooting on the same grid with SLSQP of scipy
   problem.guess_states.pop_back();
   EXPECT_EQ(Solve("auto", problem, {}).termination, Termination::kNotApplicable);
 }

@@ -68,14 +68,15 @@ TEST(RestoredMotion, HasTheLossOfItsExactSimulation) {
   OwnTerm slow{.name = "slow", .role = OwnTerm::Role::kInequality, .states = {0}};
   slow.function = std::make_shared<ceres::AutoDiffCostFunction<Slow, 1, 4>>(new Slow);
   for (const char* along : {"striker-puck", "striker-puck,puck-top"}) {
-    SolverOptions options{.guess = ControlGuess{first.control, first.durations}};
-    options.search = false;
-    ASSERT_EQ(ParseContactSequence(scene, along, &options.sequence.emplace()), "");
+    SolverOptions options{.guess = ControlGuess{first.solution.control, first.solution.durations}};
+    options.sequences.search = false;
+    ASSERT_EQ(ParseContactSequence(scene, along, &options.sequences.given.emplace()), "");
     const SolveReport report =
         Solve("ceres_phases", {.scene = scene, .contact = "event", .terms = {goal, slow}}, options);
-    const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun run =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(run.ok) << run.reason;
-    EXPECT_NEAR(report.final_loss, run.loss, 1e-9) << along << ": " << report.reason;
+    EXPECT_NEAR(report.solution.loss, run.loss, 1e-9) << along << ": " << report.reason;
     if (report.reason.find("is not physical") == std::string::npos) continue;
     EXPECT_NE(report.reason.find(ContactSequenceToString(scene, run.contacts)), std::string::npos) << report.reason;
   }

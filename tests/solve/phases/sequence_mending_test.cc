@@ -24,7 +24,7 @@ using testing::HasSubstr;
 using testing::Not;
 
 ExactRun Resimulate(const Scene& scene, const SolveReport& report) {
-  return SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  return SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 Scene Unpushed(double duration, int steps, double restitution) {
@@ -52,7 +52,7 @@ TEST_P(BySequence, ReachesTheOptimumAfterTenBounces) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
-  EXPECT_NEAR(report.final_loss, BoxOptimum(report.initial_loss, scene), 1e-9);
+  EXPECT_NEAR(report.solution.loss, BoxOptimum(report.guess.loss, scene), 1e-9);
   const ExactRun exact = Resimulate(scene, report);
   EXPECT_EQ(exact.events.size(), 10u);
   // The last two impacts of the guess come in the other order.
@@ -65,7 +65,7 @@ TEST_P(BySequence, ReachesTheOptimumAfterThirtySevenBounces) {
   const Scene scene = BallInBox(4, 2000);
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, BoxOptimum(report.initial_loss, scene), 1e-11);
+  EXPECT_NEAR(report.solution.loss, BoxOptimum(report.guess.loss, scene), 1e-11);
 }
 
 // The striker should be as slow as possible: it strikes when the time is over.
@@ -79,9 +79,9 @@ TEST_P(BySequence, StrikesAtTheFinalTime) {
   scene.objective.effort = 0.02;
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.0838);
+  EXPECT_LT(report.solution.loss, 0.0838);
   const ExactRun exact = Resimulate(scene, report);
-  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
   ASSERT_EQ(exact.events.size(), 1u);
   EXPECT_NEAR(exact.events[0].time, 1, 1e-6);
   EXPECT_THAT(report.reason, HasSubstr("striker-target (at the final time)"));
@@ -100,8 +100,8 @@ TEST_P(BySequence, LeavesASaddleForAGraze) {
   scene.objective.effort = 0.5;
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 2.712);
-  EXPECT_GT(report.final_loss, 2.711708787);
+  EXPECT_LT(report.solution.loss, 2.712);
+  EXPECT_GT(report.solution.loss, 2.711708787);
   EXPECT_THAT(report.reason, HasSubstr("left a saddle"));
   EXPECT_THAT(report.reason, HasSubstr("none, ball-post apart"));
   const ExactRun exact = Resimulate(scene, report);
@@ -124,7 +124,7 @@ TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
   scene.objective.effort = 0.01;
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.014982);
+  EXPECT_LT(report.solution.loss, 0.014982);
   EXPECT_TRUE(Resimulate(scene, report).events.empty());
   // A post whose radius is greater by d costs d times the multiplier of the touch.
   ASSERT_TRUE(report.certificate);
@@ -137,8 +137,10 @@ TEST(CeresPhases, TouchesOnTheWayThroughAGap) {
     for (const int post : {1, 2}) {
       if (other.bodies[post].name == touch.b) other.bodies[post].radius += change;
     }
-    return Solve("ceres_phases", {other, "event"}, {.guess = ControlGuess{report.control, report.durations}})
-        .final_loss;
+    return Solve("ceres_phases",
+                 {other, "event"},
+                 {.guess = ControlGuess{report.solution.control, report.solution.durations}})
+        .solution.loss;
   };
   EXPECT_NEAR(touch.multiplier, (least_loss(1e-4) - least_loss(-1e-4)) / 2e-4, 1e-3 * touch.multiplier);
   EXPECT_GT(touch.multiplier, 0);
@@ -158,9 +160,9 @@ TEST(CeresPhases, CrossesFromSlipToStick) {
       {.body = 1, .target = {1.0475, 0.2777}},
       {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .weight = 0.068}};
   scene.objective.effort = 0.0368;
-  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.limits = {.iterations = 2000}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.05);
+  EXPECT_LT(report.solution.loss, 0.05);
   EXPECT_THAT(report.reason, HasSubstr("striker-target sticks"));
 }
 
@@ -168,13 +170,13 @@ TEST(CeresPhases, CrossesFromSlipToStick) {
 TEST(CeresPhases, KeepsApartWhatStrikesElsewhere) {
   Scene scene = ControlProblem(54);
   scene.steps = 240;
-  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.iterations = 2000});
+  const SolveReport report = Solve("ceres_phases", {scene, "event"}, {.limits = {.iterations = 2000}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_THAT(report.reason, HasSubstr("striker-link0 apart"));
   EXPECT_EQ(Resimulate(scene, report).events.size(), 3u);
   // Arcs know nothing of that, and come down to it from above.
-  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.iterations = 2000});
-  EXPECT_LT(report.final_loss, arcs.final_loss * (1 + 1e-6));
+  const SolveReport arcs = Solve("ceres_event", {scene, "event"}, {.limits = {.iterations = 2000}});
+  EXPECT_LT(report.solution.loss, arcs.solution.loss * (1 + 1e-6));
 }
 
 // The ball goes on to a wall when all is done: the plan has no such impact, the optimum has.
@@ -201,7 +203,7 @@ TEST(CeresPhases, ConvergesToTheLastDigits) {
 TEST(CeresPhases, KeepsToASequenceThatIsGiven) {
   const Scene scene = BallInBox(1, 500);
   SolverOptions options;
-  options.sequence = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps)).contacts;
+  options.sequences.given = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps)).contacts;
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, options);
   EXPECT_NE(report.termination, Termination::kConverged);
   EXPECT_THAT(report.reason, Not(HasSubstr("passed")));
@@ -222,7 +224,7 @@ TEST(CeresPhases, SaysWhatIsMissedAtLeastWhereTheTargetIsOutOfReach) {
   const ExactRun exact = Resimulate(scene, report);
   EXPECT_NEAR(std::hypot(exact.end[4], exact.end[5]), miss, 1e-5);
   EXPECT_THAT(report.reason, HasSubstr("0.5090")) << miss;
-  for (const double force : report.control) EXPECT_LE(std::abs(force), 3 * (1 + 1e-12));
+  for (const double force : report.solution.control) EXPECT_LE(std::abs(force), 3 * (1 + 1e-12));
 }
 
 // Within the bound it does not even get there, whatever the guess says.
@@ -233,7 +235,7 @@ TEST(CeresPhases, KeepsBoundsThatTheGuessDoesNot) {
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_THAT(report.reason, HasSubstr("1.41421 m, by target"));
-  for (const double force : report.control) EXPECT_LE(std::abs(force), 1.2 * (1 + 1e-12));
+  for (const double force : report.solution.control) EXPECT_LE(std::abs(force), 1.2 * (1 + 1e-12));
 }
 
 // Under a bound the best motion of this problem has an impact at the final time too, where the loss has a kink.
@@ -246,9 +248,9 @@ TEST(CeresPhases, ConvergesToAKinkUnderABound) {
   EXPECT_THAT(report.reason, HasSubstr("at the final time"));
   ASSERT_TRUE(report.certificate);
   EXPECT_THAT(report.certificate->reason, HasSubstr("final time"));
-  EXPECT_NEAR(Resimulate(scene, report).loss, report.final_loss, 1e-12);
+  EXPECT_NEAR(Resimulate(scene, report).loss, report.solution.loss, 1e-12);
   double largest = 0;
-  for (const double force : report.control) largest = std::max(largest, std::abs(force));
+  for (const double force : report.solution.control) largest = std::max(largest, std::abs(force));
   EXPECT_NEAR(largest, 1.5, 1e-9);
 }
 
@@ -339,7 +341,7 @@ class PlainRun {
   std::string WhyNotRealized(const Motion&, const std::vector<Event>&) const { return "it is not realized"; }
   SolveReport Finish(const Motion&, double loss, Termination termination, const std::string& reason) const {
     SolveReport report;
-    report.final_loss = loss;
+    report.solution.loss = loss;
     report.termination = termination;
     report.reason = reason;
     return report;
@@ -448,7 +450,7 @@ SolveReport WhereTheOptimumIsWorse(double stationary_loss) {
 TEST(SequenceUpdate, TakesTheBestMotionIfItIsStationary) {
   const SolveReport report = WhereTheOptimumIsWorse(1);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_EQ(report.final_loss, 1);
+  EXPECT_EQ(report.solution.loss, 1);
 }
 
 // A plan without a real motion has a lower loss than the best motion, along which no solve converges.
@@ -487,7 +489,7 @@ TEST(SequenceUpdate, SaysThatTheLastSolveHasNotConverged) {
 TEST(SequenceUpdate, SaysThatTheBestMotionIsNoOptimum) {
   const SolveReport report = WhereTheOptimumIsWorse(2);
   EXPECT_EQ(report.termination, Termination::kNoProgress);
-  EXPECT_EQ(report.final_loss, 1);
+  EXPECT_EQ(report.solution.loss, 1);
   EXPECT_THAT(report.reason, HasSubstr("no optimum found has a lower loss than the motion returned"));
 }
 

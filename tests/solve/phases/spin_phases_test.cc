@@ -51,7 +51,7 @@ TEST(SpinPhases, FindTheOptimumThatOnlyTheWallCanSpin) {
   for (const int steps : {40, 80, 160}) {
     const Scene scene = SpinControl(steps);
     const SolveReport report = Optimum(scene);
-    errors.push_back(report.final_loss - exact);
+    errors.push_back(report.solution.loss - exact);
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
     ASSERT_TRUE(report.certificate->curvature);
@@ -59,16 +59,19 @@ TEST(SpinPhases, FindTheOptimumThatOnlyTheWallCanSpin) {
     ASSERT_EQ(report.certificate->impacts.size(), 1u);
     EXPECT_NEAR(report.certificate->impacts[0].time, SpinOptimum("time"), 3.0 / (steps * steps));
 
-    const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+    const ExactRun run =
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     ASSERT_TRUE(run.ok) << run.reason;
-    EXPECT_EQ(run.loss, report.final_loss);
+    EXPECT_EQ(run.loss, report.solution.loss);
     const double near = 5.0 / (steps * steps);
     EXPECT_NEAR(run.end[0], SpinOptimum("p", 0), near);
     EXPECT_NEAR(run.end[1], SpinOptimum("p", 1), near);
     EXPECT_NEAR(run.end[5], SpinOptimum("w"), 10 * near);
     // Forces are linear in time: on to the start from the first two.
     for (int j = 0; j < 2; ++j) {
-      EXPECT_NEAR(1.5 * report.control[j] - 0.5 * report.control[2 + j], SpinOptimum("force_0", j), 10 * near);
+      EXPECT_NEAR(1.5 * report.solution.control[j] - 0.5 * report.solution.control[2 + j],
+                  SpinOptimum("force_0", j),
+                  10 * near);
     }
   }
   // Not quite 4, as the phases do not share the steps quite in the same way.
@@ -103,21 +106,22 @@ TEST_P(StrikeWithSpin, EndsWhereDifferencesVanish) {
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
   ASSERT_EQ(report.certificate->impacts.size(), 1u);
-  const size_t before = std::find_if(report.durations.begin(),
-                                     report.durations.end(),
-                                     [&](double h) { return std::abs(h / report.durations[0] - 1) > 1e-6; }) -
-                        report.durations.begin();
+  const size_t before = std::find_if(report.solution.durations.begin(),
+                                     report.solution.durations.end(),
+                                     [&](double h) { return std::abs(h / report.solution.durations[0] - 1) > 1e-6; }) -
+                        report.solution.durations.begin();
   constexpr double kWidth = 1e-3;
   double largest_slope = 0, largest_bend = 0;
   for (const double wave : {0.0, 0.7, 1.9}) {
     for (const int axis : {0, 1}) {
       const auto loss = [&](double by) {
-        std::vector<double> control = report.control;
+        std::vector<double> control = report.solution.control;
         for (size_t i = axis; i < control.size(); i += 2) control[i] += by * std::cos(wave * static_cast<double>(i));
-        return LossOnMovingGrid(scene, control, report.durations, before);
+        return LossOnMovingGrid(scene, control, report.solution.durations, before);
       };
       largest_slope = std::max(largest_slope, std::abs(loss(kWidth) - loss(-kWidth)) / (2 * kWidth));
-      largest_bend = std::max(largest_bend, (loss(kWidth) - 2 * report.final_loss + loss(-kWidth)) / (kWidth * kWidth));
+      largest_bend =
+          std::max(largest_bend, (loss(kWidth) - 2 * report.solution.loss + loss(-kWidth)) / (kWidth * kWidth));
     }
   }
   EXPECT_GT(largest_bend, 0.01);
@@ -128,9 +132,9 @@ TEST_P(StrikeWithSpin, EndsWhereDifferencesVanish) {
 TEST_P(StrikeWithSpin, IsAsGoodAsSingleShooting) {
   const Scene scene = Strike(GetParam());
   const SolveReport report = Optimum(scene);
-  const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.iterations = 200});
-  EXPECT_LE(report.final_loss, shot.final_loss + 1e-12);
-  EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-3);
+  const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 200}});
+  EXPECT_LE(report.solution.loss, shot.solution.loss + 1e-12);
+  EXPECT_NEAR(report.solution.loss, shot.solution.loss, 1e-3);
 }
 
 INSTANTIATE_TEST_SUITE_P(Friction, StrikeWithSpin, ::testing::Values(0.02, 0.1, 1.0), ParameterName());
@@ -141,14 +145,19 @@ TEST(SpinPhases, LaunchAsSingleShootingDoes) {
     SCOPED_TRACE(name);
     const Scene scene = ProblemScene(name);
     const SolveReport report = Optimum(scene);
-    const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
-    EXPECT_NEAR(report.final_loss, shot.final_loss, 1e-9);
-    for (std::size_t i = 0; i < shot.initial_state.size(); ++i) {
+    const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
+    EXPECT_NEAR(report.solution.loss, shot.solution.loss, 1e-9);
+    for (std::size_t i = 0; i < shot.solution.initial_state.size(); ++i) {
       // The spins of discs in an impact that slips do not matter: the bank shot is the same with other spins.
       if (std::string_view(name) == "bank_shot" && i >= 4 * scene.bodies.size()) break;
-      EXPECT_NEAR(report.initial_state[i], shot.initial_state[i], 1e-4 * (1 + std::abs(shot.initial_state[i]))) << i;
+      EXPECT_NEAR(report.solution.initial_state[i],
+                  shot.solution.initial_state[i],
+                  1e-4 * (1 + std::abs(shot.solution.initial_state[i])))
+          << i;
     }
-    EXPECT_EQ(SimulateExactly(scene, report.initial_state, report.control, report.durations).loss, report.final_loss);
+    EXPECT_EQ(
+        SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations).loss,
+        report.solution.loss);
   }
 }
 
@@ -156,8 +165,9 @@ TEST(SpinPhases, CertificateRejectsOneForceChangedByOnePercent) {
   for (const double friction : {0.02, 1.0}) {
     const Scene scene = Strike(friction);
     SolveReport report = Optimum(scene);
-    report.control[10] *= 1.01;
-    const Certificate certificate = Certify(scene, report.initial_state, report.control, report.durations);
+    report.solution.control[10] *= 1.01;
+    const Certificate certificate =
+        Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     EXPECT_EQ(certificate.verdict, Certificate::Verdict::kNotStationary);
   }
 }
@@ -183,7 +193,8 @@ TEST(SpinPhases, MeetAHardSpinWithItsMultiplier) {
     return Optimum(scene);
   };
   const SolveReport report = at(-12);
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  const ExactRun run =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_NEAR(run.end[5], -12, 1e-7);
   const Certificate& certificate = *report.certificate;
   EXPECT_EQ(certificate.verdict, Certificate::Verdict::kStationary) << certificate.reason;
@@ -192,7 +203,7 @@ TEST(SpinPhases, MeetAHardSpinWithItsMultiplier) {
   ASSERT_EQ(certificate.constraints.size(), 1u);
   EXPECT_EQ(certificate.constraints[0].quantity, Quantity::kAngularVelocity);
   constexpr double kStep = 0.02;
-  const double slope = (at(-12 + kStep).final_loss - at(-12 - kStep).final_loss) / (2 * kStep);
+  const double slope = (at(-12 + kStep).solution.loss - at(-12 - kStep).solution.loss) / (2 * kStep);
   EXPECT_NEAR(slope, -certificate.constraints[0].multiplier[0], 1e-5 * std::abs(slope));
 }
 
@@ -211,7 +222,7 @@ TEST(SpinPhases, SearchFindsTheWall) {
   scene.control.initial = {{-0.2, 0.1}};
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, SpinOptimum("loss"), 1e-4);
+  EXPECT_NEAR(report.solution.loss, SpinOptimum("loss"), 1e-4);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary);
   EXPECT_THAT(report.optima.front().sequence, ::testing::SizeIs(1));
@@ -225,9 +236,9 @@ TEST(SpinPhases, SearchFindsTheWall) {
 TEST(SpinPhases, SearchIsAsGoodAsSingleShootingOnTheBankShot) {
   const Scene scene = ProblemScene("bank_shot");
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
-  const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.iterations = 100});
+  const SolveReport shot = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 100}});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LE(report.final_loss, shot.final_loss * (1 + 1e-9));
+  EXPECT_LE(report.solution.loss, shot.solution.loss * (1 + 1e-9));
 }
 
 // In millimetres and milliseconds nothing changes but the numbers, of the multiplier of a hard spin too.
@@ -237,7 +248,7 @@ TEST(SpinPhases, AreTheSameInOtherUnits) {
   scene.objective.terminal[1].hard = true;
   scene.objective.terminal.push_back({.body = 0, .quantity = Quantity::kAngle, .target = {-2, 0}, .weight = 0.02});
   const SolveReport report = Optimum(scene), other = Optimum(Rescaled(scene, by));
-  EXPECT_NEAR(other.final_loss, by.loss * report.final_loss, 1e-9 * by.loss * report.final_loss);
+  EXPECT_NEAR(other.solution.loss, by.loss * report.solution.loss, 1e-9 * by.loss * report.solution.loss);
   ASSERT_EQ(other.certificate->verdict, report.certificate->verdict);
   const double multiplier = report.certificate->constraints[0].multiplier[0];
   EXPECT_NEAR(other.certificate->constraints[0].multiplier[0],
@@ -252,29 +263,29 @@ TEST(SpinPhases, TakeWhatTheyTakeWithoutSpin) {
   const SolveReport on_the_way = Optimum(scene);
   ASSERT_TRUE(on_the_way.certificate);
   EXPECT_EQ(on_the_way.certificate->verdict, Certificate::Verdict::kStationary) << on_the_way.certificate->reason;
-  EXPECT_GT(on_the_way.final_loss, SpinOptimum("loss"));
+  EXPECT_GT(on_the_way.solution.loss, SpinOptimum("loss"));
 
   scene = SpinControl(60);
   scene.control.max = {3};
   const SolveReport bounded = Optimum(scene);
-  for (const double u : bounded.control) EXPECT_LE(std::abs(u), 3 + 1e-9);
+  for (const double u : bounded.solution.control) EXPECT_LE(std::abs(u), 3 + 1e-9);
   EXPECT_EQ(bounded.certificate->verdict, Certificate::Verdict::kStationary) << bounded.certificate->reason;
-  EXPECT_GT(bounded.final_loss, SpinOptimum("loss") + 1e-3);
+  EXPECT_GT(bounded.solution.loss, SpinOptimum("loss") + 1e-3);
 
   scene = SpinControl(60);
   scene.objective.duration = FreeDuration{.min = 0.5, .max = 2, .weight = 0.1};
   const SolveReport free = Optimum(scene);
   EXPECT_EQ(free.certificate->verdict, Certificate::Verdict::kStationary) << free.certificate->reason;
-  EXPECT_LT(free.final_loss, SpinOptimum("loss") + 0.1);
+  EXPECT_LT(free.solution.loss, SpinOptimum("loss") + 0.1);
 }
 
 // Steps of a contact model between exact impacts: with finer ones the optimum is that of exact flight.
 TEST(SpinPhases, FlyByAModelsSteps) {
   std::vector<double> errors;
   for (const int steps : {60, 240}) {
-    const SolveReport report = Solve("ceres_phases", {SpinControl(steps), "lcp_kkt"}, {.iterations = 1000});
+    const SolveReport report = Solve("ceres_phases", {SpinControl(steps), "lcp_kkt"}, {.limits = {.iterations = 1000}});
     ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-    errors.push_back(std::abs(report.final_loss - SpinOptimum("loss")));
+    errors.push_back(std::abs(report.solution.loss - SpinOptimum("loss")));
   }
   EXPECT_LT(errors[1], 0.35 * errors[0]);
 }

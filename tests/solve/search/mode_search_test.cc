@@ -37,8 +37,9 @@ TEST(ModeSearch, FindsABetterSequenceThanThePublishedOne) {
   const Scene scene = ProblemScene("multiple_collisions");
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.3563);
-  const ExactRun exact = SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  EXPECT_LT(report.solution.loss, 0.3563);
+  const ExactRun exact =
+      SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
   EXPECT_LT(exact.loss, 0.3563);
   ASSERT_FALSE(report.optima.empty());
   EXPECT_EQ(exact.contacts, report.optima[0].sequence);
@@ -60,7 +61,7 @@ TEST(ModeSearch, FindsABetterSequenceThanThePublishedOne) {
 TEST(ModeSearch, AgreesWithTheClosedFormWhereThereIsOneSequence) {
   const SolveReport report = Solve("mode_search", {ProblemScene("two_balls"), "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 1.396542160123197, 1e-6);
+  EXPECT_NEAR(report.solution.loss, 1.396542160123197, 1e-6);
   EXPECT_NE(Find(report, 2, 1e-12), nullptr);  // doing nothing is the other optimum
 }
 
@@ -70,17 +71,17 @@ TEST(ModeSearch, FindsAnImpactThatTheGuessDoesNotHave) {
   scene.control.initial = {{-1, 0.5}};
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 1.396542160123197, 1e-6);
+  EXPECT_NEAR(report.solution.loss, 1.396542160123197, 1e-6);
 }
 
 TEST(ModeSearch, KeepsToASequenceThatIsGiven) {
   const Scene scene = ProblemScene("multiple_collisions");
   SolverOptions options;
-  options.search = false;
-  ASSERT_EQ(ParseContactSequence(scene, "striker-target,target-ceiling", &options.sequence.emplace()), "");
+  options.sequences.search = false;
+  ASSERT_EQ(ParseContactSequence(scene, "striker-target,target-ceiling", &options.sequences.given.emplace()), "");
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 0.3736363502, 1e-6);
+  EXPECT_NEAR(report.solution.loss, 0.3736363502, 1e-6);
   EXPECT_EQ(report.optima.size(), 1u);
   EXPECT_EQ(report.certificate->scope, Certificate::Scope::kLocal);
 }
@@ -89,16 +90,16 @@ TEST(ModeSearch, ReportsWhatItHasWhenInterrupted) {
   SolverOptions options;
   int solves = 0;
   std::string last;
-  options.status = [&](const std::string& note) {
+  options.monitor.status = [&](const std::string& note) {
     ++solves;
     last = note;
   };
-  options.callback = [&](int, double) { return solves < 12; };
+  options.monitor.callback = [&](int, double) { return solves < 12; };
   const SolveReport report = Solve("mode_search", {ProblemScene("multiple_collisions"), "event"}, options);
   EXPECT_EQ(report.termination, Termination::kInterrupted);
   EXPECT_GE(solves, 12);
   EXPECT_THAT(last, HasSubstr("best"));
-  EXPECT_FALSE(report.control.empty());
+  EXPECT_FALSE(report.solution.control.empty());
   EXPECT_FALSE(report.certificate && report.certificate->scope == Certificate::Scope::kBestOfSearched);
 }
 
@@ -107,11 +108,11 @@ TEST(ModeSearch, GoesOnFromMoreStartsWhereItWouldStop) {
   Scene scene = ControlProblem(122);
   scene.steps = 120;
   SolverOptions options;
-  options.search_options.work = 0;
+  options.sequences.limits.work = 0;
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
-  EXPECT_LT(report.final_loss, 0.041486);
+  EXPECT_LT(report.solution.loss, 0.041486);
   ASSERT_TRUE(report.searched);
-  EXPECT_GT(report.searched->starts, 1 + 7 * options.search_options.starts);
+  EXPECT_GT(report.searched->starts, 1 + 7 * options.sequences.limits.starts);
 }
 
 // No neighbour of the optima that the first starts lead to is left, and none of them strikes the target: 1.2486. From
@@ -120,7 +121,7 @@ TEST(ModeSearch, TakesMoreStartsWhereNoNeighboursAreLeft) {
   const Scene scene = ControlProblem(1051);
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_NEAR(report.final_loss, 0.490769094984, 1e-9);
+  EXPECT_NEAR(report.solution.loss, 0.490769094984, 1e-9);
   ASSERT_TRUE(report.searched);
   EXPECT_GT(report.searched->starts, 9);
   EXPECT_FALSE(report.searched->complete);
@@ -132,13 +133,13 @@ TEST(ModeSearch, TakesMoreStartsWhereNoNeighboursAreLeft) {
 // one of 17 random starts of ceres_lm finds the same).
 TEST(ModeSearch, MendsMotionsNearTheBest) {
   const SolveReport report = Solve("mode_search", {ControlProblem(32), "event"}, Counted());
-  EXPECT_LT(report.final_loss, 0.081545);
+  EXPECT_LT(report.solution.loss, 0.081545);
 }
 
 // Neither an impulse at random nor a neighbouring sequence leads below 0.155 here, but changes of the best control.
 TEST(ModeSearch, StartsAroundItsBestMotion) {
   const SolveReport report = Solve("mode_search", {ControlProblem(34), "event"}, Counted(1000));
-  EXPECT_LT(report.final_loss, 0.15);
+  EXPECT_LT(report.solution.loss, 0.15);
 }
 
 TEST(ControlAround, ChangesEachForceAlongALine) {
@@ -159,13 +160,14 @@ TEST(ControlAround, ChangesEachForceAlongALine) {
 }
 
 TEST(ModeSearch, StopsAfterSoManySolves) {
-  const SolveReport report = Solve("mode_search", {ProblemScene("multiple_collisions"), "event"}, {.iterations = 5});
+  const SolveReport report =
+      Solve("mode_search", {ProblemScene("multiple_collisions"), "event"}, {.limits = {.iterations = 5}});
   EXPECT_EQ(report.termination, Termination::kIterationLimit);
-  EXPECT_EQ(report.iterations, 5);
+  EXPECT_EQ(report.work.iterations, 5);
 }
 
 double ExactLoss(const Scene& scene, const SolveReport& report) {
-  return SimulateExactly(scene, report.initial_state, report.control, report.durations).loss;
+  return SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations).loss;
 }
 
 // Another share of the intervals between phases is worth more than 1e-6 of the loss here: no solver is better by that.
@@ -175,8 +177,9 @@ TEST(ModeSearch, SharesIntervalsBetweenPhases) {
   const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LE(ExactLoss(scene, report), (1 + 1e-6) * ExactLoss(scene, phases));
-  EXPECT_NEAR(std::accumulate(report.durations.begin(), report.durations.end(), 0.0), scene.duration, 1e-12);
-  EXPECT_EQ(report.durations.size(), 120u);
+  EXPECT_NEAR(
+      std::accumulate(report.solution.durations.begin(), report.solution.durations.end(), 0.0), scene.duration, 1e-12);
+  EXPECT_EQ(report.solution.durations.size(), 120u);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary);
   for (size_t i = 1; i < report.optima.size(); ++i) {  // the same one is there once
@@ -200,9 +203,9 @@ TEST_P(HardScenes, AreSolved) {
   const Scene& scene = GetParam().scene;
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(GetParam().iterations));
   EXPECT_LE(ExactLoss(scene, report), GetParam().loss) << report.reason;
-  EXPECT_NEAR(ExactLoss(scene, report), report.final_loss, 1e-9 * report.final_loss);
+  EXPECT_NEAR(ExactLoss(scene, report), report.solution.loss, 1e-9 * report.solution.loss);
   ASSERT_TRUE(report.searched);
-  EXPECT_LE(report.searched->lower_bound, report.final_loss);
+  EXPECT_LE(report.searched->lower_bound, report.solution.loss);
   EXPECT_EQ(report.searched->starts, 9);
 }
 
@@ -243,8 +246,8 @@ TEST(ModeSearch, TheNumberOfThreadsChangesNoBit) {
   const SolveReport one = Solve("mode_search", {scene, "event"}, options);
   options.threads = 3;
   const SolveReport three = Solve("mode_search", {scene, "event"}, options);
-  EXPECT_EQ(one.losses, three.losses);
-  EXPECT_EQ(one.control, three.control);
+  EXPECT_EQ(one.history.losses, three.history.losses);
+  EXPECT_EQ(one.solution.control, three.solution.control);
   EXPECT_EQ(one.searched->sequences, three.searched->sequences);
   ASSERT_EQ(one.optima.size(), three.optima.size());
   for (size_t i = 0; i < one.optima.size(); ++i) EXPECT_EQ(one.optima[i].times, three.optima[i].times);
@@ -262,7 +265,7 @@ TEST(ModeSearch, StartsFromAGuessThatRests) {
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(100));
   EXPECT_NE(report.termination, Termination::kNotApplicable) << report.reason;
   EXPECT_NE(report.termination, Termination::kFailed) << report.reason;
-  EXPECT_LT(ExactLoss(scene, report), 0.999 * report.initial_loss);
+  EXPECT_LT(ExactLoss(scene, report), 0.999 * report.guess.loss);
 }
 
 TEST(ModeSearch, IsNeverWorseThanPlainSolvers) {
@@ -270,12 +273,13 @@ TEST(ModeSearch, IsNeverWorseThanPlainSolvers) {
     Scene scene = ControlProblem(seed);
     scene.steps = 30;
     const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(40, 1));
-    EXPECT_LE(report.final_loss, (1 + 1e-6) * report.initial_loss) << scene.name;
+    EXPECT_LE(report.solution.loss, (1 + 1e-6) * report.guess.loss) << scene.name;
     for (const char* solver : {"ceres_lm", "gd"}) {
       SolverOptions options = Counted(40, 1);
       const SolveReport plain = Solve(solver, {scene, "event"}, options);
-      const double best = plain.best ? std::min(plain.final_loss, plain.best->loss) : plain.final_loss;
-      EXPECT_LE(report.final_loss, (1 + 1e-6) * best) << scene.name << " " << solver;
+      const double best =
+          plain.history.best ? std::min(plain.solution.loss, plain.history.best->solution.loss) : plain.solution.loss;
+      EXPECT_LE(report.solution.loss, (1 + 1e-6) * best) << scene.name << " " << solver;
     }
   }
 }
@@ -283,17 +287,17 @@ TEST(ModeSearch, IsNeverWorseThanPlainSolvers) {
 TEST(ModeSearch, KeepsToItsLimits) {
   const Scene scene = ProblemScene("multiple_collisions");
   SolverOptions options = Counted();
-  options.search_options.memory = 10000;
+  options.sequences.limits.memory = 10000;
   const SolveReport small = Solve("mode_search", {scene, "event"}, options);
   EXPECT_THAT(small.reason, HasSubstr("the limit of memory"));
   EXPECT_FALSE(small.searched->complete);
-  EXPECT_LE(small.final_loss, small.initial_loss);
+  EXPECT_LE(small.solution.loss, small.guess.loss);
   options = Counted();
-  options.search_options.seconds = 1e-9;
+  options.sequences.limits.seconds = 1e-9;
   const SolveReport short_one = Solve("mode_search", {scene, "event"}, options);
   EXPECT_THAT(short_one.reason, HasSubstr("the limit of time"));
-  EXPECT_EQ(short_one.final_loss, short_one.initial_loss);
-  options.search_options.starts = -1;
+  EXPECT_EQ(short_one.solution.loss, short_one.guess.loss);
+  options.sequences.limits.starts = -1;
   EXPECT_THAT(Solve("mode_search", {scene, "event"}, options).reason, HasSubstr("search_starts"));
 }
 
@@ -310,7 +314,7 @@ TEST(LossBound, ProvesTheGlobalOptimumWhereNoTouchIsWorthIt) {
   const double exact = 2 * (0.5 * 0.5 + 1 * 1) * k / (k + 2);
   EXPECT_NEAR(LossBound(scene).lowest(), exact, 1e-8 * exact);
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted());
-  EXPECT_NEAR(report.final_loss, exact, 1e-9 * exact);
+  EXPECT_NEAR(report.solution.loss, exact, 1e-9 * exact);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kGlobal);
 }
@@ -324,9 +328,9 @@ TEST(LossBound, IsBelowEveryLoss) {
     EXPECT_GE(bound, 0);
     for (int start = 0; start < 6; ++start) {
       scene.control.initial = SearchStart(scene, 7, start);
-      const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 15});
-      if (!report.losses.empty()) {
-        EXPECT_GE(report.final_loss, bound) << scene.name << " " << start;
+      const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 15}});
+      if (!report.history.losses.empty()) {
+        EXPECT_GE(report.solution.loss, bound) << scene.name << " " << start;
       }
     }
   }

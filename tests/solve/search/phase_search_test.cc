@@ -18,7 +18,7 @@ namespace {
 using testing::HasSubstr;
 
 ExactRun RollOut(const Scene& scene, const SolveReport& report) {
-  return SimulateExactly(scene, report.initial_state, report.control, report.durations);
+  return SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
 }
 
 class SearchUnderConstraints : public testing::TestWithParam<Json> {};
@@ -34,12 +34,12 @@ TEST_P(SearchUnderConstraints, ReachesTheOptimumFromAGuessThatMisses) {
   // Where doing nothing at all is better than the reference's impact, the search finds that.
   const double optimum = std::min(reference["loss"].get<double>(),
                                   scene.objective.terminal[0].hard ? 1e9 : scene.bodies[1].position.squaredNorm());
-  EXPECT_GT(report.final_loss, optimum - 1e-9);
-  EXPECT_LT(report.final_loss, optimum + 16 * 3e-6);  // second order: 3e-6 with 480 steps
+  EXPECT_GT(report.solution.loss, optimum - 1e-9);
+  EXPECT_LT(report.solution.loss, optimum + 16 * 3e-6);  // second order: 3e-6 with 480 steps
   const ExactRun exact = RollOut(scene, report);
   ASSERT_TRUE(exact.ok) << exact.reason;
-  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
-  for (const double u : report.control) {
+  EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
+  for (const double u : report.solution.control) {
     if (!scene.control.max.empty()) {
       EXPECT_LE(std::abs(u), scene.control.max[0] * (1 + 1e-12));
     }
@@ -57,15 +57,15 @@ TEST(PhaseSearch, FindsABetterSequenceUnderBounds) {
   scene.steps = 40;
   const SolveReport free = Solve("ceres_phases", {scene, "event"}, {});
   double largest = 0;
-  for (const double force : free.control) largest = std::max(largest, std::abs(force));
+  for (const double force : free.solution.control) largest = std::max(largest, std::abs(force));
   scene.control.max.assign(scene.num_controlled(), 0.75 * largest);
   const SolveReport local = Solve("ceres_phases", {scene, "event"}, {});
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(60, 4));
-  EXPECT_LT(report.final_loss, 0.5 * local.final_loss);
+  EXPECT_LT(report.solution.loss, 0.5 * local.solution.loss);
   const ExactRun exact = RollOut(scene, report);
-  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
   EXPECT_NE(exact.contacts, RollOut(scene, local).contacts);
-  for (const double force : report.control) EXPECT_LE(std::abs(force), 0.75 * largest * (1 + 1e-12));
+  for (const double force : report.solution.control) EXPECT_LE(std::abs(force), 0.75 * largest * (1 + 1e-12));
   ASSERT_TRUE(report.searched);
   EXPECT_EQ(report.searched->starts, 1 + 1 + 4);  // the guess, the optimum without bounds, and its own
 }
@@ -89,32 +89,32 @@ class StartsUnderBounds : public testing::TestWithParam<BoundedProblem> {
 TEST_P(StartsUnderBounds, LeadToTheBetterImpacts) {
   const Scene scene = Bounded();
   const SolveReport once = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
-  EXPECT_GT(once.final_loss, 1.02 * GetParam().penalised);
+  EXPECT_GT(once.solution.loss, 1.02 * GetParam().penalised);
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
-  EXPECT_LT(report.final_loss, GetParam().penalised);
-  EXPECT_GT(report.final_loss, 0.98 * GetParam().penalised);
+  EXPECT_LT(report.solution.loss, GetParam().penalised);
+  EXPECT_GT(report.solution.loss, 0.98 * GetParam().penalised);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_THAT(report.reason, HasSubstr("from a random start"));
-  EXPECT_EQ(report.initial_loss, once.initial_loss);
-  EXPECT_EQ(report.losses.front(), once.initial_loss);
+  EXPECT_EQ(report.guess.loss, once.guess.loss);
+  EXPECT_EQ(report.history.losses.front(), once.guess.loss);
   const ExactRun exact = RollOut(scene, report);
-  EXPECT_NEAR(exact.loss, report.final_loss, 1e-12);
+  EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
   EXPECT_NE(exact.contacts, RollOut(scene, once).contacts);
-  for (const double force : report.control) EXPECT_LE(std::abs(force), GetParam().bound * (1 + 1e-12));
+  for (const double force : report.solution.control) EXPECT_LE(std::abs(force), GetParam().bound * (1 + 1e-12));
   const SolveReport again = Solve("ceres_phases", {scene, "event"}, {.threads = 3});
-  EXPECT_EQ(again.control, report.control);
-  EXPECT_EQ(again.losses, report.losses);
+  EXPECT_EQ(again.solution.control, report.solution.control);
+  EXPECT_EQ(again.history.losses, report.history.losses);
 }
 
 TEST_P(StartsUnderBounds, CountTheirIterationsAndStopWhenAsked) {
   const Scene scene = Bounded();
-  const int first = Solve("ceres_phases", {scene, "event"}, FromGuess(scene)).iterations;
+  const int first = Solve("ceres_phases", {scene, "event"}, FromGuess(scene)).work.iterations;
   SolverOptions options;
-  options.iterations = first;
-  EXPECT_EQ(Solve("ceres_phases", {scene, "event"}, options).iterations, first);
-  options.iterations = 1000;
+  options.limits.iterations = first;
+  EXPECT_EQ(Solve("ceres_phases", {scene, "event"}, options).work.iterations, first);
+  options.limits.iterations = 1000;
   int last = 0;
-  options.callback = [&](int iteration, double) {
+  options.monitor.callback = [&](int iteration, double) {
     last = iteration;
     return iteration < first + 3;
   };
@@ -134,10 +134,10 @@ TEST(StartsWithoutGain, LeaveTheFirstSolveAsItIs) {
   ASSERT_TRUE(scene.control.IsBounded());
   const SolveReport once = Solve("ceres_phases", {scene, "event"}, FromGuess(scene));
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
-  EXPECT_EQ(report.control, once.control);
-  EXPECT_EQ(report.durations, once.durations);
-  EXPECT_EQ(report.losses, once.losses);
-  EXPECT_EQ(report.evaluations, once.evaluations);
+  EXPECT_EQ(report.solution.control, once.solution.control);
+  EXPECT_EQ(report.solution.durations, once.solution.durations);
+  EXPECT_EQ(report.history.losses, once.history.losses);
+  EXPECT_EQ(report.work.evaluations, once.work.evaluations);
   EXPECT_EQ(report.reason, once.reason);
 }
 
@@ -146,7 +146,7 @@ TEST(PhaseSearch, FindsALaunch) {
   Scene scene = ProblemScene("ground_wall");
   scene.bodies[0].velocity = {-1, 4};
   const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(20, 8));
-  EXPECT_LT(report.final_loss, 1e-12) << report.reason;
+  EXPECT_LT(report.solution.loss, 1e-12) << report.reason;
   const ExactRun exact = RollOut(scene, report);
   ASSERT_TRUE(exact.ok) << exact.reason;
   EXPECT_LT(exact.loss, 1e-12);
@@ -158,8 +158,8 @@ TEST(PhaseSearch, HasTheSameAnswerForAnyNumberOfThreads) {
   const SolveReport one = Solve("mode_search", {scene, "event"}, options);
   options.threads = 3;
   const SolveReport three = Solve("mode_search", {scene, "event"}, options);
-  EXPECT_EQ(one.control, three.control);
-  EXPECT_EQ(one.losses, three.losses);
+  EXPECT_EQ(one.solution.control, three.solution.control);
+  EXPECT_EQ(one.history.losses, three.history.losses);
   EXPECT_EQ(one.reason, three.reason);
 }
 
@@ -179,20 +179,20 @@ TEST(PhaseSearch, KeepsToItsLimitsAndSaysWhich) {
   const SolveReport few = Solve("mode_search", {scene, "event"}, Counted(3, 8));
   EXPECT_EQ(few.termination, Termination::kIterationLimit);
   EXPECT_THAT(few.reason, HasSubstr("the limit of iterations"));
-  EXPECT_EQ(few.iterations, 3);
+  EXPECT_EQ(few.work.iterations, 3);
   EXPECT_FALSE(few.searched->complete);
 
   SolverOptions options = Counted(100, 8);
-  options.callback = [](int iteration, double) { return iteration < 2; };
+  options.monitor.callback = [](int iteration, double) { return iteration < 2; };
   const SolveReport interrupted = Solve("mode_search", {scene, "event"}, options);
   EXPECT_EQ(interrupted.termination, Termination::kInterrupted);
-  EXPECT_LT(interrupted.final_loss, interrupted.initial_loss);
+  EXPECT_LT(interrupted.solution.loss, interrupted.guess.loss);
 
   options = Counted(100, 8);
-  options.search_options.seconds = 1e-9;
+  options.sequences.limits.seconds = 1e-9;
   const SolveReport late = Solve("mode_search", {scene, "event"}, options);
   EXPECT_THAT(late.reason, HasSubstr("the limit of time"));
-  EXPECT_LE(late.final_loss, late.initial_loss);
+  EXPECT_LE(late.solution.loss, late.guess.loss);
 }
 
 }  // namespace

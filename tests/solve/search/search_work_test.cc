@@ -17,8 +17,8 @@ using testing::HasSubstr;
 
 SolverOptions Limited(double work, int threads) {
   SolverOptions options;
-  options.search_options.work = work;
-  options.search_options.seconds = 0;
+  options.sequences.limits.work = work;
+  options.sequences.limits.seconds = 0;
   options.threads = threads;
   return options;
 }
@@ -26,10 +26,10 @@ SolverOptions Limited(double work, int threads) {
 void ExpectSame(const SolveReport& one, const SolveReport& other, const std::string& what) {
   EXPECT_EQ(one.termination, other.termination) << what;
   EXPECT_EQ(one.reason, other.reason) << what;
-  EXPECT_EQ(one.final_loss, other.final_loss) << what;
-  EXPECT_EQ(one.losses, other.losses) << what;
-  EXPECT_EQ(one.control, other.control) << what;
-  EXPECT_EQ(one.evaluations, other.evaluations) << what;
+  EXPECT_EQ(one.solution.loss, other.solution.loss) << what;
+  EXPECT_EQ(one.history.losses, other.history.losses) << what;
+  EXPECT_EQ(one.solution.control, other.solution.control) << what;
+  EXPECT_EQ(one.work.evaluations, other.work.evaluations) << what;
   ASSERT_EQ(one.optima.size(), other.optima.size()) << what;
   for (size_t i = 0; i < one.optima.size(); ++i) EXPECT_EQ(one.optima[i].loss, other.optima[i].loss) << what;
 }
@@ -58,11 +58,11 @@ TEST(SearchWork, MoreWorkIsNoWorseAndWithoutALimitNoneIsNamed) {
   double last = HUGE_VAL;
   for (const double work : {1e3, 1e4, 1e5}) {
     const SolveReport report = Solve("mode_search", {scene, "event"}, Limited(work, 2));
-    EXPECT_LE(report.final_loss, last * (1 + 1e-9));
-    last = report.final_loss;
+    EXPECT_LE(report.solution.loss, last * (1 + 1e-9));
+    last = report.solution.loss;
   }
   const SolveReport whole = Solve("mode_search", {scene, "event"}, Limited(0, 2));
-  EXPECT_LE(whole.final_loss, last * (1 + 1e-9));
+  EXPECT_LE(whole.solution.loss, last * (1 + 1e-9));
   EXPECT_THAT(whole.reason, testing::Not(HasSubstr("limit of work")));
 }
 
@@ -92,17 +92,17 @@ TEST(SearchWork, TheBestOptimumMeetsItsConditionsWhereSolvesTakeLong) {
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
-  EXPECT_NEAR(report.final_loss, 9.374561153842e-07, 9e-16);  // of ceres_phases, which finds it too, to 1e-9
+  EXPECT_NEAR(report.solution.loss, 9.374561153842e-07, 9e-16);  // of ceres_phases, which finds it too, to 1e-9
 }
 
 // A long solve is cut as well: one limit of iterations alone would let it go on.
 TEST(SearchWork, NoSolveTakesMoreThanWhatWasLeftWhenItWasDrawn) {
   const Scene scene = ProblemScene("two_balls");
   SolverOptions options = Limited(5000, 1);
-  options.iterations = 100000;  // of gd too, which never stops by itself
-  options.learning_rate = 1e-6;
+  options.limits.iterations = 100000;  // of gd too, which never stops by itself
+  options.descent.learning_rate = 1e-6;
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
-  EXPECT_LT(report.evaluations, 10000);
+  EXPECT_LT(report.work.evaluations, 10000);
   ASSERT_TRUE(report.searched);
   EXPECT_LT(report.searched->work, 10 * 5000);
   EXPECT_THAT(report.reason, HasSubstr("the limit of work"));
@@ -133,7 +133,7 @@ TEST(SearchWords, NoFewerSequencesThanOptimaAlongDifferentOnes) {
 
 TEST(SearchWords, OneOptimumIsNotTheBestOfSeveral) {
   SolverOptions options = Counted();
-  options.search = false;
+  options.sequences.search = false;
   const SolveReport report = Solve("mode_search", {ProblemScene("two_balls"), "event"}, options);
   ASSERT_EQ(report.optima.size(), 1u);
   EXPECT_THAT(report.reason, HasSubstr("the only optimum found"));

@@ -93,20 +93,21 @@ class LinearQuadratic : public testing::TestWithParam<std::string> {};
 TEST_P(LinearQuadratic, ReachesTheKktSolution) {
   const Scene scene = LinearQuadraticScene();
   const Optimum optimum = SolveKkt(scene, kSteps, /*explicit_position=*/false);
-  const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, {.iterations = 3000, .learning_rate = 2});
-  ASSERT_EQ(report.control.size(), optimum.control.size());
-  const Eigen::Map<const Eigen::VectorXd> control(report.control.data(), report.control.size());
+  const SolveReport report =
+      Solve(GetParam(), {scene, "direct_toi"}, {.limits = {.iterations = 3000}, .descent = {.learning_rate = 2}});
+  ASSERT_EQ(report.solution.control.size(), optimum.control.size());
+  const Eigen::Map<const Eigen::VectorXd> control(report.solution.control.data(), report.solution.control.size());
   EXPECT_LT((control - optimum.control).norm(), 1e-6 * optimum.control.norm());
-  EXPECT_NEAR(report.final_loss, optimum.loss, 1e-12 * optimum.loss);
-  EXPECT_GT(report.initial_loss, 1.1 * optimum.loss);
+  EXPECT_NEAR(report.solution.loss, optimum.loss, 1e-12 * optimum.loss);
+  EXPECT_GT(report.guess.loss, 1.1 * optimum.loss);
   if (std::string(GetParam()) != "gd") {
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-    EXPECT_LE(report.iterations, 80);
+    EXPECT_LE(report.work.iterations, 80);
   }
-  EXPECT_EQ(report.iterations + 1, static_cast<int>(report.losses.size()));
-  EXPECT_EQ(report.losses.back(), report.final_loss);
-  EXPECT_GT(report.evaluations, 0);
-  EXPECT_GT(report.seconds, 0);
+  EXPECT_EQ(report.work.iterations + 1, static_cast<int>(report.history.losses.size()));
+  EXPECT_EQ(report.history.losses.back(), report.solution.loss);
+  EXPECT_GT(report.work.evaluations, 0);
+  EXPECT_GT(report.work.seconds, 0);
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, LinearQuadratic,
@@ -124,23 +125,25 @@ TEST(CeresLm, ReachesTheKktSolutionUnderEveryModel) {
     const SolveReport report = Solve("ceres_lm", {scene, std::string(model.name)}, {});
     EXPECT_EQ(report.termination, Termination::kConverged) << model.name << ": " << report.reason;
     const double tolerance = model.push_gap > 50 ? 1e-7 : 1e-10;  // the other disc may be felt at its distance of 50 m
-    EXPECT_GE(report.final_loss, std::min(implicit_loss, explicit_loss) - tolerance) << model.name;
-    EXPECT_LE(report.final_loss, std::max(implicit_loss, explicit_loss) + tolerance) << model.name;
+    EXPECT_GE(report.solution.loss, std::min(implicit_loss, explicit_loss) - tolerance) << model.name;
+    EXPECT_LE(report.solution.loss, std::max(implicit_loss, explicit_loss) + tolerance) << model.name;
   }
 }
 
 TEST(CeresLm, BeatsGradientDescentOnGroundWall) {
   const SolveRequest request{ProblemScene("ground_wall"), "direct_toi"};
-  const SolveReport descent = Solve("gd", request, {.iterations = 1000, .learning_rate = 0.01});
-  const SolveReport least_squares = Solve("ceres_lm", request, {.iterations = 30});
-  EXPECT_LT(least_squares.final_loss, descent.final_loss);
-  EXPECT_LT(least_squares.final_loss, 1e-20);
+  const SolveReport descent =
+      Solve("gd", request, {.limits = {.iterations = 1000}, .descent = {.learning_rate = 0.01}});
+  const SolveReport least_squares = Solve("ceres_lm", request, {.limits = {.iterations = 30}});
+  EXPECT_LT(least_squares.solution.loss, descent.solution.loss);
+  EXPECT_LT(least_squares.solution.loss, 1e-20);
   EXPECT_EQ(least_squares.termination, Termination::kConverged) << least_squares.reason;
 }
 
 TEST(CeresLbfgs, HitsTheTargetOfGroundWall) {
-  const SolveReport report = Solve("ceres_lbfgs", {ProblemScene("ground_wall"), "direct_toi"}, {.iterations = 100});
-  EXPECT_LT(report.final_loss, 1e-18);
+  const SolveReport report =
+      Solve("ceres_lbfgs", {ProblemScene("ground_wall"), "direct_toi"}, {.limits = {.iterations = 100}});
+  EXPECT_LT(report.solution.loss, 1e-18);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
 }
 
@@ -153,48 +156,50 @@ TEST_P(ByCeres, ReportsTheLossOfTheScene) {
   scene.free = {0};
   scene.objective.terminal.resize(1);
   const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, {});
-  EXPECT_NEAR(report.final_loss, 0.3 * 0.8 * 2, 1e-12);
+  EXPECT_NEAR(report.solution.loss, 0.3 * 0.8 * 2, 1e-12);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
 }
 
 // A rejected step leaves loss and iterate as they are.
 TEST_P(ByCeres, LossesFallAndBelongToIterates) {
   const Scene scene = ProblemScene("single_collision");
-  const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, {.iterations = 40, .keep_iterates = true});
-  ASSERT_EQ(report.iterates.size(), report.losses.size());
+  const SolveReport report =
+      Solve(GetParam(), {scene, "direct_toi"}, {.limits = {.iterations = 40}, .keep_iterates = true});
+  ASSERT_EQ(report.history.iterates.size(), report.history.losses.size());
   SingleShooting shooting(MakeSimulator("direct_toi", scene, Precision::kDouble));
-  for (size_t k = 0; k < report.losses.size(); ++k) {
+  for (size_t k = 0; k < report.history.losses.size(); ++k) {
     double loss = 0;
-    ASSERT_TRUE(shooting.Evaluate(report.iterates[k], &loss, nullptr));
-    EXPECT_NEAR(report.losses[k], loss, 1e-13) << k;
-    EXPECT_LE(report.losses[k], k > 0 ? report.losses[k - 1] + 1e-9 : loss + 1e-13) << k;
+    ASSERT_TRUE(shooting.Evaluate(report.history.iterates[k], &loss, nullptr));
+    EXPECT_NEAR(report.history.losses[k], loss, 1e-13) << k;
+    EXPECT_LE(report.history.losses[k], k > 0 ? report.history.losses[k - 1] + 1e-9 : loss + 1e-13) << k;
   }
-  EXPECT_EQ(report.control, report.iterates.back());
+  EXPECT_EQ(report.solution.control, report.history.iterates.back());
 }
 
 TEST_P(ByCeres, StopsWhenTold) {
   SolverOptions options;
   int calls = 0;
-  options.callback = [&](int iteration, double) {
+  options.monitor.callback = [&](int iteration, double) {
     EXPECT_EQ(iteration, calls++);
     return iteration < 2;
   };
   const Scene scene = ProblemScene("two_balls");
   const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, options);
   EXPECT_EQ(report.termination, Termination::kInterrupted);
-  EXPECT_EQ(report.iterations, 2);
+  EXPECT_EQ(report.work.iterations, 2);
   EXPECT_EQ(calls, 3);
-  EXPECT_LT(report.final_loss, report.initial_loss);
+  EXPECT_LT(report.solution.loss, report.guess.loss);
   SingleShooting shooting(MakeSimulator("direct_toi", scene, Precision::kDouble));
   double loss = 0;
-  ASSERT_TRUE(shooting.Evaluate(report.control, &loss, nullptr));
-  EXPECT_NEAR(report.final_loss, loss, 1e-13);
+  ASSERT_TRUE(shooting.Evaluate(report.solution.control, &loss, nullptr));
+  EXPECT_NEAR(report.solution.loss, loss, 1e-13);
 }
 
 TEST_P(ByCeres, StopsAtTheIterationLimit) {
-  const SolveReport report = Solve(GetParam(), {ProblemScene("ground_wall"), "direct_toi"}, {.iterations = 2});
+  const SolveReport report =
+      Solve(GetParam(), {ProblemScene("ground_wall"), "direct_toi"}, {.limits = {.iterations = 2}});
   EXPECT_EQ(report.termination, Termination::kIterationLimit);
-  EXPECT_EQ(report.losses.size(), 3u);
+  EXPECT_EQ(report.history.losses.size(), 3u);
 }
 
 // Starting at the optimum is not a failure.
@@ -207,12 +212,13 @@ TEST_P(ByCeres, HasConvergedAtTheOptimum) {
   scene.objective.effort = 0;
   const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_EQ(report.iterations, 0);
+  EXPECT_EQ(report.work.iterations, 0);
 }
 
 // Where the discs cannot but be driven onto a kink, steps become small and no gradient vanishes.
 TEST_P(ByCeres, AKinkIsNotConvergence) {
-  const SolveReport report = Solve(GetParam(), {ProblemScene("single_collision"), "direct_toi"}, {.iterations = 1000});
+  const SolveReport report =
+      Solve(GetParam(), {ProblemScene("single_collision"), "direct_toi"}, {.limits = {.iterations = 1000}});
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_FALSE(report.reason.empty());
 }
@@ -221,7 +227,7 @@ TEST_P(ByCeres, EffortAloneIsLeastAtRest) {
   Scene scene = LinearQuadraticScene();
   scene.objective.terminal.clear();
   const SolveReport report = Solve(GetParam(), {scene, "direct_toi"}, {});
-  EXPECT_LT(report.final_loss, 1e-15);
+  EXPECT_LT(report.solution.loss, 1e-15);
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
 }
 
@@ -235,8 +241,8 @@ TEST_P(ByCeres, FailsWhereTheGuessHasNoLoss) {
   const SolveReport report = Solve(GetParam(), {scene, "lcp_kkt"}, {});
   EXPECT_EQ(report.termination, Termination::kFailed);
   EXPECT_FALSE(report.reason.empty());
-  EXPECT_TRUE(report.losses.empty());
-  EXPECT_EQ(report.control.size(), 2u * kSteps);
+  EXPECT_TRUE(report.history.losses.empty());
+  EXPECT_EQ(report.solution.control.size(), 2u * kSteps);
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, ByCeres, testing::Values("ceres_lbfgs", "ceres_lm", "ceres_shooting"),

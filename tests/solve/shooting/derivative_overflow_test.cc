@@ -43,7 +43,7 @@ double EndOf(double velocity) {
 // The velocity across is multiplied at each impact with the curved disc.
 TEST(DerivativeOverflow, NamesTheStepAndTheRemedy) {
   for (const char* solver : {"gd", "ceres_lm", "ceres_lbfgs"}) {
-    const SolveReport report = Solve(solver, {Counting(1), "event"}, {.iterations = 2});
+    const SolveReport report = Solve(solver, {Counting(1), "event"}, {.limits = {.iterations = 2}});
     EXPECT_EQ(report.termination, Termination::kFailed) << solver;
     EXPECT_THAT(report.reason, HasSubstr("step 0 of event: the derivatives of a state overflow, as 31415 contacts"))
         << solver;

@@ -51,10 +51,10 @@ constexpr double kMass = 3;  // 2 2 / (1 + m) 0.7 = 0.7
 TEST(DesignSolvers, FindTheRestitutionThatReachesAHeight) {
   for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
     SCOPED_TRACE(solver);
-    const SolveReport report =
-        Solve(solver, {BounceToHeight(kHeight), "event"}, {.iterations = 500, .learning_rate = 0.2});
-    ASSERT_EQ(report.parameters.size(), 1u);
-    EXPECT_NEAR(report.parameters[0], kRestitution, 1e-7);
+    const SolveReport report = Solve(
+        solver, {BounceToHeight(kHeight), "event"}, {.limits = {.iterations = 500}, .descent = {.learning_rate = 0.2}});
+    ASSERT_EQ(report.solution.parameters.size(), 1u);
+    EXPECT_NEAR(report.solution.parameters[0], kRestitution, 1e-7);
     if (solver == "gd") continue;  // it may go on in the last bits
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     ASSERT_TRUE(report.certificate);
@@ -68,10 +68,11 @@ TEST(DesignSolvers, StopAtABound) {
   scene.design[0].max = 0.4;
   for (const std::string solver : {"gd", "ceres_lm"}) {
     SCOPED_TRACE(solver);
-    const SolveReport report = Solve(solver, {scene, "event"}, {.iterations = 500, .learning_rate = 0.2});
+    const SolveReport report =
+        Solve(solver, {scene, "event"}, {.limits = {.iterations = 500}, .descent = {.learning_rate = 0.2}});
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-    ASSERT_EQ(report.parameters.size(), 1u);
-    EXPECT_EQ(report.parameters[0], 0.4);
+    ASSERT_EQ(report.solution.parameters.size(), 1u);
+    EXPECT_EQ(report.solution.parameters[0], 0.4);
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
     // d/de (0.1 + 1.1 e - 0.65)^2 there
@@ -84,10 +85,11 @@ TEST(DesignSolvers, FindTheMassThatSendsADiscSoFar) {
   for (const std::string contact : {"event", "direct_toi"}) {
     for (const std::string solver : {"gd", "ceres_lbfgs", "ceres_lm"}) {
       SCOPED_TRACE(solver + " " + contact);
-      const SolveReport report = Solve(solver, {HeadOn(), contact}, {.iterations = 3000, .learning_rate = 2});
+      const SolveReport report =
+          Solve(solver, {HeadOn(), contact}, {.limits = {.iterations = 3000}, .descent = {.learning_rate = 2}});
       EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-      ASSERT_EQ(report.parameters.size(), 1u);
-      EXPECT_NEAR(report.parameters[0], kMass, 1e-5);
+      ASSERT_EQ(report.solution.parameters.size(), 1u);
+      EXPECT_NEAR(report.solution.parameters[0], kMass, 1e-5);
     }
   }
 }
@@ -102,9 +104,9 @@ TEST(DesignSolvers, GiveTheSameInOtherUnits) {
   }
   large.objective.terminal[0].target *= 1024;
   const SolveReport report = Solve("ceres_lm", {scene, "event"}, {}), other = Solve("ceres_lm", {large, "event"}, {});
-  ASSERT_EQ(other.parameters.size(), 1u);
-  EXPECT_EQ(other.parameters[0], 64 * report.parameters[0]);
-  EXPECT_EQ(other.iterations, report.iterations);
+  ASSERT_EQ(other.solution.parameters.size(), 1u);
+  EXPECT_EQ(other.solution.parameters[0], 64 * report.solution.parameters[0]);
+  EXPECT_EQ(other.work.iterations, report.work.iterations);
 }
 
 // At an optimum in control and mass together each has a vanishing derivative.
@@ -119,12 +121,12 @@ TEST(DesignSolvers, OptimizeControlAndParametersTogether) {
   const double alone = [&] {
     Scene fixed = scene;
     fixed.design.clear();
-    return Solve("ceres_lm", {fixed, "event"}, {}).final_loss;
+    return Solve("ceres_lm", {fixed, "event"}, {}).solution.loss;
   }();
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 200});
-  ASSERT_EQ(report.parameters.size(), 2u);
-  EXPECT_LT(report.final_loss, alone - 1e-3);
-  EXPECT_EQ(report.control.size(), 120u);
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 200}});
+  ASSERT_EQ(report.solution.parameters.size(), 2u);
+  EXPECT_LT(report.solution.loss, alone - 1e-3);
+  EXPECT_EQ(report.solution.control.size(), 120u);
 }
 
 // The descent around a solver of controls: the derivative by the mass is that of the least loss, whose differences are
@@ -136,9 +138,9 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossIsThatOfItsDifferences) {
   scene.design[0].min = 0.5;
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  ASSERT_EQ(report.parameters.size(), 2u);
-  EXPECT_EQ(report.parameters[0], 0.5);  // lighter is cheaper
-  EXPECT_EQ(report.parameters[1], 1);    // so is more bouncing
+  ASSERT_EQ(report.solution.parameters.size(), 2u);
+  EXPECT_EQ(report.solution.parameters[0], 0.5);  // lighter is cheaper
+  EXPECT_EQ(report.solution.parameters[1], 1);    // so is more bouncing
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
   ASSERT_EQ(report.certificate->parameters.size(), 2u);
@@ -148,8 +150,10 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossIsThatOfItsDifferences) {
     given.design.clear();
     given.bodies[1].mass = mass;
     given.contact.restitution = restitution;
-    return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
-        .final_loss;
+    return Solve("ceres_phases",
+                 {given, "event"},
+                 {.guess = ControlGuess{report.solution.control, report.solution.durations}})
+        .solution.loss;
   };
   EXPECT_NEAR(report.certificate->parameters[0].derivative,
               (least_loss(0.5 + kStep, 1) - least_loss(0.5 - kStep, 1)) / (2 * kStep),
@@ -168,7 +172,8 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossCountsTheMovedImpact) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   Scene designed = scene;
   designed.design = {Design("radius.target", scene), Design("mass.striker", scene)};
-  const Certificate certificate = Certify(designed, report.initial_state, report.control, report.durations);
+  const Certificate certificate =
+      Certify(designed, report.solution.initial_state, report.solution.control, report.solution.durations);
   ASSERT_EQ(certificate.parameters.size(), 2u) << certificate.reason;
   EXPECT_EQ(certificate.verdict, Verdict::kNotStationary);
   constexpr double kStep = 1e-3;
@@ -176,8 +181,10 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossCountsTheMovedImpact) {
     const auto least_loss = [&](double change) {
       Scene given = scene;
       SetValue(entry.parameter, entry.value + change, &given);
-      return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
-          .final_loss;
+      return Solve("ceres_phases",
+                   {given, "event"},
+                   {.guess = ControlGuess{report.solution.control, report.solution.durations}})
+          .solution.loss;
     };
     EXPECT_NEAR(entry.derivative, (least_loss(kStep) - least_loss(-kStep)) / (2 * kStep), 1e-5) << entry.name;
     EXPECT_GT(std::abs(entry.derivative), 0.1) << entry.name;
@@ -193,14 +200,17 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossCountsConstraints) {
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   Scene designed = scene;
   designed.design = {Design("mass.target", scene)};
-  const Certificate certificate = Certify(designed, report.initial_state, report.control, report.durations);
+  const Certificate certificate =
+      Certify(designed, report.solution.initial_state, report.solution.control, report.solution.durations);
   ASSERT_EQ(certificate.parameters.size(), 1u) << certificate.reason;
   constexpr double kStep = 1e-2;
   const auto least_loss = [&](double mass) {
     Scene given = scene;
     given.bodies[1].mass = mass;
-    return Solve("ceres_phases", {given, "event"}, {.guess = ControlGuess{report.control, report.durations}})
-        .final_loss;
+    return Solve("ceres_phases",
+                 {given, "event"},
+                 {.guess = ControlGuess{report.solution.control, report.solution.durations}})
+        .solution.loss;
   };
   const double difference = (least_loss(1 + kStep) - least_loss(1 - kStep)) / (2 * kStep);
   EXPECT_NEAR(certificate.parameters[0].derivative, difference, 1e-3 * std::abs(difference));
@@ -208,9 +218,9 @@ TEST(DesignSolvers, TheDerivativeOfTheLeastLossCountsConstraints) {
   designed.design[0].min = 0.5;
   const SolveReport best = Solve("ceres_phases", {designed, "event"}, {});
   EXPECT_EQ(best.termination, Termination::kConverged) << best.reason;
-  ASSERT_EQ(best.parameters.size(), 1u);
-  EXPECT_EQ(best.parameters[0], 0.5);  // lighter is cheaper
-  EXPECT_LT(best.final_violation, 1e-7);
+  ASSERT_EQ(best.solution.parameters.size(), 1u);
+  EXPECT_EQ(best.solution.parameters[0], 0.5);  // lighter is cheaper
+  EXPECT_LT(best.solution.violation, 1e-7);
 }
 
 // Path costs and a free final time have no adjoint by parameters: all derivatives against differences of the loss.
@@ -250,9 +260,9 @@ TEST(DesignSolvers, DerivativesBesidePathCostsAreThoseOfTheLoss) {
       EXPECT_NEAR(jacobian[row * at.size() + i], (highs[row] - lows[row]) / (2 * kWidth), 1e-6) << row << " " << i;
     }
   }
-  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.iterations = 200});
-  ASSERT_EQ(report.parameters.size(), 3u) << report.reason;
-  EXPECT_LT(report.final_loss, loss - 0.1);
+  const SolveReport report = Solve("ceres_lm", {scene, "event"}, {.limits = {.iterations = 200}});
+  ASSERT_EQ(report.solution.parameters.size(), 3u) << report.reason;
+  EXPECT_LT(report.solution.loss, loss - 0.1);
 }
 
 // The lightest target is cheapest, and then a duration within its bounds: against a parabola through the least losses
@@ -271,9 +281,9 @@ TEST(DesignSolvers, FindAMassBesideAFreeDuration) {
   designed.design[0].max = 4;
   const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_EQ(report.parameters, std::vector<double>{0.25});
-  EXPECT_LT(report.iterations, 1000);
-  const double duration = std::accumulate(report.durations.begin(), report.durations.end(), 0.0);
+  EXPECT_EQ(report.solution.parameters, std::vector<double>{0.25});
+  EXPECT_LT(report.work.iterations, 1000);
+  const double duration = std::accumulate(report.solution.durations.begin(), report.solution.durations.end(), 0.0);
   constexpr double kStep = 0.02;
   const auto least_loss = [&](double change, double mass) {
     Scene given = scene;
@@ -282,10 +292,10 @@ TEST(DesignSolvers, FindAMassBesideAFreeDuration) {
     given.objective.duration = FreeDuration{given.duration, given.duration, 0.3};
     const SolveReport solved = Solve("ceres_phases", {given, "event"}, {});
     EXPECT_EQ(solved.termination, Termination::kConverged) << solved.reason;
-    return solved.final_loss;
+    return solved.solution.loss;
   };
   const double before = least_loss(-kStep, 0.25), at = least_loss(0, 0.25), after = least_loss(kStep, 0.25);
-  EXPECT_NEAR(report.final_loss, at, 2e-5);  // the steps are shared out otherwise before and after the impact
+  EXPECT_NEAR(report.solution.loss, at, 2e-5);  // the steps are shared out otherwise before and after the impact
   EXPECT_GT(before, at);
   EXPECT_GT(after, at);
   EXPECT_NEAR((before - after) / (before - 2 * at + after) / 2, 0, 0.05);  // steps of it to the vertex
@@ -303,14 +313,14 @@ TEST(DesignSolvers, SolveAlongAGivenSequence) {
   EXPECT_EQ(report.certificate->impacts[0].a, "striker");
   EXPECT_EQ(report.certificate->impacts[1].b, "post");
   const ContactSequence sequence = {{.a = 0, .b = 1}, {.a = 1, .b = 2}};
-  const SolveReport along = Solve("ceres_event", {scene, "event"}, {.sequence = sequence, .search = false});
+  const SolveReport along = Solve("ceres_event", {scene, "event"}, {.sequences = {.given = sequence, .search = false}});
   EXPECT_EQ(along.solver, "ceres_event");
   EXPECT_EQ(along.termination, Termination::kConverged) << along.reason;
-  EXPECT_NEAR(along.final_loss, report.final_loss, 1e-9);
-  ASSERT_EQ(along.parameters.size(), 3u);
+  EXPECT_NEAR(along.solution.loss, report.solution.loss, 1e-9);
+  ASSERT_EQ(along.solution.parameters.size(), 3u);
   // The initial state has the post where it is found.
-  ASSERT_EQ(along.initial_state.size(), 12u);
-  EXPECT_EQ(along.initial_state[8], along.parameters[0]);
+  ASSERT_EQ(along.solution.initial_state.size(), 12u);
+  EXPECT_EQ(along.solution.initial_state[8], along.solution.parameters[0]);
 }
 
 // With the parameters that were found the scene has no better control.
@@ -321,11 +331,11 @@ TEST(DesignSolvers, EndWithTheBestControlOfTheirParameters) {
   scene.design = {{{.kind = SceneParameter::Kind::kMass, .body = scene.num_bodies() - 1}, 0.5 * mass, 2 * mass}};
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
-  Scene given = WithDesign(scene, report.parameters);
+  Scene given = WithDesign(scene, report.solution.parameters);
   given.design.clear();
   const SolveReport solved = Solve("ceres_phases", {given, "event"}, {});
   ASSERT_EQ(solved.termination, Termination::kConverged) << solved.reason;
-  EXPECT_LE(report.final_loss, solved.final_loss * (1 + 1e-9));
+  EXPECT_LE(report.solution.loss, solved.solution.loss * (1 + 1e-9));
 }
 
 // A guess whose impacts accumulate is refused as it is with given parameters.
@@ -366,14 +376,14 @@ TEST(DesignSolvers, CertificatesHaveTheParameters) {
   // With these parameters alone, none has a lower loss.
   for (size_t i = 0; i < 2; ++i) {
     for (const double step : {-0.02, 0.02}) {
-      std::vector<double> beside = report.parameters;
+      std::vector<double> beside = report.solution.parameters;
       beside[i] = std::clamp(beside[i] + step, *scene.design[i].min, *scene.design[i].max);
       Scene given = WithDesign(scene, beside);
       given.design.clear();
       SolverOptions options;
-      options.guess = ControlGuess{report.control, report.durations};
+      options.guess = ControlGuess{report.solution.control, report.solution.durations};
       const SolveReport other = Solve("ceres_phases", {given, "event"}, options);
-      EXPECT_GE(other.final_loss, report.final_loss - 1e-9) << i << " " << step;
+      EXPECT_GE(other.solution.loss, report.solution.loss - 1e-9) << i << " " << step;
     }
   }
 }
@@ -389,7 +399,7 @@ TEST(DesignSolvers, NoBoundIsOneOfGivenParameters) {
   const SolveReport found = Solve("mode_search", {scene, "event"}, {});
   ASSERT_TRUE(found.searched);
   EXPECT_EQ(found.searched->lower_bound, 0);
-  EXPECT_LT(found.final_loss, given.final_loss);
+  EXPECT_LT(found.solution.loss, given.solution.loss);
 }
 
 TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
@@ -397,7 +407,7 @@ TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
   EXPECT_EQ(report.solver, "mode_search");
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  EXPECT_LT(report.final_loss, 0.8889);
+  EXPECT_LT(report.solution.loss, 0.8889);
   ASSERT_TRUE(report.searched);
   EXPECT_GT(report.searched->sequences, 1);
 }
@@ -411,8 +421,8 @@ TEST(DesignSolvers, AWallStopsAtItsBound) {
   scene.design[0].max = 0.1;
   const SolveReport report = Solve("ceres_lm", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
-  ASSERT_EQ(report.parameters.size(), 1u);
-  EXPECT_EQ(report.parameters[0], 0.1);
+  ASSERT_EQ(report.solution.parameters.size(), 1u);
+  EXPECT_EQ(report.solution.parameters[0], 0.1);
   ASSERT_TRUE(report.certificate);
   EXPECT_EQ(report.certificate->verdict, Verdict::kStationary) << report.certificate->reason;
   EXPECT_LT(report.certificate->parameters.at(0).derivative, 0);

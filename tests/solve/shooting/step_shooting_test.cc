@@ -18,11 +18,13 @@ namespace {
 using testing::HasSubstr;
 
 double LargestDefect(const SolveReport& report) {
-  return report.defects.empty() ? 1e300 : *std::max_element(report.defects.back().begin(), report.defects.back().end());
+  return report.history.defects.empty()
+             ? 1e300
+             : *std::max_element(report.history.defects.back().begin(), report.history.defects.back().end());
 }
 
 double ExactLoss(const Scene& scene, const SolveReport& report) {
-  const ExactRun run = SimulateExactly(scene, report.initial_state, report.control);
+  const ExactRun run = SimulateExactly(scene, report.solution.initial_state, report.solution.control);
   EXPECT_TRUE(run.ok) << run.reason;
   return run.loss;
 }
@@ -38,10 +40,10 @@ TEST_P(FeasiblePath, BeatsGradientDescentOnTwoBalls) {
   const double exact = ExactLoss(scene, report);
   EXPECT_LT(exact, 1.3970);
   EXPECT_GE(exact, 1.396542160123);
-  EXPECT_EQ(report.defects.back().size(), static_cast<size_t>(steps));
+  EXPECT_EQ(report.history.defects.back().size(), static_cast<size_t>(steps));
   EXPECT_LT(LargestDefect(report), 1e-9);
-  EXPECT_LE(report.iterations, 400);
-  EXPECT_EQ(report.losses.size(), report.iterations + 1u);
+  EXPECT_LE(report.work.iterations, 400);
+  EXPECT_EQ(report.history.losses.size(), report.work.iterations + 1u);
 }
 
 INSTANTIATE_TEST_SUITE_P(Grids, FeasiblePath,
@@ -64,28 +66,30 @@ TEST(CeresShooting, MovesTheImpactToTheBestNode) {
     Scene scene = ProblemScene(problem);
     scene.steps = steps;
     const SolveReport report = Solve("ceres_shooting", {scene, "event"}, {});
-    EXPECT_NEAR(report.final_loss, loss, tolerance) << problem << steps;
-    EXPECT_GE(report.final_loss, loss - 1e-12) << problem << steps;
+    EXPECT_NEAR(report.solution.loss, loss, tolerance) << problem << steps;
+    EXPECT_GE(report.solution.loss, loss - 1e-12) << problem << steps;
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     ASSERT_TRUE(report.certificate);
     EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationaryOnGrid) << problem << steps;
-    EXPECT_NEAR(ExactLoss(scene, report), report.final_loss, 1e-12);
+    EXPECT_NEAR(ExactLoss(scene, report), report.solution.loss, 1e-12);
     EXPECT_THAT(report.reason, HasSubstr(node));
     EXPECT_THAT(report.reason, HasSubstr(theta)) << problem << steps;
-    for (size_t k = 1; k < report.losses.size(); ++k) EXPECT_LE(report.losses[k], report.losses[k - 1] + 1e-9);
+    for (size_t k = 1; k < report.history.losses.size(); ++k) {
+      EXPECT_LE(report.history.losses[k], report.history.losses[k - 1] + 1e-9);
+    }
   }
 }
 
 TEST(CeresShooting, IsToldToStopWhileItMovesImpacts) {
   const Scene scene = ProblemScene("two_balls");
   SolverOptions options;
-  options.callback = [](int iteration, double) { return iteration < 90; };
+  options.monitor.callback = [](int iteration, double) { return iteration < 90; };
   const SolveReport stopped = Solve("ceres_shooting", {scene, "event"}, options);
   EXPECT_EQ(stopped.termination, Termination::kInterrupted);
-  EXPECT_EQ(stopped.iterations, 90);
-  const SolveReport limited = Solve("ceres_shooting", {scene, "event"}, {.iterations = 90});
+  EXPECT_EQ(stopped.work.iterations, 90);
+  const SolveReport limited = Solve("ceres_shooting", {scene, "event"}, {.limits = {.iterations = 90}});
   EXPECT_EQ(limited.termination, Termination::kIterationLimit);
-  EXPECT_LE(limited.iterations, 90);
+  EXPECT_LE(limited.work.iterations, 90);
 }
 
 // Without damping to speak of, a step is that of Gauss-Newton in the forces, J the Jacobian of all residuals by them.
@@ -93,19 +97,19 @@ TEST(CeresShooting, TakesTheGaussNewtonStepThroughACollision) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 60;
   const SolveRequest request{scene, "event"};
-  const SolveReport report = Solve("ceres_shooting", request, {.iterations = 1, .keep_iterates = true});
-  ASSERT_EQ(report.iterates.size(), 2u);
+  const SolveReport report = Solve("ceres_shooting", request, {.limits = {.iterations = 1}, .keep_iterates = true});
+  ASSERT_EQ(report.history.iterates.size(), 2u);
 
   SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble));
   const int n = shooting.num_variables();
-  Eigen::VectorXd u = Eigen::Map<const Eigen::VectorXd>(report.iterates[0].data(), n), terminal(2);
+  Eigen::VectorXd u = Eigen::Map<const Eigen::VectorXd>(report.history.iterates[0].data(), n), terminal(2);
   Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor> slope(2, n);
-  ASSERT_TRUE(shooting.EvaluateResiduals(report.iterates[0], terminal.data(), slope.data()));
+  ASSERT_TRUE(shooting.EvaluateResiduals(report.history.iterates[0], terminal.data(), slope.data()));
   const double effort = scene.objective.effort * scene.dt();
   Eigen::MatrixXd normal = MultiplyTransposed(slope, slope);
   normal.diagonal().array() += effort;
   const Eigen::VectorXd step = SolveLdlt(normal, -slope.transpose() * terminal - effort * u);
-  const Eigen::VectorXd taken = Eigen::Map<const Eigen::VectorXd>(report.iterates[1].data(), n) - u;
+  const Eigen::VectorXd taken = Eigen::Map<const Eigen::VectorXd>(report.history.iterates[1].data(), n) - u;
   EXPECT_LT((taken - step).norm(), 1e-3 * step.norm());
   EXPECT_GT(step.norm(), 0.1 * u.norm());
 }
@@ -114,8 +118,8 @@ TEST(CeresShooting, HitsTheTargetOfGroundWall) {
   for (const double friction : {0.0, 0.1}) {
     Scene scene = ProblemScene("ground_wall");
     scene.contact.friction = friction;
-    const SolveReport report = Solve("ceres_shooting", {scene, "event"}, {.iterations = 15});
-    EXPECT_LT(report.final_loss, 1e-20);
+    const SolveReport report = Solve("ceres_shooting", {scene, "event"}, {.limits = {.iterations = 15}});
+    EXPECT_LT(report.solution.loss, 1e-20);
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     EXPECT_LT(LargestDefect(report), 1e-9);
   }
@@ -129,8 +133,9 @@ TEST(CeresShooting, LowersTheLossOfManyDiscsUnderEveryModel) {
     if (!WhyNotApplicable(model.name, scene).empty()) continue;
     if (std::isinf(model.push_gap)) continue;  // solves for all discs in every step: 20 s
     ++models;
-    const SolveReport report = Solve("ceres_shooting", {scene, std::string(model.name)}, {.iterations = 20});
-    EXPECT_LT(report.final_loss, 0.9 * report.initial_loss) << model.name;
+    const SolveReport report =
+        Solve("ceres_shooting", {scene, std::string(model.name)}, {.limits = {.iterations = 20}});
+    EXPECT_LT(report.solution.loss, 0.9 * report.guess.loss) << model.name;
     EXPECT_LT(LargestDefect(report), 1e-9) << model.name;
   }
   EXPECT_GT(models, 5);
@@ -142,39 +147,39 @@ TEST(CeresLagrangian, ClosesDefectsWithoutContact) {
   const SolveReport report = Solve("ceres_lagrangian", {scene, "event"}, {});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LT(LargestDefect(report), 1e-9);
-  EXPECT_LT(report.final_loss, 1e-13);
+  EXPECT_LT(report.solution.loss, 1e-13);
   // The launch that reaches the target in 0.6 s of free flight.
-  EXPECT_NEAR(report.initial_state[2], -1.5 / 0.6, 1e-6);
-  EXPECT_NEAR(report.initial_state[3], 0.5 / 0.6 + 9.8 * 0.3, 1e-6);
+  EXPECT_NEAR(report.solution.initial_state[2], -1.5 / 0.6, 1e-6);
+  EXPECT_NEAR(report.solution.initial_state[3], 0.5 / 0.6 + 9.8 * 0.3, 1e-6);
 }
 
 // Through a collision it ends at a false minimum or with open defects, and says so.
 TEST(CeresLagrangian, NeverClaimsConvergenceThroughACollision) {
   const Scene scene = ProblemScene("two_balls");
   for (const char* contact : {"event", "toi_velocity", "direct_toi"}) {
-    const SolveReport report = Solve("ceres_lagrangian", {scene, contact}, {.iterations = 200});
+    const SolveReport report = Solve("ceres_lagrangian", {scene, contact}, {.limits = {.iterations = 200}});
     EXPECT_NE(report.termination, Termination::kConverged) << contact;
     EXPECT_GT(ExactLoss(scene, report), 1.45) << contact;  // gradient descent: 1.399
-    ASSERT_FALSE(report.defects.empty());
-    EXPECT_GT(report.defects.size(), 2u);
+    ASSERT_FALSE(report.history.defects.empty());
+    EXPECT_GT(report.history.defects.size(), 2u);
     if (LargestDefect(report) > 1e-9) {
       EXPECT_THAT(report.reason, HasSubstr("defects are open")) << contact;
     }
-    EXPECT_EQ(report.losses.size(), report.iterations + 1u);
+    EXPECT_EQ(report.history.losses.size(), report.work.iterations + 1u);
   }
 }
 
 TEST(CeresLagrangian, StopsWhenToldAndAtTheLimit) {
   const Scene scene = ProblemScene("two_balls");
-  EXPECT_EQ(Solve("ceres_lagrangian", {scene, "event"}, {.iterations = 0}).losses.size(), 1u);
-  SolverOptions options{.iterations = 7};
+  EXPECT_EQ(Solve("ceres_lagrangian", {scene, "event"}, {.limits = {.iterations = 0}}).history.losses.size(), 1u);
+  SolverOptions options{.limits = {.iterations = 7}};
   const SolveReport limited = Solve("ceres_lagrangian", {scene, "event"}, options);
-  EXPECT_LE(limited.iterations, 7);
+  EXPECT_LE(limited.work.iterations, 7);
   EXPECT_EQ(limited.termination, Termination::kIterationLimit);
-  options.callback = [](int iteration, double) { return iteration < 2; };
+  options.monitor.callback = [](int iteration, double) { return iteration < 2; };
   const SolveReport stopped = Solve("ceres_lagrangian", {scene, "event"}, options);
   EXPECT_EQ(stopped.termination, Termination::kInterrupted);
-  EXPECT_EQ(stopped.iterations, 2);
+  EXPECT_EQ(stopped.work.iterations, 2);
 }
 
 }  // namespace

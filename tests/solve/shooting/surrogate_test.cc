@@ -189,33 +189,39 @@ TEST(Smoothed, ASampleWithoutALossIsAnError) {
 // independent implementation.
 TEST(Smoothed, DescentOfGroundWallFindsTheWall) {
   const Surrogate surrogate{.kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.05, .samples = 32, .seed = 1000};
-  SolverOptions options{.learning_rate = 0.01, .surrogate = surrogate};
+  SolverOptions options{.descent = {.learning_rate = 0.01}, .surrogate = surrogate};
   const SolveReport report = Solve("gd", {GroundWall(0), "qcqp"}, options);
-  EXPECT_EQ(report.evaluations, 1000);
+  EXPECT_EQ(report.work.evaluations, 1000);
   EXPECT_EQ(report.surrogate->kind, SurrogateKind::kSmoothedZeroth);
-  ASSERT_EQ(report.standard_error.size(), 2u);
-  EXPECT_GT(report.standard_error[0], 0);
-  EXPECT_NEAR(report.final_loss, 1.02e-3, 6e-6);
-  EXPECT_NEAR(report.initial_state[2], 10.2189, 6e-5);
-  EXPECT_NEAR(report.initial_state[3], -4.1938, 6e-5);
-  EXPECT_LT(SimulateExactly(GroundWall(0), report.initial_state, report.control, report.durations).loss, 2e-3);
+  ASSERT_EQ(report.history.standard_error.size(), 2u);
+  EXPECT_GT(report.history.standard_error[0], 0);
+  EXPECT_NEAR(report.solution.loss, 1.02e-3, 6e-6);
+  EXPECT_NEAR(report.solution.initial_state[2], 10.2189, 6e-5);
+  EXPECT_NEAR(report.solution.initial_state[3], -4.1938, 6e-5);
+  EXPECT_LT(
+      SimulateExactly(GroundWall(0), report.solution.initial_state, report.solution.control, report.solution.durations)
+          .loss,
+      2e-3);
 
   const SolveReport slipping = Solve("gd", {GroundWall(0.1), "qcqp"}, options);
-  EXPECT_NEAR(slipping.initial_state[2], 11.1804, 6e-5);
-  EXPECT_NEAR(slipping.initial_state[3], -5.8892, 6e-5);
+  EXPECT_NEAR(slipping.solution.initial_state[2], 11.1804, 6e-5);
+  EXPECT_NEAR(slipping.solution.initial_state[3], -5.8892, 6e-5);
 
   options.surrogate->kind = SurrogateKind::kSmoothedFirst;
-  EXPECT_NEAR(Solve("gd", {GroundWall(0), "qcqp"}, options).initial_state[2], -2.4934, 6e-5);
+  EXPECT_NEAR(Solve("gd", {GroundWall(0), "qcqp"}, options).solution.initial_state[2], -2.4934, 6e-5);
 }
 
 TEST(Smoothed, DescentOfTwoBallsInSegments) {
   const Surrogate surrogate{
       .kind = SurrogateKind::kSmoothedZeroth, .sigma = 0.1, .samples = 32, .seed = 1000, .segments = 24};
   const SolveReport report =
-      Solve("gd", {ProblemScene("two_balls"), "qcqp"}, {.learning_rate = 10, .surrogate = surrogate});
-  EXPECT_NEAR(report.final_loss, 1.410933, 6e-7);
-  EXPECT_LT(SimulateExactly(ProblemScene("two_balls"), report.initial_state, report.control, report.durations).loss,
-            1.411);
+      Solve("gd", {ProblemScene("two_balls"), "qcqp"}, {.descent = {.learning_rate = 10}, .surrogate = surrogate});
+  EXPECT_NEAR(report.solution.loss, 1.410933, 6e-7);
+  EXPECT_LT(
+      SimulateExactly(
+          ProblemScene("two_balls"), report.solution.initial_state, report.solution.control, report.solution.durations)
+          .loss,
+      1.411);
 }
 
 // A disc pressed against a ceiling: whatever the force, it stays, so that the height has no gradient. Opened, the
@@ -319,7 +325,8 @@ TEST(Surrogates, AreForModelsAndSolversThatTakeThem) {
   const Scene scene = ProblemScene("two_balls");
   for (const SolverEntry& solver : AllSolvers()) {
     SCOPED_TRACE(solver.name);
-    const SolveReport report = Solve(solver.name, {scene, "event"}, {.iterations = 1, .surrogate = kZeroth});
+    const SolveReport report =
+        Solve(solver.name, {scene, "event"}, {.limits = {.iterations = 1}, .surrogate = kZeroth});
     const bool descends = solver.name == "gd" || solver.name == "auto";
     EXPECT_EQ(report.termination == Termination::kNotApplicable, !descends);
     ASSERT_TRUE(report.surrogate.has_value());
