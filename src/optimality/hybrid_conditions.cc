@@ -623,6 +623,7 @@ class HybridConditions {
       const HybridShooting::TermAt& at = terms_[constraints_[c].term];
       multipliers.push_back({static_cast<int>(at.term - problem_terms().data()),
                              at.interval,
+                             at.event,
                              constraints_[c].row,
                              theta_[num_events() + static_cast<Eigen::Index>(c)]});
     }
@@ -1890,6 +1891,11 @@ class HybridConditions {
 
 }  // namespace
 
+std::shared_ptr<const ceres::CostFunction> WithFactors(std::shared_ptr<const ceres::CostFunction> function,
+                                                       VectorXd factors) {
+  return std::make_shared<ScaledRows>(std::move(function), std::move(factors));
+}
+
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input,
                               const ConditionsOptions& options) {
   return HybridConditions(problem, input, options).Run();
@@ -1920,7 +1926,7 @@ HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput
     const VectorXd factors =
         sizes[i].unaryExpr([](double size) { return size == 0 || (size >= kSmall && size <= kLarge) ? 1 : 1 / size; });
     if (factors.isOnes(0)) continue;
-    problem.terms[i].function = std::make_shared<ScaledRows>(problem.terms[i].function, factors);
+    problem.terms[i].function = WithFactors(problem.terms[i].function, factors);
   }
   return problem;
 }
