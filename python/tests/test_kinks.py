@@ -158,11 +158,49 @@ def test_a_guard_that_reads_the_control_waits_for_its_jump():
     assert falls == (run.certificate.verdict == "not_stationary")
 
 
+def quadratic_program(lengths, rows, targets):
+    """The forces on intervals of these lengths with the least effort, whose products with rows are the targets; and the effort."""
+    inverse = 1 / lengths
+    gram = (rows * inverse) @ rows.T
+    force = inverse * (rows.T @ np.linalg.solve(gram, targets))
+    return force, np.sum(lengths * force**2)
+
+
 def way(lengths, time):
     """The position at a time of a mass of 1 kg from rest, by the forces on intervals."""
     begins = np.cumsum(lengths) - lengths
     part = np.clip(time - begins, 0, lengths)
     return part * (time - begins - part / 2) * (part > 0)
+
+
+@pytest.mark.parametrize("hard", [True, False])
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt", "mode_search", "auto"])
+def test_a_waypoint_at_a_given_time_stays_at_its_node_as_the_duration_changes(hard, solver):
+    """A disc passes (0.5, 0) at 0.5 s and ends at rest at (1, 0), at any time."""
+    waypoint = {"body": "d", "time": 0.5, "quantity": "position", "target": [0.5, 0]}
+    scene = saltus.Scene({
+        "name": "s", "duration": 1.0, "steps": 20, "bodies": [{"name": "d", "radius": 0.1, "mass": 1.0, "position": [0, 0]}],
+        "objective": {"terminal": [{"body": "d", "quantity": what, "target": target, "hard": True}
+                                   for what, target in [("position", [1, 0]), ("velocity", [0, 0])]],
+                      "via": [{**waypoint, "hard": True} if hard else {**waypoint, "weight": 100.0}],
+                      "effort": 1.0, "duration": {"free": True, "min": 0.6, "max": 5, "weight": 2.0}},
+        "control": {"bodies": ["d"], "initial": [[0, 0]]}, "optimize": "control"})
+    run = saltus.solve(scene, "event", solver)
+    assert run.termination == "converged" and run.certificate.verdict == "stationary", run.get("reason")
+    assert run.certificate.curvature["kind"] == "minimum"
+    lengths = np.array(run.durations)
+    behind = np.cumsum(lengths) > 0.5 * (1 + 1e-9)
+
+    def least(duration):
+        stretched = np.where(behind, lengths * (duration - 0.5) / lengths[behind].sum(), lengths)
+        rows = np.array([way(stretched, duration), stretched, way(stretched, 0.5)])
+        if hard:
+            return quadratic_program(stretched, rows, np.array([1, 0, 0.5]))[1] + 2 * duration
+        loss = lambda at: quadratic_program(stretched, rows, np.array([1, 0, at]))[1] + 100 * (at - 0.5)**2 + 2 * duration
+        return scipy.optimize.minimize_scalar(loss, bracket=(0.3, 0.7), tol=1e-12).fun
+
+    best = scipy.optimize.minimize_scalar(least, bounds=(0.7, 4), method="bounded", options={"xatol": 1e-9})
+    assert_allclose([run.final_loss, lengths.sum()], [best.fun, best.x], rtol=1e-6)
 
 
 @pytest.mark.parametrize("spins", [False, True])

@@ -1696,7 +1696,7 @@ class HybridConditions {
       result->impacts[k].multiplier = conditions.theta()[k];
       result->impacts[k].hamiltonian = conditions.Number(kinds.events[k]);
     }
-    PlaceMultipliers(result);
+    PlaceMultipliers(/*moving=*/true, result);
   }
 
   void StationarityOnFixedGrid(Certificate* result) {
@@ -1714,7 +1714,7 @@ class HybridConditions {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
         continue;
       }
-      if (on_node_[k] && (!FallsOnBothSides(k) || IsAtGivenTime(k))) continue;
+      if (on_node_[k] && (!FallsOnBothSides(k) || IsAtGivenTime(k, /*moving=*/false))) continue;
       const int sign = on_node_[k] ? 1 : 0;
       if (sign != 0) {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), -sign, &conditions, &kinds.events);
@@ -1736,14 +1736,15 @@ class HybridConditions {
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
-    PlaceMultipliers(result);
+    PlaceMultipliers(/*moving=*/false, result);
   }
 
   // Whether an event is at a time that is given, as that of a waypoint, and so cannot leave the end of an interval: to
-  // first order its guard depends on time alone, and the intervals are as long as the input says.
-  bool IsAtGivenTime(int k) const {
+  // first order its guard depends on time alone, and the interval ends where the input says, or at the event as
+  // intervals move with events. A free duration would move the ends of intervals that do not.
+  bool IsAtGivenTime(int k, bool moving) const {
     const auto is_duration = [](const auto& one) { return one.first.kind == Kind::kDuration; };
-    if (std::ranges::any_of(variables_, is_duration)) return false;
+    if (!moving && std::ranges::any_of(variables_, is_duration)) return false;
     const HybridEvent& event = events()[k];
     const ModePoint at{
         event.mode, event.time, event.before.data(), ControlOf(interval_before_[k]), input_.parameters.data()};
@@ -1787,7 +1788,8 @@ class HybridConditions {
   // guard is above zero under the control that begins there, and has no event then.
   bool JumpsAtNode(int k) const {
     const HybridEvent& event = events()[k];
-    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr || IsAtGivenTime(k)) return false;
+    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr) return false;
+    if (IsAtGivenTime(k, /*moving=*/false)) return false;
     if (on_node_[k] && functions_.ReadsControl(event.mode, event.guard) &&
         GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
       return true;
@@ -1835,7 +1837,7 @@ class HybridConditions {
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
   // before, or after, the node.
-  void PlaceMultipliers(Certificate* result) const {
+  void PlaceMultipliers(bool moving, Certificate* result) const {
     const auto combined = [&](const auto& of) {
       double sum = of(sweeps_[0]);
       for (int j = 0; j < num_multipliers(); ++j) sum += theta_[j] * of(sweeps_[j + 1]);
@@ -1847,7 +1849,7 @@ class HybridConditions {
       impact.concave = false;
       // Where a free control goes on at the node, as between two intervals at a bound, both sides have one multiplier.
       const bool judged = on_node_[k] || (node_[k] > 0 && problem_.free.control);
-      if (!judged || !FallsOnBothSides(k) || IsAtGivenTime(k) || HoldsAlways() != nullptr) continue;
+      if (!judged || !FallsOnBothSides(k) || IsAtGivenTime(k, moving) || HoldsAlways() != nullptr) continue;
       // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
       const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });
