@@ -24,6 +24,7 @@
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/hybrid_phases.h"
 #include "solve/phases/phase_solution.h"
+#include "solve/phases/sequence_run.h"
 #include "solve/search/global_search.h"
 #include "solve/search/mode_search.h"
 #include "solve/search/phase_search.h"
@@ -212,6 +213,7 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   Scene scene = designed;
   scene.design.clear();
   if (report->durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
+  if (options.stop && options.stop()) return;
   HybridProblem problem = HybridProblemOf(scene);
   const HybridInput& guess = problem.guess =
       InputOf(problem, report->initial_state, report->control, report->durations);
@@ -343,14 +345,20 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   constexpr int kMostTurns = 4;
   constexpr double kGain = 1e-9;  // relative: of the loss, for which it goes on
   SolveChain chain(options);
+  SolverOptions limited = options;
+  if (entry.name != "mode_search") limited.search_options.seconds = 0;
+  const TimeLimit limit(limited);
   bool interrupted = false;
   const auto add = [&](const SolveReport& report) {
     chain.Add(report);
-    interrupted = interrupted || report.termination == Termination::kInterrupted;
+    interrupted = interrupted || (report.termination == Termination::kInterrupted && !limit.IsOver());
   };
+  const auto ends = [&] { return interrupted || limit.IsOver(); };
   const auto solve_from = [&](const SolveReport* start) {
     SolverOptions own = chain.Next();
     own.iterations = options.iterations;
+    own.stop = limit.stop();
+    own.search_options.seconds = limit.SecondsLeft();
     if (start != nullptr) own.guess = ControlGuess{start->control, start->durations};
     return own;
   };
@@ -361,7 +369,7 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   add(best);
   std::vector<LocalOptimum> optima;
   std::optional<Searched> searched;
-  for (int turn = 0; turn < kMostTurns && !interrupted; ++turn) {
+  for (int turn = 0; turn < kMostTurns && !ends(); ++turn) {
     SolveRequest given{WithDesign(request.scene, parameters), request.contact};
     given.scene.design.clear();
     if (!entry.why_not(given).empty()) break;
@@ -375,7 +383,12 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     found.certificate.reset();
     const bool gains = found.final_loss < best.final_loss - kGain * std::abs(best.final_loss);
     if (found.losses.empty() && best.losses.empty()) return found;  // whose reason is that of a scene
-    if (interrupted || found.losses.empty() || (turn > 0 && !gains)) break;
+    if (ends()) {
+      found.parameters = parameters;
+      if (EndsBetter(found, best)) best = std::move(found);
+      break;
+    }
+    if (found.losses.empty() || (turn > 0 && !gains)) break;
     SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);
     found.parameters = parameters;
@@ -397,11 +410,12 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   best.optima = std::move(optima);
   best.searched = searched;
   if (interrupted) best.termination = Termination::kInterrupted;
+  if (limit.IsOver()) best.reason += std::string(best.reason.empty() ? "" : "; ") + "not complete: the limit of time";
   return best;
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
-void Confirm(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
+void Confirm(const SolveRequest& request, const SolverOptions& options, const TimeLimit& limit, SolveReport* report) {
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
   const Scene scene = WithDesign(request.scene, report->parameters);
   const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
@@ -411,7 +425,9 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, SolveRep
     report->certificate = Certify(scene, report->initial_state, report->control, report->durations, options.stop);
   }
   if (report->certificate->verdict == Certificate::Verdict::kNotStationary) {
-    GoOnAsHybrid(scene, options, report);
+    SolverOptions in_time = options;
+    if (report->searched) in_time.stop = limit.stop();
+    GoOnAsHybrid(scene, in_time, report);
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
@@ -671,10 +687,11 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
+    const TimeLimit limit(own);
     report = !as_hybrid                       ? entry->solve(converted, own)
              : converted.scene.design.empty() ? SolveAsHybrid(solver, converted, own, {})
                                               : SolveDesign(*entry, converted, own);
-    Confirm(converted, own, &report);
+    Confirm(converted, own, limit, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.durations.empty() && !report.control.empty()) {

@@ -392,6 +392,18 @@ TEST(DesignSolvers, NoBoundIsOneOfGivenParameters) {
   EXPECT_LT(found.final_loss, given.final_loss);
 }
 
+TEST(DesignSolvers, ASearchKeepsToItsLimitOfTime) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  scene.design = {{ParametersNamed("mass.target", scene)[0], 0.01, 2}};
+  SolverOptions options;
+  options.search_options.seconds = 1e-9;  // over at once
+  const SolveReport report = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_EQ(report.termination, Termination::kInterrupted);
+  EXPECT_THAT(report.reason, HasSubstr("the limit of time"));
+  EXPECT_LT(report.evaluations, 5);
+}
+
 TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
   const Scene scene = ProblemScene("post_shot");
   const SolveReport report = Solve("mode_search", {scene, "event"}, {});
