@@ -323,9 +323,14 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   if (report.parameters.empty()) report.parameters = DesignOf(scene);
   report.initial_state.resize(std::min<size_t>(report.initial_state.size(), InitialSize(scene)));
   if (!scene.design.empty()) report.initial_state = InitialState(WithDesign(scene, report.parameters));
-  const bool is_denied = report.certificate && report.termination == Termination::kNoProgress;
-  if (is_denied) report.termination = Termination::kConverged;
-  report.certificate.reset();
+  ForgetCertificate(&report);
+  if (report.losses.empty() && report.termination == Termination::kFailed) {  // in words of scenes
+    const ControlGuess start = given.guess.value_or(ControlGuess{InitialControl(scene, scene.steps), {}});
+    const Scene designed = WithDesign(scene, parameters);
+    const ExactRun guess =
+        SimulateExactly(designed, InitialState(designed), start.control, start.durations, options.stop);
+    if (!guess.ok && guess.reason != kStopped) report.reason = guess.reason;
+  }
   for (LocalOptimum& optimum : report.optima) {
     LocalOptimum impacts{{}, optimum.loss, {}};
     for (size_t i = 0; i < optimum.sequence.size(); ++i) {

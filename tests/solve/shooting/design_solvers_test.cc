@@ -13,6 +13,7 @@
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "scene/control_problems.h"
+#include "solve/solve_run.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -390,6 +391,34 @@ TEST(DesignSolvers, NoBoundIsOneOfGivenParameters) {
   ASSERT_TRUE(found.searched);
   EXPECT_EQ(found.searched->lower_bound, 0);
   EXPECT_LT(found.final_loss, given.final_loss);
+}
+
+// A solve that goes on from a motion which its certificate denies says nothing of that motion.
+TEST(DesignSolvers, ADenialIsTakenBackWithItsReason) {
+  Certificate denial;
+  denial.verdict = Verdict::kNotStationary;
+  denial.reason = "the loss falls";
+  for (const std::string before : {"", "from a random start"}) {
+    SolveReport report;
+    report.termination = Termination::kConverged;
+    report.reason = before;
+    report.certificate = denial;
+    JudgeByCertificate(&report);
+    EXPECT_EQ(report.termination, Termination::kNoProgress);
+    EXPECT_THAT(report.reason, HasSubstr("the loss falls"));
+    ForgetCertificate(&report);
+    EXPECT_EQ(report.termination, Termination::kConverged);
+    EXPECT_EQ(report.reason, before);
+    EXPECT_FALSE(report.certificate);
+  }
+  // What has ended for another reason stays so.
+  SolveReport stuck;
+  stuck.termination = Termination::kNoProgress;
+  stuck.reason = "no small change of the control changes the motion";
+  stuck.certificate.emplace().verdict = Verdict::kStationary;
+  ForgetCertificate(&stuck);
+  EXPECT_EQ(stuck.termination, Termination::kNoProgress);
+  EXPECT_EQ(stuck.reason, "no small change of the control changes the motion");
 }
 
 TEST(DesignSolvers, ASearchKeepsToItsLimitOfTime) {
