@@ -23,6 +23,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/number_text.h"
 #include "control/hybrid_shooting.h"
 #include "hybrid/free_variables.h"
 #include "hybrid/runge_kutta.h"
@@ -268,6 +269,9 @@ class HybridConditions {
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
     }
+    if (result.IsStationary() && result.curvature && !options_.name) {  // scenes list them as constraints
+      for (const std::string& where : WhereBoundsPress()) result.reason += (result.reason.empty() ? "" : "; ") + where;
+    }
     return result;
   }
 
@@ -385,6 +389,40 @@ class HybridConditions {
   const HybridTerm* HoldsAlways() const {
     const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::always);
     return term != problem_.terms.end() ? &*term : nullptr;
+  }
+  // Says of each constraint that holds always when it is at its bound, which directions of the curvature keep.
+  std::vector<std::string> WhereBoundsPress() const {
+    std::vector<std::string> all;
+    for (const HybridTerm& term : problem_terms()) {
+      if (!term.always) continue;
+      std::vector<std::pair<double, double>> spans;  // of time
+      for (size_t i = 0; i < terms_.size(); ++i) {   // intervals, one after the other
+        const auto presses = [&](bool at_end) {
+          return std::ranges::any_of(constraints_, [&](const Constraint& one) {
+            return one.term == static_cast<int>(i) && at_end == (one.row >= term.function->num_residuals());
+          });
+        };
+        if (terms_[i].term != &term) continue;
+        const double begin = times_[terms_[i].interval], end = times_[terms_[i].interval + 1];
+        const bool before_end = presses(false);
+        if (!before_end && !presses(true)) continue;
+        const double from = before_end ? begin : end;
+        if (!spans.empty() && spans.back().second >= from) {
+          spans.back().second = end;
+        } else {
+          spans.emplace_back(from, end);
+        }
+      }
+      std::string when;
+      for (const auto& [from, to] : spans) {
+        when += (when.empty() ? "" : ", ") +
+                (from < to ? "from t = " + ToText(from, 6) + " to " + ToText(to, 6) : "at t = " + ToText(to, 6));
+      }
+      all.push_back(term.name + " holds always, and is " +
+                    (when.empty() ? "never at its bound"
+                                  : "at its bound in control intervals " + when + ", where the curvature is along it"));
+    }
+    return all;
   }
   // Returns the input with the ends of intervals that are within `near` of an event that counts moved to just behind it
   // (side 1) or before it (-1); std::nullopt if there are none.
