@@ -186,7 +186,7 @@ def test_a_waypoint_at_a_given_time_stays_at_its_node_as_the_duration_changes(ha
                       "effort": 1.0, "duration": {"free": True, "min": 0.6, "max": 5, "weight": 2.0}},
         "control": {"bodies": ["d"], "initial": [[0, 0]]}, "optimize": "control"})
     run = saltus.solve(scene, "event", solver)
-    assert run.termination == "converged" and run.certificate.verdict == "stationary", run.get("reason")
+    assert run.termination == "converged" and run.certificate.verdict == "stationary", run.reason
     assert run.certificate.curvature["kind"] == "minimum"
     lengths = np.array(run.durations)
     behind = np.cumsum(lengths) > 0.5 * (1 + 1e-9)
