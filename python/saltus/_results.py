@@ -238,6 +238,11 @@ class Run(_OfScene):
     def converged(self) -> bool:
         return bool(self._data["termination"] == "converged")
 
+    @property
+    def reason(self) -> str:
+        """Why it has ended so; empty if there is nothing to say."""
+        return str(self._data.get("reason", ""))
+
 
 class Audit(Result):
     """Gradients of contact models beside the exact one: ``reference`` (if there is one) and ``audits``, one for each

@@ -156,3 +156,92 @@ def test_a_guard_that_reads_the_control_waits_for_its_jump():
     falls = saltus.loss_and_gradient(problem).loss < run.loss * (1 - 1e-6)
     assert falls == (run.termination != "converged")
     assert falls == (run.certificate.verdict == "not_stationary")
+
+
+def quadratic_program(lengths, rows, targets):
+    """The forces on intervals of these lengths with the least effort, whose products with rows are the targets; and the effort."""
+    inverse = 1 / lengths
+    gram = (rows * inverse) @ rows.T
+    force = inverse * (rows.T @ np.linalg.solve(gram, targets))
+    return force, np.sum(lengths * force**2)
+
+
+def way(lengths, time):
+    """The position at a time of a mass of 1 kg from rest, by the forces on intervals."""
+    begins = np.cumsum(lengths) - lengths
+    part = np.clip(time - begins, 0, lengths)
+    return part * (time - begins - part / 2) * (part > 0)
+
+
+@pytest.mark.parametrize("hard", [True, False])
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt", "mode_search", "auto"])
+def test_a_waypoint_at_a_given_time_stays_at_its_node_as_the_duration_changes(hard, solver):
+    """A disc passes (0.5, 0) at 0.5 s and ends at rest at (1, 0), at any time."""
+    waypoint = {"body": "d", "time": 0.5, "quantity": "position", "target": [0.5, 0]}
+    scene = saltus.Scene({
+        "name": "s", "duration": 1.0, "steps": 20, "bodies": [{"name": "d", "radius": 0.1, "mass": 1.0, "position": [0, 0]}],
+        "objective": {"terminal": [{"body": "d", "quantity": what, "target": target, "hard": True}
+                                   for what, target in [("position", [1, 0]), ("velocity", [0, 0])]],
+                      "via": [{**waypoint, "hard": True} if hard else {**waypoint, "weight": 100.0}],
+                      "effort": 1.0, "duration": {"free": True, "min": 0.6, "max": 5, "weight": 2.0}},
+        "control": {"bodies": ["d"], "initial": [[0, 0]]}, "optimize": "control"})
+    run = saltus.solve(scene, "event", solver)
+    assert run.termination == "converged" and run.certificate.verdict == "stationary", run.reason
+    assert run.certificate.curvature["kind"] == "minimum"
+    lengths = np.array(run.durations)
+    behind = np.cumsum(lengths) > 0.5 * (1 + 1e-9)
+
+    def least(duration):
+        stretched = np.where(behind, lengths * (duration - 0.5) / lengths[behind].sum(), lengths)
+        rows = np.array([way(stretched, duration), stretched, way(stretched, 0.5)])
+        if hard:
+            return quadratic_program(stretched, rows, np.array([1, 0, 0.5]))[1] + 2 * duration
+        loss = lambda at: quadratic_program(stretched, rows, np.array([1, 0, at]))[1] + 100 * (at - 0.5)**2 + 2 * duration
+        return scipy.optimize.minimize_scalar(loss, bracket=(0.3, 0.7), tol=1e-12).fun
+
+    best = scipy.optimize.minimize_scalar(least, bounds=(0.7, 4), method="bounded", options={"xatol": 1e-9})
+    assert_allclose([run.final_loss, lengths.sum()], [best.fun, best.x], rtol=1e-6)
+
+
+@pytest.mark.parametrize("spins", [False, True])
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt"])
+def test_an_optimum_that_touches_beside_a_waypoint(spins, solver):
+    """A disc that is drawn below the floor, and passes a waypoint, just touches the floor under a force that lifts it off. An
+    impact would do a part of that for nothing, so that the loss falls with it."""
+    disc = {"name": "d", "radius": 0.1, "mass": 1.0, "position": [0, 0.6], **({"inertia": "solid"} if spins else {})}
+    ends = [{"body": "d", "quantity": "position", "target": [1.0, 0.6], "hard": True}]
+    control = {"bodies": ["d"], "initial": [[0, 0]]}
+    if spins:
+        ends.append({"body": "d", "quantity": "angular_velocity", "min": 2.0, "max": 3.0})
+        control = {"bodies": ["d"], "torque": ["d"], "initial": [[0, 0, 0]]}
+    waypoint = {"body": "d", "time": 0.25, "quantity": "position", "target": [0.2, 0.5], "hard": True}
+    drawn = {"body": "d", "quantity": "position", "target": [[0, 0, 0.6], [0.5, 0.5, -0.5], [1, 1, 0.6]], "weight": 100.0}
+    scene = saltus.Scene({
+        "name": "s", "duration": 1.0, "steps": 8, "bodies": [disc], "planes": [{"name": "g", "point": [0, 0], "normal": [0, 1]}],
+        "contact": {"restitution": 0.0, "friction": 0.2}, "control": control, "optimize": "control",
+        "objective": {"terminal": ends, "effort": 0.05, "running": [drawn], "via": [waypoint]}})
+    run = saltus.solve(scene, "event", solver)
+    assert run.certificate.verdict == "not_stationary" and "d-g just touches, and the loss falls with an event" in run.reason
+    assert len(run.events) == 0 and run.control[4, 0, 1] > 1
+    # Without impacts the motion is linear in the forces, of which the vertical ones keep it above the floor.
+    lengths = np.full(8, 0.125)
+    points, weights = np.polynomial.legendre.leggauss(3)
+    times, parts = np.add.outer(np.arange(8), (points + 1) / 2).ravel() / 8, np.tile(weights, 8) / 16
+
+    def least(start, end, passes, target):
+        rows = np.array([way(lengths, time) for time in times])
+        miss = start - np.interp(times, [0, 0.5, 1], target)
+        square = 0.05 * np.diag(lengths) + 100 * (rows.T * parts) @ rows
+        slope = 200 * (rows.T * parts) @ miss
+        every = np.array([way(lengths, time) for time in np.linspace(0, 1, 801)])
+        above = [] if start == 0 else [{"type": "ineq", "fun": lambda u: start + every @ u - 0.1, "jac": lambda u: every}]
+        ends = [{"type": "eq", "fun": lambda u: start + way(lengths, 1.0) @ u - end, "jac": lambda u: way(lengths, 1.0)},
+                {"type": "eq", "fun": lambda u: start + way(lengths, 0.25) @ u - passes, "jac": lambda u: way(lengths, 0.25)}]
+        found = scipy.optimize.minimize(lambda u: u @ square @ u + slope @ u, np.zeros(8), jac=lambda u: 2 * square @ u + slope,
+                                        constraints=ends + above, method="SLSQP", options={"ftol": 1e-13, "maxiter": 500})
+        assert found.success, found.message
+        return found.fun + 100 * parts @ miss**2
+
+    best = least(0.0, 1.0, 0.2, [0, 0.5, 1]) + least(0.6, 0.6, 0.5, [0.6, -0.5, 0.6])
+    turn = 0.05 * (0.05 * 2.0)**2 if spins else 0.0  # the effort of the torque that turns it, as of a force at the rim
+    assert_allclose(run.final_loss, best + turn, rtol=1e-4)

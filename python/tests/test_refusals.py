@@ -410,3 +410,34 @@ def test_a_gradient_beside_running_costs_is_that_of_the_hybrid_problem(two_balls
     with refused(RuntimeError, "running costs", r"take that of its hybrid problem \(saltus\.hybrid_problem\)"):
         saltus.loss_and_gradient(data)
     assert np.isfinite(saltus.loss_and_gradient(saltus.hybrid_problem(data)).loss)
+
+
+def test_remedies_of_a_disc_at_rest_do_not_lead_in_a_circle():
+    """A disc that lies on the floor, and is to end at x = 1: solvers by phases name solvers by rollouts, which take no constraints."""
+    disc = {"name": "d", "radius": 0.1, "mass": 1.0, "position": [0, 0.1]}
+    hard = {"body": "d", "quantity": "position", "component": "x", "target": 1.0, "hard": True}
+    scene = saltus.Scene({"name": "s", "duration": 1.0, "steps": 10, "gravity": [0, -9.81], "bodies": [disc],
+                          "planes": [{"name": "g", "point": [0, 0], "normal": [0, 1]}], "optimize": "control",
+                          "control": {"bodies": ["d"], "initial": [[0, 0]]}, "objective": {"terminal": [hard], "effort": 0.1}})
+    for solver in ("ceres_phases", "ipopt", "auto"):
+        with refused(ValueError, "discs rest on", "start from a guess without such contacts, or use ceres_lm", "with costs in place of"):
+            saltus.solve(scene, solver=solver)
+    with refused(ValueError, "ceres_phases takes them"):
+        saltus.solve(scene, solver="ceres_lm")
+    lifted = scene.replace(control={"initial": [[0, 12]]})
+    assert saltus.solve(lifted, solver="ipopt").termination == "converged"
+    cost = {"body": "d", "quantity": "position", "target": [1.0, 0.1], "weight": 1000.0}
+    weighed = scene.replace(objective={"terminal": [cost]})
+    run = saltus.solve(weighed, solver="ceres_lm")
+    # With the weight w the force along the floor is least squares of 0.1 |u|^2 h + w (x - 1)^2, where x is linear in it.
+    slope = np.array([(9.5 - k) / 100 for k in range(10)])
+    assert run.termination == "converged"
+    np.testing.assert_allclose(run.final_loss, 1 / (1 / 1000 + slope @ slope / 0.01), rtol=1e-9)
+    for extra in ({"duration": {"free": True, "min": 0.5, "max": 2, "weight": 1.0}},
+                  {"via": [{"body": "d", "time": 0.5, "quantity": "position", "target": [0.5, 0.1]}]}):
+        run = saltus.solve(weighed.replace(objective=extra), solver="auto")
+        assert "start from a guess without such contacts" in run.reason
+    slowed = scene.replace(forces=[{"drag": {"body": "d", "linear": 0.1}}])
+    with refused(RuntimeError, "."):
+        saltus.rollout(slowed)
+    assert "discs do not come to rest on each other in scenes with drag" in saltus.solve(slowed, solver="ceres_phases").reason

@@ -48,8 +48,8 @@ class ExactWayCosts final : public WayCosts {
     run.ok = true;
     for (const StepTouch& at : EventTouches(simulator)) {
       if (at.touch.kind != ContactKind::kImpact) {
-        return "discs rest on or graze each other or a plane; running and waypoint costs are integrated between "
-               "impacts";
+        return "discs rest on or graze each other or a plane; running and waypoint costs, and derivatives by a free "
+               "duration, are those of motions with impacts only: start from a guess without such contacts";
       }
       run.contacts.push_back(at.touch.candidate);
       run.places.push_back({at.step, at.touch.time});

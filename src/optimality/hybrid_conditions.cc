@@ -23,6 +23,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/number_text.h"
 #include "control/hybrid_shooting.h"
 #include "hybrid/free_variables.h"
 #include "hybrid/runge_kutta.h"
@@ -268,6 +269,9 @@ class HybridConditions {
     if (moving && result.reason.empty() && HoldsAlways() != nullptr && num_events() > 0) {
       result.reason = "of controls whose intervals end at the events, as " + HoldsAlways()->name + " holds always";
     }
+    if (result.IsStationary() && result.curvature && !options_.name) {  // scenes list them as constraints
+      for (const std::string& where : WhereBoundsPress()) result.reason += (result.reason.empty() ? "" : "; ") + where;
+    }
     return result;
   }
 
@@ -385,6 +389,40 @@ class HybridConditions {
   const HybridTerm* HoldsAlways() const {
     const auto term = std::ranges::find_if(problem_.terms, &HybridTerm::always);
     return term != problem_.terms.end() ? &*term : nullptr;
+  }
+  // Says of each constraint that holds always when it is at its bound, which directions of the curvature keep.
+  std::vector<std::string> WhereBoundsPress() const {
+    std::vector<std::string> all;
+    for (const HybridTerm& term : problem_terms()) {
+      if (!term.always) continue;
+      std::vector<std::pair<double, double>> spans;  // of time
+      for (size_t i = 0; i < terms_.size(); ++i) {   // intervals, one after the other
+        const auto presses = [&](bool at_end) {
+          return std::ranges::any_of(constraints_, [&](const Constraint& one) {
+            return one.term == static_cast<int>(i) && at_end == (one.row >= term.function->num_residuals());
+          });
+        };
+        if (terms_[i].term != &term) continue;
+        const double begin = times_[terms_[i].interval], end = times_[terms_[i].interval + 1];
+        const bool before_end = presses(false);
+        if (!before_end && !presses(true)) continue;
+        const double from = before_end ? begin : end;
+        if (!spans.empty() && spans.back().second >= from) {
+          spans.back().second = end;
+        } else {
+          spans.emplace_back(from, end);
+        }
+      }
+      std::string when;
+      for (const auto& [from, to] : spans) {
+        when += (when.empty() ? "" : ", ") +
+                (from < to ? "from t = " + ToText(from, 6) + " to " + ToText(to, 6) : "at t = " + ToText(to, 6));
+      }
+      all.push_back(term.name + " holds always, and is " +
+                    (when.empty() ? "never at its bound"
+                                  : "at its bound in control intervals " + when + ", where the curvature is along it"));
+    }
+    return all;
   }
   // Returns the input with the ends of intervals that are within `near` of an event that counts moved to just behind it
   // (side 1) or before it (-1); std::nullopt if there are none.
@@ -623,6 +661,7 @@ class HybridConditions {
       const HybridShooting::TermAt& at = terms_[constraints_[c].term];
       multipliers.push_back({static_cast<int>(at.term - problem_terms().data()),
                              at.interval,
+                             at.event,
                              constraints_[c].row,
                              theta_[num_events() + static_cast<Eigen::Index>(c)]});
     }
@@ -1695,7 +1734,7 @@ class HybridConditions {
       result->impacts[k].multiplier = conditions.theta()[k];
       result->impacts[k].hamiltonian = conditions.Number(kinds.events[k]);
     }
-    PlaceMultipliers(result);
+    PlaceMultipliers(/*moving=*/true, result);
   }
 
   void StationarityOnFixedGrid(Certificate* result) {
@@ -1713,7 +1752,7 @@ class HybridConditions {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), 0, &conditions, &kinds.events);
         continue;
       }
-      if (on_node_[k] && (!FallsOnBothSides(k) || IsAtGivenTime(k))) continue;
+      if (on_node_[k] && (!FallsOnBothSides(k) || IsAtGivenTime(k, /*moving=*/false))) continue;
       const int sign = on_node_[k] ? 1 : 0;
       if (sign != 0) {
         Add([&](const Sweep& s) { return s.event_early[k]; }, HamiltonianSize(), -sign, &conditions, &kinds.events);
@@ -1735,14 +1774,15 @@ class HybridConditions {
                                  Largest(conditions, kinds.variables),
                                  Largest(conditions, kinds.events),
                                  Largest(conditions, kinds.duration)});
-    PlaceMultipliers(result);
+    PlaceMultipliers(/*moving=*/false, result);
   }
 
   // Whether an event is at a time that is given, as that of a waypoint, and so cannot leave the end of an interval: to
-  // first order its guard depends on time alone, and the intervals are as long as the input says.
-  bool IsAtGivenTime(int k) const {
+  // first order its guard depends on time alone, and the interval ends where the input says, or at the event as
+  // intervals move with events. A free duration would move the ends of intervals that do not.
+  bool IsAtGivenTime(int k, bool moving) const {
     const auto is_duration = [](const auto& one) { return one.first.kind == Kind::kDuration; };
-    if (std::ranges::any_of(variables_, is_duration)) return false;
+    if (!moving && std::ranges::any_of(variables_, is_duration)) return false;
     const HybridEvent& event = events()[k];
     const ModePoint at{
         event.mode, event.time, event.before.data(), ControlOf(interval_before_[k]), input_.parameters.data()};
@@ -1786,7 +1826,8 @@ class HybridConditions {
   // guard is above zero under the control that begins there, and has no event then.
   bool JumpsAtNode(int k) const {
     const HybridEvent& event = events()[k];
-    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr || IsAtGivenTime(k)) return false;
+    if (node_[k] < 0 || node_[k] >= input_.num_intervals || HoldsAlways() != nullptr) return false;
+    if (IsAtGivenTime(k, /*moving=*/false)) return false;
     if (on_node_[k] && functions_.ReadsControl(event.mode, event.guard) &&
         GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
       return true;
@@ -1834,7 +1875,7 @@ class HybridConditions {
 
   // Finds where the multipliers of events on nodes lie between the one-sided ones: those of a guard that begins to fall
   // before, or after, the node.
-  void PlaceMultipliers(Certificate* result) const {
+  void PlaceMultipliers(bool moving, Certificate* result) const {
     const auto combined = [&](const auto& of) {
       double sum = of(sweeps_[0]);
       for (int j = 0; j < num_multipliers(); ++j) sum += theta_[j] * of(sweeps_[j + 1]);
@@ -1846,7 +1887,7 @@ class HybridConditions {
       impact.concave = false;
       // Where a free control goes on at the node, as between two intervals at a bound, both sides have one multiplier.
       const bool judged = on_node_[k] || (node_[k] > 0 && problem_.free.control);
-      if (!judged || !FallsOnBothSides(k) || IsAtGivenTime(k) || HoldsAlways() != nullptr) continue;
+      if (!judged || !FallsOnBothSides(k) || IsAtGivenTime(k, moving) || HoldsAlways() != nullptr) continue;
       // A multiplier enters these times the rate of the guard; they vanish at the one-sided multipliers.
       const double rate_early = sweeps_[k + 1].event_early[k], rate_late = sweeps_[k + 1].event_late[k];
       const double early = combined([&](const Sweep& s) { return s.event_early[k]; });
@@ -1890,6 +1931,11 @@ class HybridConditions {
 
 }  // namespace
 
+std::shared_ptr<const ceres::CostFunction> WithFactors(std::shared_ptr<const ceres::CostFunction> function,
+                                                       VectorXd factors) {
+  return std::make_shared<ScaledRows>(std::move(function), std::move(factors));
+}
+
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input,
                               const ConditionsOptions& options) {
   return HybridConditions(problem, input, options).Run();
@@ -1920,7 +1966,7 @@ HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput
     const VectorXd factors =
         sizes[i].unaryExpr([](double size) { return size == 0 || (size >= kSmall && size <= kLarge) ? 1 : 1 / size; });
     if (factors.isOnes(0)) continue;
-    problem.terms[i].function = std::make_shared<ScaledRows>(problem.terms[i].function, factors);
+    problem.terms[i].function = WithFactors(problem.terms[i].function, factors);
   }
   return problem;
 }

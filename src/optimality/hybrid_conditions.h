@@ -1,8 +1,11 @@
 // The conditions of saltus/optimality/hybrid_certificate.h of a motion that stays on one side of its kinks.
 #pragma once
 
+#include <ceres/cost_function.h>
+
 #include <Eigen/Core>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -20,10 +23,10 @@ struct GuardTouch {
 
 // The multiplier of a residual of a constraint: an equality, or an inequality that is active.
 struct TermMultiplier {
-  int term = 0;       // HybridProblem::terms
-  int interval = -1;  // at whose beginning it is evaluated, or -1
-  int row = 0;        // of the term
-  double value = 0;   // the loss of the optimum decreases by it per unit by which the residual may grow
+  int term = 0;                   // HybridProblem::terms
+  int interval = -1, event = -1;  // at whose beginning, or at which, it is evaluated; neither: the end
+  int row = 0;                    // of the term
+  double value = 0;               // the loss of the optimum decreases by it per unit by which the residual may grow
 };
 
 // The derivative of the loss by a parameter, with the multipliers that are found, and the size of the terms that
@@ -43,6 +46,10 @@ struct ConditionsOptions {
   bool always_curvature = false;
   double least_parameter = 0;  // the size of parameters that are smaller, for second derivatives by them
 };
+
+// Returns a function whose rows are those of another one, each times a factor.
+std::shared_ptr<const ceres::CostFunction> WithFactors(std::shared_ptr<const ceres::CostFunction> function,
+                                                       Eigen::VectorXd factors);
 
 // Certifies as Certify() does, without a look at kinks. Precondition: WhatIsWrongWith(input, problem.system) is empty,
 // and the motion begins at time 0.

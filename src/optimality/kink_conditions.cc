@@ -70,7 +70,7 @@ class KinkCertifier {
     loss_ = outcome.loss;
     FindKinks();
     if (kinks_.empty()) return {};
-    Certificate certificate = CertifySide(nullptr);
+    Certificate certificate = CertifySide(nullptr, &multipliers_);
     const bool leaves_node = std::ranges::any_of(certificate.impacts, &ImpactCertificate::LeavesNode);
     if (leaves_node && certificate.verdict == Certificate::Verdict::kNotStationary) return certificate;
     if (!certificate.IsStationary()) return {};
@@ -240,9 +240,10 @@ class KinkCertifier {
     if (with && without) return std::nullopt;
     return side;
   }
-  Certificate CertifySide(const Kink* other) const {
+  Certificate CertifySide(const Kink* other, std::vector<TermMultiplier>* multipliers = nullptr) const {
     const std::optional<Side> side = SideOf(other);
-    return side ? CertifyConditions(side->problem, side->input, {.touches = side->touches}) : Certificate();
+    if (!side) return {};
+    return CertifyConditions(side->problem, side->input, {.touches = side->touches, .multipliers = multipliers});
   }
 
   // Returns how the other side of a kink has a lower loss; empty if it has not; nothing if that cannot be computed.
@@ -287,8 +288,8 @@ class KinkCertifier {
     return sizes.unaryExpr([&](double size) { return size > 0 ? size : std::max(largest, 1.0); });
   }
 
-  // Returns the derivative of the loss by the jump of the state that the reset is behind a touch, as a part of the size
-  // of the state; nothing if the jump does not vanish with the rate of the guard, or if it leads to no motion.
+  // Returns the derivative of the Lagrangian by the jump of the state that the reset is behind a touch, as a part of
+  // the size of the state; nothing if the jump does not vanish with the rate of the guard, or if it leads to no motion.
   std::optional<double> SlopeByJump(const Kink& kink, const ModePoint& at, int next) {
     const VectorXd sizes = SizesOf(kink.mode);
     const Eigen::Map<const VectorXd> x(at.x, sizes.size());
@@ -314,16 +315,72 @@ class KinkCertifier {
     if (!(jump.norm() > 0)) return 0;
     if (!((jump_from(2 * kTilt) - 2 * jump).norm() < 0.1 * jump.norm())) return std::nullopt;
     const VectorXd step = jump.normalized().cwiseProduct(sizes);
-    const auto loss = [&](double part) { return LossBehind(kink, next, x + part * step); };
+    const std::optional<std::vector<HybridTerm>> terms = TermsBehind(kink);
+    if (!terms) return std::nullopt;
+    const auto loss = [&](double part) { return LossBehind(kink, *terms, next, x + part * step); };
     const double slope = (loss(2 * kKick) - loss(kKick)) / kKick / std::abs(loss_);
     return std::isfinite(slope) ? std::optional(slope) : std::nullopt;
   }
 
-  // Returns the loss behind a kink from a state there; not a number without a motion.
-  double LossBehind(const Kink& kink, int mode, const VectorXd& state) const {
+  // Returns the control intervals that end before a kink.
+  int IntervalsBefore(const Kink& kink) const { return Until(input_, kink.time).num_intervals - 1; }
+
+  // Returns the terms of the Lagrangian behind a kink, whose intervals and events are numbered from there; what comes
+  // before it does not change. Returns nothing if a term counts the event of the kink, or reads what lies on both of
+  // its sides.
+  std::optional<std::vector<HybridTerm>> TermsBehind(const Kink& kink) {
+    std::vector<HybridTerm> terms;
+    const std::vector<HybridEvent>& events = simulator().events();
+    const auto count_before = [&](const HybridTerm& term, double time) {
+      return static_cast<int>(std::ranges::count_if(events, [&](const HybridEvent& event) {
+        return event.time < time && term.CountsAt(functions_, event.mode, event.guard);
+      }));
+    };
+    const auto add = [&](HybridTerm term) {
+      if (term.with_initial) return false;
+      if (term.always) return term.interval < IntervalsBefore(kink);
+      if (term.at == HybridTerm::At::kEvent) {
+        if (term.CountsAt(functions_, kink.mode, kink.guard)) return false;
+        const int before = count_before(term, kink.time);
+        if (term.occurrence >= 0 && term.occurrence < before) return true;
+        if (term.occurrence >= 0) term.occurrence -= before;
+      }
+      if (term.at != HybridTerm::At::kEachInterval) {
+        terms.push_back(std::move(term));
+        return true;
+      }
+      const int skipped = IntervalsBefore(kink);
+      for (int k = skipped + 1; k < input_.num_intervals; ++k) {
+        if (term.interval >= 0 && term.interval != k) continue;
+        terms.push_back(term);
+        terms.back().interval = k - skipped;
+      }
+      return true;
+    };
+    for (const HybridTerm& term : problem_.terms) {
+      if (term.IsCost() && !add(term)) return std::nullopt;
+    }
+    for (const TermMultiplier& multiplier : multipliers_) {
+      if (multiplier.value == 0) continue;
+      if (multiplier.term >= std::ssize(problem_.terms)) return std::nullopt;
+      HybridTerm term = problem_.terms[multiplier.term];
+      VectorXd factors = VectorXd::Zero(term.NumRows());
+      factors[multiplier.row] = multiplier.value;
+      term.role = HybridTerm::Role::kValue;
+      term.function = WithFactors(term.function, std::move(factors));
+      term.interval = multiplier.interval;
+      if (multiplier.event >= 0) term.occurrence = count_before(term, events[multiplier.event].time);
+      if (!add(std::move(term))) return std::nullopt;
+    }
+    return terms;
+  }
+
+  // Returns the sum of terms behind a kink from a state there; not a number without a motion.
+  double LossBehind(const Kink& kink, const std::vector<HybridTerm>& terms, int mode, const VectorXd& state) const {
     HybridProblem rest = problem_;
+    rest.terms = terms;
     HybridInput input = input_;
-    const int skipped = Until(input_, kink.time).num_intervals - 1;
+    const int skipped = IntervalsBefore(kink);
     const std::vector<double> times = input_.Times();
     input.mode = mode;
     input.initial.assign(state.begin(), state.end());
@@ -333,18 +390,6 @@ class KinkCertifier {
     input.num_intervals = input_.num_intervals - skipped;
     input.lengths = {times[skipped + 1] - kink.time};
     for (int k = skipped + 1; k < input_.num_intervals; ++k) input.lengths.push_back(times[k + 1] - times[k]);
-    rest.terms.clear();
-    for (const HybridTerm& term : problem_.terms) {
-      if (term.at == HybridTerm::At::kEnd) {
-        rest.terms.push_back(term);
-        continue;
-      }
-      for (int k = skipped + 1; k < input_.num_intervals; ++k) {
-        if (term.interval >= 0 && term.interval != k) continue;
-        rest.terms.push_back(term);
-        rest.terms.back().interval = k - skipped;
-      }
-    }
     rest.guess = input;
     rest.guess.begin = 0;
     rest.integration.wait_behind_guards = true;  // the touch is at a guard of zero within rounding
@@ -359,6 +404,7 @@ class KinkCertifier {
   mutable HybridShooting shooting_;
   RungeKutta integrator_;
   std::vector<Kink> kinks_;
+  std::vector<TermMultiplier> multipliers_;  // of the constraints, with the conditions of the motion as it is
   // The curvature on the other side of a strike. It is along motions whose guard is zero at the final time, on which
   // the losses of both sides are the same.
   std::optional<Curvature> curvature_;

@@ -1,6 +1,9 @@
 #include "saltus/outer/problem.h"
 
+#include <algorithm>
+
 #include "base/table.h"
+#include "saltus/hybrid/mechanical_system.h"
 
 namespace saltus {
 namespace {
@@ -22,7 +25,21 @@ int IndexOf(const std::string& what, const std::string& name, int size, const Na
   throw std::invalid_argument(what + ": found '" + name + "', expected some of " + known);
 }
 
+HybridInput InItsMode(const MechanicalSystem& system, HybridInput guess) {
+  if (guess.mode != 0) return guess;
+  Check(WhatIsWrongWith(guess, system.hybrid()));
+  std::vector<double> control(system.hybrid().num_controls());
+  std::copy_n(guess.control.begin(), std::min(control.size(), guess.control.size()), control.begin());
+  const MechanicalSystem::Start start = system.FindMode(guess.initial, control, guess.parameters, guess.begin);
+  if (start.mode < 0) Check(start.why);
+  guess.mode = start.mode;
+  return guess;
+}
+
 }  // namespace
+
+Problem::Problem(const MechanicalSystem& system, HybridInput guess)
+    : Problem(HybridProblem{system.hybrid(), InItsMode(system, std::move(guess))}) {}
 
 Problem::Problem(HybridProblem problem) : parts_(std::move(problem)) {
   Check(WhatIsWrongWith(parts_));

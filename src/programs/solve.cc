@@ -124,6 +124,7 @@ SolvedRuns SolveAll(const Request& request) {
     if (!done.started[i]) continue;
     solved.runs.push_back(
         done.results[i].value_or(WithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
+    solved.runs.back().asked = tasks[i].solver;
     solved.interrupted |= solved.runs.back().report.termination == Termination::kInterrupted;
   }
   return solved;

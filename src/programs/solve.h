@@ -15,6 +15,7 @@ namespace saltus {
 
 // A run with the study of the feedback about its solution, if it was asked for.
 struct SolvedRun : CheckedRun {
+  std::string asked = {};  // the name of its solver in the request, such as auto
   std::optional<FeedbackStudy> feedback = {};
 };
 

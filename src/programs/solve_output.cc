@@ -225,13 +225,19 @@ NpzArrays ArraysOf(const Request& request, const SolvedRun& run, const Motions* 
   return arrays;
 }
 
-// <scene>_<contact>_<solver>.npz
-std::string SolutionFileName(const Scene& scene, const SolveReport& report) {
-  return scene.name + "_" + report.contact + "_" + report.solver + FileSuffix(report.surrogate) + ".npz";
+// <scene>_<contact>_<solver>.npz. A solver that was asked for under another name, as auto, has that name where another
+// run has its own.
+std::string SolutionFileName(const Request& request, const SolvedRuns& solved, const SolvedRun& run) {
+  const SolveReport& report = run.report;
+  const bool taken = std::ranges::any_of(solved.runs, [&](const SolvedRun& other) {
+    return &other != &run && other.report.contact == report.contact && other.asked == report.solver;
+  });
+  return request.scene.name + "_" + report.contact + "_" + (taken ? run.asked : report.solver) +
+         FileSuffix(report.surrogate) + ".npz";
 }
 
-void WriteSolution(const Request& request, const SolvedRun& run) {
-  const std::string path = request.output_dir + "/" + SolutionFileName(request.scene, run.report);
+void WriteSolution(const Request& request, const SolvedRuns& solved, const SolvedRun& run) {
+  const std::string path = request.output_dir + "/" + SolutionFileName(request, solved, run);
   const auto write = [&](const Motions* motions) { OrOutputError(WriteNpz(path, ArraysOf(request, run, motions))); };
   try {
     const Motions motions = MotionsOf(request, run);
@@ -309,7 +315,7 @@ void WriteSolutions(const Request& request, const SolvedRuns& solved) {
   std::vector<std::function<void()>> files;
   for (const SolvedRun& run : solved.runs) {
     if (!run.HasSolution()) continue;
-    files.push_back([&] { WriteSolution(request, run); });
+    files.push_back([&] { WriteSolution(request, solved, run); });
   }
   DoAll(files);
 }
@@ -485,7 +491,7 @@ void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* pa
   }
   std::vector<std::string> files;
   for (const SolvedRun* run : runs) {
-    files.push_back(SolutionFileName(request.scene, run->report));
+    files.push_back(SolutionFileName(request, solved, *run));
   }
   if (files.empty()) return;
   page->AddHeading("Files");

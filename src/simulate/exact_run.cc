@@ -141,7 +141,8 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
   if (!run->only_impacts) {
     run->ok = false;
     run->reason =
-        "discs rest on or graze each other or a plane; running and waypoint costs are integrated between impacts";
+        "discs rest on or graze each other or a plane; running and waypoint costs are those of motions with impacts "
+        "only: start from a guess without such contacts";
     return;
   }
   run->loss += RunningLoss(scene, Flight(scene, initial, control, lengths, *run));

@@ -147,11 +147,12 @@ SolveReport SolveConstrainedByHmp(const SolveRequest& request, const SolverOptio
   } else if (optimum->Residual() > kResidualTolerance) {
     give_up("the conditions of the minimum principle are not met");
   } else if (std::abs(optimum->loss - report.solution.loss) > kSameLossAsOnGrid * std::abs(report.solution.loss)) {
-    give_up("the conditions of the minimum principle are met at a point with another loss than the minimum");
+    give_up("the optimum in continuous time has another loss than that on these intervals: raise `steps`");
   } else {
     report.certificate =
         Certify(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
     report.continuous = CertifyOptimum(*optimum, *report.certificate);
+    if (report.termination != Termination::kConverged) report.reason.clear();  // that of ceres_phases
     report.termination = Termination::kConverged;
     report.solution.loss = optimum->loss;
     report.history.losses.push_back(optimum->loss);

@@ -246,12 +246,28 @@ SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const 
   return run->Finish(z, termination, std::move(words));
 }
 
+namespace {
+
+bool IsDeniedBy(const std::optional<Certificate>& certificate) {
+  return certificate && (certificate->verdict == Certificate::Verdict::kNotStationary || certificate->IsSaddle());
+}
+
+}  // namespace
+
 void JudgeByCertificate(SolveReport* report) {
-  if (report->termination != Termination::kConverged || !report->certificate) return;
-  const Certificate& certificate = *report->certificate;
-  if (certificate.verdict != Certificate::Verdict::kNotStationary && !certificate.IsSaddle()) return;
+  if (report->termination != Termination::kConverged || !IsDeniedBy(report->certificate)) return;
   report->termination = Termination::kNoProgress;
-  report->reason += (report->reason.empty() ? "" : "; ") + certificate.reason;
+  report->reason += (report->reason.empty() ? "" : "; ") + report->certificate->reason;
+}
+
+void ForgetCertificate(SolveReport* report) {
+  if (report->termination == Termination::kNoProgress && IsDeniedBy(report->certificate)) {
+    report->termination = Termination::kConverged;
+    std::string& reason = report->reason;
+    const std::string denial = (reason == report->certificate->reason ? "" : "; ") + report->certificate->reason;
+    if (const size_t at = reason.rfind(denial); at != std::string::npos) reason.erase(at, denial.size());
+  }
+  report->certificate.reset();
 }
 
 }  // namespace saltus

@@ -164,5 +164,7 @@ SolveReport Conclude(ShootingRun* run, RecordIteration* record, std::span<const 
 
 // A converged run whose certificate finds no minimum becomes no_progress, with the reason of the certificate.
 void JudgeByCertificate(SolveReport* report);
+// Removes the certificate of a run, and what JudgeByCertificate() has made of it.
+void ForgetCertificate(SolveReport* report);
 
 }  // namespace saltus

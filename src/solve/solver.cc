@@ -24,6 +24,7 @@
 #include "solve/phases/ceres_phases.h"
 #include "solve/phases/hybrid_phases.h"
 #include "solve/phases/phase_solution.h"
+#include "solve/phases/sequence_run.h"
 #include "solve/search/global_search.h"
 #include "solve/search/mode_search.h"
 #include "solve/search/phase_search.h"
@@ -214,6 +215,7 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   Scene scene = designed;
   scene.design.clear();
   if (report->solution.durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
+  if (options.monitor.stop && options.monitor.stop()) return;
   HybridProblem problem = HybridProblemOf(scene);
   const HybridInput& guess = problem.guess =
       InputOf(problem, report->solution.initial_state, report->solution.control, report->solution.durations);
@@ -327,12 +329,16 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   report.contact = request.contact.name();
   if (report.solution.parameters.empty()) report.solution.parameters = DesignOf(scene);
   report.solution.initial_state.resize(std::min<size_t>(report.solution.initial_state.size(), InitialSize(scene)));
-  if (!scene.design.empty()) {
+  if (!scene.design.empty())
     report.solution.initial_state = InitialState(WithDesign(scene, report.solution.parameters));
+  ForgetCertificate(&report);
+  if (report.history.losses.empty() && report.termination == Termination::kFailed) {  // in words of scenes
+    const ControlGuess start = given.guess.value_or(ControlGuess{InitialControl(scene, scene.steps), {}});
+    const Scene designed = WithDesign(scene, parameters);
+    const ExactRun guess =
+        SimulateExactly(designed, InitialState(designed), start.control, start.durations, options.monitor.stop);
+    if (!guess.ok && guess.reason != kStopped) report.reason = guess.reason;
   }
-  const bool is_denied = report.certificate && report.termination == Termination::kNoProgress;
-  if (is_denied) report.termination = Termination::kConverged;
-  report.certificate.reset();
   for (LocalOptimum& optimum : report.optima) {
     LocalOptimum impacts{{}, optimum.loss, {}};
     for (size_t i = 0; i < optimum.sequence.size(); ++i) {
@@ -352,14 +358,20 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   constexpr int kMostTurns = 4;
   constexpr double kGain = 1e-9;  // relative: of the loss, for which it goes on
   SolveChain chain(options);
+  SolverOptions limited = options;
+  if (entry.name != "mode_search") limited.sequences.limits.seconds = 0;
+  const TimeLimit limit(limited);
   bool interrupted = false;
   const auto add = [&](const SolveReport& report) {
     chain.Add(report);
-    interrupted = interrupted || report.termination == Termination::kInterrupted;
+    interrupted = interrupted || (report.termination == Termination::kInterrupted && !limit.IsOver());
   };
+  const auto ends = [&] { return interrupted || limit.IsOver(); };
   const auto solve_from = [&](const SolveReport* start) {
     SolverOptions own = chain.Next();
     own.limits.iterations = options.limits.iterations;
+    own.monitor.stop = limit.stop();
+    own.sequences.limits.seconds = limit.SecondsLeft();
     if (start != nullptr) own.guess = ControlGuess{start->solution.control, start->solution.durations};
     return own;
   };
@@ -370,7 +382,7 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   add(best);
   std::vector<LocalOptimum> optima;
   std::optional<Searched> searched;
-  for (int turn = 0; turn < kMostTurns && !interrupted; ++turn) {
+  for (int turn = 0; turn < kMostTurns && !ends(); ++turn) {
     SolveRequest given{WithDesign(request.scene, parameters), request.contact};
     given.scene.design.clear();
     if (!entry.why_not(given).empty()) break;
@@ -384,7 +396,12 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
     found.certificate.reset();
     const bool gains = found.solution.loss < best.solution.loss - kGain * std::abs(best.solution.loss);
     if (found.history.losses.empty() && best.history.losses.empty()) return found;  // whose reason is that of a scene
-    if (interrupted || found.history.losses.empty() || (turn > 0 && !gains)) break;
+    if (ends()) {
+      found.solution.parameters = parameters;
+      if (EndsBetter(found, best)) best = std::move(found);
+      break;
+    }
+    if (found.history.losses.empty() || (turn > 0 && !gains)) break;
     SolveReport next = SolveAsHybrid(as_hybrid, request, solve_from(&found), parameters);
     add(next);
     found.solution.parameters = parameters;
@@ -410,11 +427,12 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   best.optima = std::move(optima);
   best.searched = searched;
   if (interrupted) best.termination = Termination::kInterrupted;
+  if (limit.IsOver()) best.reason += std::string(best.reason.empty() ? "" : "; ") + "not complete: the limit of time";
   return best;
 }
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
-void Confirm(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
+void Confirm(const SolveRequest& request, const SolverOptions& options, const TimeLimit& limit, SolveReport* report) {
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
   const Scene scene = WithDesign(request.scene, report->solution.parameters);
   const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
@@ -428,7 +446,9 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, SolveRep
                                   options.monitor.stop);
   }
   if (report->certificate->verdict == Certificate::Verdict::kNotStationary) {
-    GoOnAsHybrid(scene, options, report);
+    SolverOptions in_time = options;
+    if (report->searched) in_time.monitor.stop = limit.stop();
+    GoOnAsHybrid(scene, in_time, report);
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
@@ -689,10 +709,11 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   SolveReport report;
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
+    const TimeLimit limit(own);
     report = !as_hybrid                       ? entry->solve(converted, own)
              : converted.scene.design.empty() ? SolveAsHybrid(solver, converted, own, {})
                                               : SolveDesign(*entry, converted, own);
-    Confirm(converted, own, &report);
+    Confirm(converted, own, limit, &report);
     report = InSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.solution.durations.empty() && !report.solution.control.empty()) {

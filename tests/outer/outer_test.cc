@@ -211,7 +211,58 @@ TEST(OuterTest, BrysonAndDenhamStayBelowTheLimitAtAllTimes) {
     EXPECT_GT(run.loss(), 4);
     EXPECT_LT(run.loss(), 4 + 16.0 / (intervals * intervals));
     EXPECT_LT(Top(run), 1.0 / 9 + 1e-8);
+    // The optimum in continuous time is at the limit from t = 1/3 to 2/3.
+    EXPECT_THAT(run.certificate().reason, HasSubstr("holds always, and is at its bound in control intervals from t = "))
+        << intervals;
   }
+}
+
+// A unit mass on a rough floor, under a gravity of 10.
+struct Block {
+  static constexpr int kNumCoordinates = 2, kNumControls = 1, kNumParameters = 1, kNumContacts = 1;
+  template <typename T>
+  void Mass(const T*, const T*, T* mass) const {
+    mass[0] = mass[3] = T(1);
+    mass[1] = mass[2] = T(0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* force) const {
+    force[0] = u[0];
+    force[1] = T(-10);
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[1];
+  }
+  template <typename T>
+  T Slide(int, const T* q, const T*) const {
+    return q[0];
+  }
+  template <typename T>
+  T Friction(int, const T* p) const {
+    return p[0];
+  }
+  template <typename T>
+  T Restitution(int, const T*) const {
+    return T(0);
+  }
+};
+
+TEST(OuterTest, AProblemOfAMechanicalSystemStartsInTheModeOfItsState) {
+  const MechanicalSystem block{Block()};
+  const HybridInput rests{.initial = {0, 0, 0, 0}, .parameters = {0.2}, .duration = 2, .control = {3}};
+  Problem problem(block, rests);
+  EXPECT_EQ(problem.parts().guess.mode, block.Mode("+"));  // pushed by more than its friction
+  problem.AddCost(kEnd, [](const auto& a) { return a.x[0] - 1.0; }).Free({.parameters = {{"p[0]", 0, 0.29}}});
+  const auto run = Solve(problem);
+  EXPECT_NEAR(run["p[0]"], 0.25, 1e-9) << run;  // (3 - 10 p) 2^2 / 2 = 1
+  HybridInput sticks = rests;
+  sticks.mode = block.Mode("s");  // a mode that is named is taken
+  EXPECT_EQ(Problem(block, sticks).parts().guess.mode, sticks.mode);
+  HybridInput below = rests;
+  below.initial[1] = -1;
+  EXPECT_THROW(Problem(block, below), std::invalid_argument);
+  EXPECT_THROW(Problem(block, {.initial = {0}, .parameters = {0.2}, .duration = 2}), std::invalid_argument);
 }
 
 TEST(OuterTest, InequalitiesOfTimeAndControlHoldToTheEndsOfIntervals) {

@@ -1,6 +1,7 @@
 // States of solutions, in JSON and NPZ, and controls that come from elsewhere.
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -135,6 +136,26 @@ TEST(SolutionStates, AControlFromAFileIsCheckedAndSolvedFrom) {
   EXPECT_EQ(Doubles(arrays->at("states")).back(), best["final_state"][1][3].get<double>());
   EXPECT_THAT(std::get<std::vector<std::string>>(arrays->at("scene").data)[0], HasSubstr("name: two_balls"));
   std::filesystem::remove_all(directory);
+}
+
+TEST(SolutionStates, EveryRunHasAFileOfItsOwn) {
+  const std::string folder = TempFile("files_of_runs");
+  const auto files = [&](const std::string& solvers) {
+    std::filesystem::remove_all(folder);
+    Solve("--contact=event --iterations=5 --solver=" + solvers + " --output_dir=" + folder + SceneFlag("two_balls"));
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+      if (entry.path().extension() == ".npz") names.push_back(entry.path().filename());
+    }
+    std::ranges::sort(names);
+    return names;
+  };
+  using testing::ElementsAre;
+  const std::string own = "two_balls_event_ceres_phases.npz";  // by the solver that auto takes
+  EXPECT_THAT(files("auto"), ElementsAre(own));
+  EXPECT_THAT(files("auto,ceres_phases"), ElementsAre("two_balls_event_auto.npz", own));
+  EXPECT_THAT(files("gd,auto"), ElementsAre(own, "two_balls_event_gd.npz"));
+  std::filesystem::remove_all(folder);
 }
 
 TEST(SolutionStates, WallsThatEndAreNamedAndDrawn) {

@@ -22,6 +22,9 @@
 // errors of the solution, has no effect if a control that, held for the whole motion, changes a state by as much as the
 // largest state is changes the loss by less than 1e-6 of it.
 //
+// Where intervals move with the events, a free final time changes those of the last phase, and an event at a given
+// time, such as a waypoint, stays at the end of its interval.
+//
 // Where a guard just touches zero, or has its event at the final time, the loss has a kink, and the verdict
 // kStationaryOnGrid is that of one-sided conditions on both of its sides.
 //

@@ -30,6 +30,8 @@
 
 namespace saltus {
 
+class MechanicalSystem;
+
 // The place of a term: the final time, all control intervals, or the events of a guard.
 struct Place {
   HybridTerm::At at = HybridTerm::At::kEnd;
@@ -67,11 +69,13 @@ struct FreeVariables {
 // something return *this, and throw if it is wrong.
 class Problem {
  public:
-  // Takes a struct with kSizes (compact_system.h), a struct as hybrid_system.h describes, or a HybridSystem (that of a
-  // MechanicalSystem is hybrid()); and the input of the motion from which solvers start.
+  // Takes a struct with kSizes (compact_system.h), a struct as hybrid_system.h describes, or a HybridSystem; and the
+  // input of the motion from which solvers start.
   template <typename S>
   Problem(S system, HybridInput guess)
       : Problem(HybridProblem{MakeHybridSystem(std::move(system)), std::move(guess)}) {}
+  // Takes a mechanical system. The motion starts in the mode of its state, if the guess names none (0).
+  Problem(const MechanicalSystem& system, HybridInput guess);
   // Takes over a problem.
   explicit Problem(HybridProblem problem);
 

@@ -269,9 +269,11 @@ std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
   }
   if (!Starts()) return Refuse(Termination::kFailed, guess_.exact.reason);
   if (!guess_.exact.ok || guess_.exact.only_impacts) return std::nullopt;
+  const bool all_costs = std::ranges::all_of(problem_.terms, &HybridTerm::IsCost);
   return Refuse(Termination::kNotApplicable,
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
-                "distinct times only");
+                "distinct times only: start from a guess beside it" +
+                    std::string(all_costs ? ", or use ceres_lm" : ""));
 }
 
 // Finds the scales of the last motion.

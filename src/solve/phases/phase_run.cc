@@ -11,6 +11,7 @@
 #include "saltus/scene/materials.h"
 #include "scene/units.h"
 #include "simulate/impact.h"
+#include "solve/phases/phase_solution.h"
 
 namespace saltus {
 namespace {
@@ -131,9 +132,12 @@ std::optional<SolveReport> PhaseRun::WhyNoMotion() {
 std::optional<SolveReport> PhaseRun::WhyNotStart() {
   if (auto refused = WhyNoMotion()) return refused;
   if (!guess_.exact.only_impacts) {
+    const Objective& objective = scene_.objective;
+    const bool has_path_costs = !objective.running.empty() || !objective.via.empty() || objective.duration;
     return Refuse(Termination::kNotApplicable,
                   "in the motion of the guess discs rest on or graze each other or a plane; this solver supports "
-                  "impacts only: use ceres_lm, ceres_lbfgs or gd");
+                  "impacts only: start from a guess without such contacts" +
+                      (has_path_costs ? "" : ", or " + WayByRollouts(scene_)));
   }
   return std::nullopt;
 }

@@ -6,6 +6,7 @@
 
 #include "control/control_bounds.h"
 #include "saltus/control/contact_sequence.h"
+#include "saltus/control/objective.h"
 #include "saltus/simulate/registry.h"
 #include "simulate/flight.h"
 #include "solve/control_guess.h"
@@ -116,15 +117,26 @@ bool IsExact(const SolveRequest& request) {
   return model != nullptr && model->event_driven && model->rebound == Rebound::kRestitution;
 }
 
+std::string WayByRollouts(const Scene& scene) {
+  const Control& control = scene.control;
+  const bool has_components = !control.max.empty() || !control.max_torque.empty(), has_norm = !control.max_norm.empty();
+  const std::string takes = has_norm         ? "use gd"
+                            : has_components ? "use ceres_lm or gd"
+                                             : "use ceres_lm, ceres_lbfgs or gd";
+  const std::string constraints = ConstraintsOf(scene.objective);
+  if (!constraints.empty()) return takes + " with costs in place of the " + constraints;
+  return scene.no_contact.empty() ? takes : takes + " without no_contact";
+}
+
 std::string WhyNoPhases(const Scene& scene) {
   if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
   if (!scene.objective.IsSumOfSquares()) {
     return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
   }
   const std::string beyond = BeyondPlanes(scene);
-  return beyond.empty() ? ""
-                        : "the scene has " + beyond +
-                              "; this solver supports discs and planes only: use ceres_lm, ceres_lbfgs or gd";
+  return beyond.empty()
+             ? ""
+             : "the scene has " + beyond + "; this solver supports discs and planes only: " + WayByRollouts(scene);
 }
 
 std::string WhyNotExactPhases(const SolveRequest& request) {

@@ -18,6 +18,9 @@ namespace saltus {
 // Whether the contact model is one of exact events.
 bool IsExact(const SolveRequest& request);
 
+// Returns the solvers by rollouts that take a scene, and what is to be changed for them, as a remedy.
+std::string WayByRollouts(const Scene& scene);
+
 // Return the reasons why a scene has no phases between impacts, why exact phases do not support a request, and why arcs
 // in closed form between impacts do not; empty if they do.
 std::string WhyNoPhases(const Scene& scene);

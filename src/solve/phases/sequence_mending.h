@@ -212,6 +212,7 @@ class SequenceUpdate {
     const bool nearer = !HasOptimum() && least < run_.most_loss() && least < mending::kBetterStart * least_;
     if (nearer) least_ = least;
     idle_ = better || nearer ? 0 : idle_ + 1;
+    found_optimum_ = found_optimum_ || (attempt.feasible() && attempt.converged);
     if (better) {
       best_ = attempt;
       best_plan_ = task.plan;
@@ -548,17 +549,17 @@ class SequenceUpdate {
       return Termination::kConverged;
     }
     if (*reason = run_.WhyNoDerivative(lowest_); !reason->empty()) return Termination::kFailed;
-    if (HasOptimum()) {
+    if (found_optimum_) {
       *reason = "no optimum found has a lower loss than the motion returned, which is no optimum";
     } else if (IsOpen(lowest_)) {
       *reason = "no feasible motion " + With(run_.NameOf(lowest_.exact.contacts)) +
                 " was found; the least violation is " + run_.DescribeMiss(lowest_);
-    } else if (!best_ && last_ && !last_->converged) {
-      *reason = "the last solve, of motions " + With(run_.NameOf(last_plan_)) + ", has not converged";
-    } else if (!best_ && last_ && !last_->realized) {
-      *reason = run_.WhyNotRealized(last_->trial, last_plan_.Sequence());
+    } else if (!best_ && last_ && !(last_->converged && last_->realized)) {
       const Sequence& returned = lowest_.exact.contacts;
-      if (last_->trial.exact.contacts != returned) {
+      *reason = last_->converged
+                    ? run_.WhyNotRealized(last_->trial, last_plan_.Sequence())
+                    : "the last solve, of motions " + With(run_.NameOf(last_plan_)) + ", has not converged";
+      if ((last_->converged ? last_->trial.exact.contacts : last_plan_.Sequence()) != returned) {
         *reason += "; the sequence of the motion returned is " + run_.NameOf(returned);
       }
     }
@@ -621,7 +622,7 @@ class SequenceUpdate {
   PhasePlan best_plan_, last_plan_;
   Trial lowest_;                 // the best of all motions met
   int saddles_ = 0, kinks_ = 0;  // that were left
-  bool restored_ = false;
+  bool restored_ = false, found_optimum_ = false;
   double least_ = INFINITY;  // merit of the motions of attempts
   int idle_ = 0;             // attempts since something better was found
   bool interrupted_ = false;

@@ -1,5 +1,6 @@
 #include "solve/phases/sequence_run.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace saltus {
@@ -11,6 +12,12 @@ StopRequest StopAfter(double seconds, const StopRequest& stop) {
   return [stop, end = Clock::now() + std::chrono::duration_cast<Clock::duration>(time)] {
     return (stop && stop()) || Clock::now() >= end;
   };
+}
+
+double TimeLimit::SecondsLeft() const {
+  constexpr double kLeast = 1e-9;  // 0 is no limit
+  const std::chrono::duration<double> gone = std::chrono::steady_clock::now() - begin_;
+  return seconds_ > 0 ? std::max(kLeast, seconds_ - gone.count()) : 0;
 }
 
 SequenceRun::SequenceRun(std::string_view solver, const SolverOptions& options)

@@ -15,6 +15,27 @@ namespace saltus {
 // Returns a request to stop after so many seconds (0: never), or when `stop` asks for it.
 StopRequest StopAfter(double seconds, const StopRequest& stop);
 
+// The limit of time of a search (SearchOptions::seconds) from now on, for the solves of several steps together.
+class TimeLimit {
+ public:
+  explicit TimeLimit(const SolverOptions& options)
+      : seconds_(options.sequences.limits.seconds), time_(StopAfter(seconds_, nullptr)), stop_(options.monitor.stop) {}
+  // Returns whether the time is over; never if there is no limit.
+  bool IsOver() const { return time_ && time_(); }
+  // Returns a request to stop then, or when the options ask for it.
+  StopRequest stop() const {
+    if (!time_) return stop_;
+    return [time = time_, stop = stop_] { return time() || (stop && stop()); };
+  }
+  // Returns the time that is left, at least a little; 0: no limit.
+  double SecondsLeft() const;
+
+ private:
+  const double seconds_;
+  const StopRequest time_, stop_;
+  const std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
+};
+
 // The clock, the losses and the report of a solver along sequences of events.
 class SequenceRun {
  public:

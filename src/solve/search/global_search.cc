@@ -9,6 +9,7 @@
 #include "scene/units.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_solution.h"
+#include "solve/phases/sequence_run.h"
 #include "solve/search/mode_search.h"
 
 namespace saltus {
@@ -102,6 +103,7 @@ std::string WhyNotGlobal(const SolveRequest& request) {
 }
 
 SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& options) {
+  const TimeLimit time(options);
   SolverOptions searching = options;
   searching.sequences.search = true;
   SolveReport report = SolveByModeSearch(request, searching);
@@ -112,7 +114,7 @@ SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& opti
   const SearchOptions& limits = options.sequences.limits;
   GlobalOptions global{
       .gap = kRelativeGap * report.solution.loss,
-      .seconds = limits.seconds,
+      .seconds = time.SecondsLeft(),
       .boxes = static_cast<std::size_t>(std::max(limits.work > 0 ? 1.0 : 0.0, limits.work / kWorkOfBox)),
       .memory = limits.memory,
       .stop = options.monitor.stop};

@@ -13,6 +13,7 @@
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
 #include "scene/control_problems.h"
+#include "solve/solve_run.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -400,6 +401,46 @@ TEST(DesignSolvers, NoBoundIsOneOfGivenParameters) {
   ASSERT_TRUE(found.searched);
   EXPECT_EQ(found.searched->lower_bound, 0);
   EXPECT_LT(found.solution.loss, given.solution.loss);
+}
+
+// A solve that goes on from a motion which its certificate denies says nothing of that motion.
+TEST(DesignSolvers, ADenialIsTakenBackWithItsReason) {
+  Certificate denial;
+  denial.verdict = Verdict::kNotStationary;
+  denial.reason = "the loss falls";
+  for (const std::string before : {"", "from a random start"}) {
+    SolveReport report;
+    report.termination = Termination::kConverged;
+    report.reason = before;
+    report.certificate = denial;
+    JudgeByCertificate(&report);
+    EXPECT_EQ(report.termination, Termination::kNoProgress);
+    EXPECT_THAT(report.reason, HasSubstr("the loss falls"));
+    ForgetCertificate(&report);
+    EXPECT_EQ(report.termination, Termination::kConverged);
+    EXPECT_EQ(report.reason, before);
+    EXPECT_FALSE(report.certificate);
+  }
+  // What has ended for another reason stays so.
+  SolveReport stuck;
+  stuck.termination = Termination::kNoProgress;
+  stuck.reason = "no small change of the control changes the motion";
+  stuck.certificate.emplace().verdict = Verdict::kStationary;
+  ForgetCertificate(&stuck);
+  EXPECT_EQ(stuck.termination, Termination::kNoProgress);
+  EXPECT_EQ(stuck.reason, "no small change of the control changes the motion");
+}
+
+TEST(DesignSolvers, ASearchKeepsToItsLimitOfTime) {
+  Scene scene = ProblemScene("two_balls");
+  scene.steps = 24;
+  scene.design = {{ParametersNamed("mass.target", scene)[0], 0.01, 2}};
+  SolverOptions options;
+  options.sequences.limits.seconds = 1e-9;  // over at once
+  const SolveReport report = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_EQ(report.termination, Termination::kInterrupted);
+  EXPECT_THAT(report.reason, HasSubstr("the limit of time"));
+  EXPECT_LT(report.work.evaluations, 5);
 }
 
 TEST(DesignSolvers, ModeSearchStartsFromSeveralSequences) {
