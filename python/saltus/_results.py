@@ -240,7 +240,7 @@ class Run(_OfScene):
 
     @property
     def reason(self) -> str:
-        """Why it has ended so; empty if there is nothing to say."""
+        """The reason for its end, or a remark; empty if there is none."""
         return str(self._data.get("reason", ""))
 
 

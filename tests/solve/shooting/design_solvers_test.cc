@@ -421,7 +421,7 @@ TEST(DesignSolvers, ADenialIsTakenBackWithItsReason) {
     EXPECT_EQ(report.reason, before);
     EXPECT_FALSE(report.certificate);
   }
-  // What has ended for another reason stays so.
+  // A report that has ended for another reason stays as it is.
   SolveReport stuck;
   stuck.termination = Termination::kNoProgress;
   stuck.reason = "no small change of the control changes the motion";
