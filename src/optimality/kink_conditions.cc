@@ -335,7 +335,7 @@ class KinkCertifier {
     for (int k = skipped + 1; k < input_.num_intervals; ++k) input.lengths.push_back(times[k + 1] - times[k]);
     rest.terms.clear();
     for (const HybridTerm& term : problem_.terms) {
-      if (term.at == HybridTerm::At::kEnd) {
+      if (term.at != HybridTerm::At::kEachInterval) {
         rest.terms.push_back(term);
         continue;
       }
