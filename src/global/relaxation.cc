@@ -261,8 +261,8 @@ struct Layout {
 // one.
 //
 // After an open sequence discs get further with more effort E: their reach enters as the least of E - G * push * root
-// of E, of which effort is shared out (see Reach): a part `share` to the forces before, the rest to the reach. Only the
-// effort is shared that can add to the energy at the end of the sequence (see EnergyAtEnd).
+// of E, of which effort is shared out (see EnergyAtEnd): a part `share` to the forces before, the rest to the reach.
+// Only the effort is shared that can add to the energy at the end of the sequence (see EnergyAtEnd).
 struct Weights {
   double share = 1;  // in (0, 1]; of 1 there are no terms in an open sequence
   double reach = 1;  // > 0: about G
@@ -487,7 +487,7 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
   };
   P end(n.duration);
   if (box.open) end = impacts > 0 ? theta[box.TimeIndex(impacts - 1)] : P(B(0));
-  // What the initial velocities and gravity add to the integral of |v|.
+  // The initial velocities and gravity add this to the integral of |v|.
   const P rest = P(n.duration) - end, mean_time = B(0.5) * (P(n.duration) + end);
   const P start = n.first_root * rest + (n.gravity_beyond * SquareRoot(n.total_mass)) * (rest * mean_time);
   for (size_t i = 0; i < n.terms.size(); ++i) {
@@ -873,43 +873,6 @@ class Relaxation::Impl {
     }
   }
 
-  // Returns a point of the box where impacts of a pair coincide with its last one, with the same normal; empty if there
-  // is none. The dual function is as low as without one of them there, and has no limit towards such points.
-  static std::vector<double> Coincidence(const ImpactBox& box, const std::vector<double>& middle) {
-    const int impacts = static_cast<int>(box.sequence.size());
-    std::vector<double> point = middle;
-    bool found = false;
-    for (int first = 0; first < impacts;) {
-      int next = first;
-      double low = 0, high = std::numeric_limits<double>::infinity();
-      for (; next < impacts; ++next) {
-        const int at = box.TimeIndex(next);
-        if (std::max(low, box.low[at]) > std::min(high, box.high[at])) break;
-        low = std::max(low, box.low[at]);
-        high = std::min(high, box.high[at]);
-      }
-      for (int i = first; i < next; ++i) {
-        const auto& pair = box.sequence[i];
-        const auto last = std::find(box.sequence.begin() + i + 1, box.sequence.begin() + next, pair);
-        if (last == box.sequence.begin() + next) continue;
-        const int j = static_cast<int>(last - box.sequence.begin());
-        const int at = box.TimeIndex(i) + 1, at_last = box.TimeIndex(j) + 1;
-        if (pair.plane || box.IsFree(j)) {
-          found = true;
-        } else if (box.quarters[i] == box.quarters[j]) {
-          const double least = std::max(box.low[at], box.low[at_last]);
-          const double most = std::min(box.high[at], box.high[at_last]);
-          if (least > most) continue;
-          point[at] = point[at_last] = 0.5 * (least + most);
-          found = true;
-        }
-      }
-      for (int i = first; i < next; ++i) point[box.TimeIndex(i)] = 0.5 * (low + high);
-      first = next;
-    }
-    return found ? point : std::vector<double>();
-  }
-
   // Solves at a point. The weights and sides in the solution are the start.
   void Solve(const ImpactBox& box, const std::vector<Side>& sides, const std::vector<double>& point,
              Solution* solution) const {
@@ -957,12 +920,6 @@ class Relaxation::Impl {
       KeepInOrder(box, &point);
       if (!moves) break;
       Solve(box, sides, point, &now);
-      if (now.value < worst.value) worst = now;
-    }
-    if (const std::vector<double> together = Coincidence(box, middle);
-        box.open && !together.empty() && worst.value >= upper) {
-      now = at_middle;
-      Solve(box, sides, together, &now);
       if (now.value < worst.value) worst = now;
     }
     return worst;

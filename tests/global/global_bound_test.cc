@@ -249,8 +249,8 @@ TEST(Relaxation, TheCentreOfAllDiscsFliesByItself) {
 }
 
 // Two discs at rest that touch, the first one pushed. It touches the second one at some time, may do so again until it
-// touches a wall, and has a target along or across that wall. A disc far away is fixed, so that
-// no momentum is conserved.
+// touches a wall, and has a target along or across that wall. A disc far away is fixed, so that no momentum is
+// conserved.
 class RepeatedImpacts {
  public:
   RepeatedImpacts(const Vec2d& target, double to_wall, double restitution_of_wall) : scene_(ProblemScene("two_balls")) {
@@ -264,6 +264,7 @@ class RepeatedImpacts {
     scene_.objective.terminal = {{.body = 0, .target = target}};
   }
   const Scene& scene() const { return scene_; }
+  void AlsoAim(const Vec2d& target) { scene_.objective.terminal.push_back({.body = 1, .target = target}); }
 
   double Bound(double first, double at_wall, bool repeated) const {
     BoxMaker maker;
@@ -294,6 +295,29 @@ TEST(Relaxation, RepeatedImpactsShareTheWholeEffort) {
     EXPECT_NEAR(lower, exact, 2e-3 * exact) << h;
     EXPECT_LE(lower, exact * (1 + 1e-9)) << h;
   }
+}
+
+// The second disc has a target at the same distance. Repeated impacts push the two apart, so that they count by the
+// difference of the costates only. The dual function of both multipliers is maximised by a search in eight directions.
+TEST(Relaxation, RepeatedImpactsAreOpposite) {
+  RepeatedImpacts impacts({-3, 0}, 0, 1);
+  impacts.AlsoAim({-2.6, 0});
+  const double e = impacts.scene().objective.effort, h = 0.6, r = 1 - h;
+  const auto dual = [&](double a, double b) {
+    const double root = std::sqrt(h * h * h / 3);
+    const double before = root * (std::abs(a) + std::abs(a - b) / std::sqrt(3.0)) + r * std::sqrt(h) * std::hypot(a, b);
+    return 3 * (a + b) - 0.25 * (a * a + b * b) - (r * r * r / 3 * (a * a + b * b) + before * before) / (4 * e);
+  };
+  double a = 0, b = 0;
+  for (double step = 1; step > 1e-9; step *= 0.5) {
+    for (int k = 0; k < 200; ++k) {
+      const double x = step * (k % 3 - 1), y = step * (k / 3 % 3 - 1);
+      if (dual(a + x, b + y) > dual(a, b)) a += x, b += y;
+    }
+  }
+  const double exact = dual(a, b), lower = impacts.Bound(0, h, true);
+  EXPECT_NEAR(lower, exact, 5e-3 * exact);
+  EXPECT_LE(lower, exact * (1 + 1e-9));
 }
 
 // A wall takes energy from the motion towards it. Repeated impacts may turn that motion along the wall before.
