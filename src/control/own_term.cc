@@ -75,10 +75,9 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
   return "";
 }
 
-OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene, int steps)
-    : term_(term), units_(scene.units), to_si_(scene.units, {}), steps_(steps) {
+OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene)
+    : term_(term), units_(scene.units), to_si_(scene.units, {}) {
   *mutable_parameter_block_sizes() = BlocksOf(term);
-  if (divides()) mutable_parameter_block_sizes()->push_back(1);  // two times in the place of the length
   set_num_residuals(term.function->num_residuals());
   row_factor_ = term.role == OwnTerm::Role::kCost ? std::sqrt(UnitFactors({}, scene.units).loss) : 1 / term.scale;
   const auto add = [&](size_t count, const std::vector<double>& factors) {
@@ -104,10 +103,7 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
     const Vec2d p = ConvertPosition({parameters[at][0], parameters[at][1]}, units_, {});
     std::copy_n(p.data(), 2, block.begin());
   }
-  if (term_.with_length) {
-    const double length = divides() ? (parameters[at + 1][0] - parameters[at][0]) / steps_ : parameters[at][0];
-    blocks.push_back({to_si_.time * length});
-  }
+  if (term_.with_length) blocks.push_back({to_si_.time * parameters[at][0]});
   std::vector<const double*> values;
   for (const std::vector<double>& block : blocks) values.push_back(block.data());
 
@@ -123,19 +119,14 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
   for (int r = 0; r < rows; ++r) residuals[r] *= row_factor_;
   if (jacobians == nullptr) return true;
 
-  // `factor(j)` is d(SI)/d(ours) of entry j.
-  const auto write = [&](std::size_t from, std::size_t to, const auto& factor) {
-    if (jacobians[to] == nullptr) return;
-    const int columns = static_cast<int>(blocks[from].size());
-    for (int i = 0; i < rows * columns; ++i)
-      jacobians[to][i] = row_factor_ * factor(i % columns) * derivatives[from][i];
-  };
-  std::size_t i = 0;
-  for (; i < to_si_of_.size(); ++i) write(i, i, [&](int j) { return to_si_of_[i][j]; });
-  if (!term_.with_length) return true;
-  const double per_length = divides() ? to_si_.time / steps_ : to_si_.time;
-  write(i, i, [&](int) { return divides() ? -per_length : per_length; });
-  if (divides()) write(i, i + 1, [&](int) { return per_length; });
+  for (std::size_t k = 0; k < blocks.size(); ++k) {
+    if (jacobians[k] == nullptr) continue;
+    const int columns = static_cast<int>(blocks[k].size());
+    for (int i = 0; i < rows * columns; ++i) {
+      const double to_si = k < to_si_of_.size() ? to_si_of_[k][i % columns] : to_si_.time;
+      jacobians[k][i] = row_factor_ * to_si * derivatives[k][i];
+    }
+  }
   return true;
 }
 
@@ -143,9 +134,9 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
                            std::span<const double> control, std::span<const double> durations) {
   OwnValues sum;
   for (const OwnTerm& term : terms) {
-    const OwnTermCost cost(term, scene, /*steps=*/1);
+    const OwnTermCost cost(term, scene);
     std::vector<double> residuals(cost.num_residuals());
-    const auto add = [&](const DiscStates& x, const double* row, double begin, double end) {
+    const auto add = [&](const DiscStates& x, const double* row, double length) {
       std::deque<std::array<double, 4>> numbers;  // of states and rotations; a deque does not move its entries
       std::vector<const double*> blocks;
       for (const int body : term.states) {
@@ -164,8 +155,7 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
       for (const int body : term.torques) {
         blocks.push_back(row + 2 * scene.num_controlled() + place_in(scene.control.turned, body));
       }
-      if (term.with_length && cost.divides()) blocks.push_back(&begin);
-      if (term.with_length) blocks.push_back(&end);
+      if (term.with_length) blocks.push_back(&length);
       if (!cost.Evaluate(blocks.data(), residuals.data(), nullptr)) {
         sum.cost = sum.violation = std::numeric_limits<double>::infinity();
         return;
@@ -180,14 +170,14 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
       }
     };
     if (term.at == OwnTerm::At::kEnd) {
-      add(flight.end(), nullptr, 0, std::accumulate(durations.begin(), durations.end(), 0.0));
+      add(flight.end(), nullptr, std::accumulate(durations.begin(), durations.end(), 0.0));
       continue;
     }
     int interval = -1;
     for (const Flight::Piece& piece : flight.pieces()) {
       if (piece.interval == interval) continue;  // cut by an impact within the step
       interval = piece.interval;
-      add(piece.at_start, control.data() + scene.ForceIndex(interval, 0), 0, durations[interval]);
+      add(piece.at_start, control.data() + scene.ForceIndex(interval, 0), durations[interval]);
     }
   }
   return sum;

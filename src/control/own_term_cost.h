@@ -1,4 +1,4 @@
-// Terms of a user's own in the units of a solver, with the times of a phase in the place of the length of a step.
+// Terms of a user's own in the units of a solver.
 #pragma once
 
 #include <ceres/cost_function.h>
@@ -14,24 +14,18 @@
 namespace saltus {
 
 // Blocks: as OwnTerm's, in the scene's units, rotations and torques as [r angle, r w] and torque / r of a disc with the
-// radius r; but in the place of a step's length the times at which its phase begins and ends, if the phase has so many
-// steps. Residuals: costs whose squares are in units of the loss, or constraints in parts of
-// their scale.
+// radius r. Residuals: costs whose squares are in units of the loss, or constraints in parts of their scale.
 class OwnTermCost final : public ceres::CostFunction {
  public:
   // `term` is valid, and must outlive this object.
-  OwnTermCost(const OwnTerm& term, const Scene& scene, int steps);
+  OwnTermCost(const OwnTerm& term, const Scene& scene);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
-
-  // Whether the last two blocks are the times at which the phase begins and ends.
-  bool divides() const { return term_.with_length && term_.at == OwnTerm::At::kEachStep; }
 
  private:
   const OwnTerm& term_;
   Units units_;
   UnitFactors to_si_;
-  int steps_;
   double row_factor_;
   std::vector<std::vector<double>> to_si_of_;  // of each block but the length: factors of its entries
 };

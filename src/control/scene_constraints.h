@@ -6,6 +6,7 @@
 
 #include "saltus/control/scene_problem.h"
 #include "saltus/scene/materials.h"
+#include "saltus/simulate/simulator.h"
 
 namespace saltus {
 
@@ -48,8 +49,9 @@ struct ParameterPlaces {
   bool exist;
 };
 
-// Makes the system alone.
-HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters);
+// Makes the system alone. Discs fly as in a step of `flight`, which must outlive the system and fly over any length; if
+// it is null, exactly.
+HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters, const Simulator* flight = nullptr);
 
 // Returns the guess of the problem of a scene with another initial state (of the scene), control and lengths of its
 // intervals, s.

@@ -11,8 +11,8 @@
 // running terms beside either, steps are those of the integration.
 #include "saltus/control/scene_problem.h"
 
-#include <ceres/dynamic_autodiff_cost_function.h>
 #include <ceres/jet.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <array>
@@ -28,6 +28,7 @@
 #include <vector>
 
 #include "control/control_bounds.h"
+#include "control/phase_costs.h"
 #include "control/scene_constraints.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/internal/linear_flow.h"
@@ -120,9 +121,13 @@ class SceneSystem final : public HybridFunctions {
   struct Constants;
 
  public:
-  SceneSystem(const Scene& scene, SceneParameters parameters)
+  // Discs fly as in a step of `flight`, which must outlive this object and fly over any length; if it is null, exactly.
+  SceneSystem(const Scene& scene, SceneParameters parameters, const Simulator* flight,
+              std::optional<ContactMode> regime)
       : HybridFunctions(LayoutOf(scene, parameters)),
         scene_(WithParameters(scene, parameters)),
+        flight_(flight),
+        regime_(regime),
         at_(scene_),
         parameters_(scene, parameters),
         integrates_(Integrates(scene, parameters)),
@@ -151,8 +156,9 @@ class SceneSystem final : public HybridFunctions {
     for (const Body& body : scene_.bodies) paths_.push_back(motion_of(body.path));
     for (const Plane& plane : scene_.planes) motions_.push_back(motion_of(plane.motion));
     given_ = ConstantsOf(scene_);
-    const bool flies = BeyondBallistic(scene_).empty() && !parameters_.exist;
-    if (flies && scene_.objective.running.empty() && scene_.num_bodies() > 1) AddParts();
+    const bool flies = BeyondBallistic(scene_).empty() && !parameters_.exist && scene_.objective.running.empty();
+    arcs_ = flies && scene_.design.empty();
+    if (flies && (scene_.num_bodies() > 1 || flight_ != nullptr)) AddParts();
   }
 
   void Flow(const ModePoint& from, double* xdot) const override {
@@ -269,6 +275,7 @@ class SceneSystem final : public HybridFunctions {
   void Fly(const Constants& of, const FlowStep& step, double* after, double* jacobian) const {
     const int n = at_.size(), columns = Columns();
     const double h = step.h;
+    CHECK(flight_ == nullptr) << "the state of a contact model moves by its parts";
     if (of.linear) {
       std::array<double, LinearFlow::kMostStates> slope;
       Flow(of, step, slope.data());
@@ -352,9 +359,29 @@ class SceneSystem final : public HybridFunctions {
     const int columns = control + m + 1;
     const double h = step.h, by = turns ? RateOfTurn(of.scene, body) : InverseMass(of.scene.bodies[body]);
     if (jacobian != nullptr) std::fill_n(jacobian, n * columns, 0.0);
+    const std::optional<FlightOver> over = flight_ != nullptr ? flight_->FreeFlightOver(h) : std::nullopt;
+    if (flight_ != nullptr && !over) std::fill_n(after, n, NAN);
     for (int j = 0; j < dimension; ++j) {
       const int v = dimension + j;
       const double acceleration = (turns ? 0 : of.scene.gravity[j]) + (m > 0 ? by * step.u[j] : 0);
+      if (over) {
+        const auto fly = [&](const StepLinearization::FreeFlight& map, double* q, double* rate) {
+          *q = map.pp * step.x[j] + map.pv * step.x[v] + map.pa * acceleration;
+          *rate = map.vp * step.x[j] + map.vv * step.x[v] + map.va * acceleration;
+        };
+        const StepLinearization::FreeFlight& map = turns ? over->turn : over->flight;
+        fly(map, &after[j], &after[v]);
+        if (jacobian == nullptr) continue;
+        double *of_q = jacobian + j * columns, *of_v = jacobian + v * columns;
+        of_q[j] = map.pp;
+        of_q[v] = map.pv;
+        of_v[j] = map.vp;
+        of_v[v] = map.vv;
+        fly(turns ? over->turn_by_time : over->by_time, &of_q[columns - 1], &of_v[columns - 1]);
+        if (m > 0) of_q[control + j] = map.pa * by;
+        if (m > 0) of_v[control + j] = map.va * by;
+      }
+      if (flight_ != nullptr) continue;
       after[j] = step.x[j] + h * (step.x[v] + 0.5 * h * acceleration);
       after[v] = step.x[v] + h * acceleration;
       if (jacobian == nullptr) continue;
@@ -407,6 +434,82 @@ class SceneSystem final : public HybridFunctions {
       }
       return apart.distance - of.laws[guard].contact_distance;
     });
+  }
+
+  // In flight under constant forces, where the two come nearest.
+  bool LeastGuard(const FlowStep& step, int guard, double* value, double* gradient) const override {
+    if (!arcs_ || IsWaypoint(guard)) return HybridFunctions::LeastGuard(step, guard, value, gradient);
+    const Candidate& c = pairs_[guard].contact;
+    const int sides = c.plane ? 1 : 2;
+    const Separation<double> begin = SeparationAt(given_, guard, step);
+    // Of a relative to b; a plane rests at the point next to a.
+    Vec2d p = begin.distance * begin.normal, v = TwoAt(step.x, at_.VelocityOf(c.a)), a = Vec2d::Zero();
+    if (!c.plane) v -= TwoAt(step.x, at_.VelocityOf(c.b));
+    for (int side = 0; side < sides; ++side) {
+      const int body = side == 0 ? c.a : c.b;
+      if (!scene_.bodies[body].fixed) a += (side == 0 ? 1 : -1) * AccelerationOf(scene_, body, step.u);
+    }
+    const double part = NearestPart(p, v, a, c.plane ? &begin.normal : nullptr, step.h), s = part * step.h;
+    const Vec2d there = p + s * (v + 0.5 * s * a);
+    const double distance = c.plane ? Dot(begin.normal, there) : there.norm();
+    *value = distance - given_.laws[guard].contact_distance;
+    if (!std::isfinite(*value)) return false;
+    if (gradient == nullptr) return true;
+    const Vec2d normal = c.plane ? begin.normal : Vec2d(there / distance);
+    std::fill_n(gradient, Columns() + 1, 0.0);
+    for (int side = 0; side < sides; ++side) {
+      const int body = side == 0 ? c.a : c.b;
+      for (int j = 0; j < 2; ++j) {
+        const double by = (side == 0 ? 1 : -1) * normal[j];
+        gradient[at_.PositionOf(body) + j] = by;
+        if (scene_.bodies[body].fixed) continue;
+        gradient[at_.VelocityOf(body) + j] = s * by;
+        if (at_.ForceOn(body) < 0) continue;
+        gradient[FirstControl() + at_.ForceOn(body) + j] = 0.5 * s * s * InverseMass(scene_.bodies[body]) * by;
+      }
+    }
+    // The time of the nearest point has no derivative to first order; the end of the step moves with its length.
+    gradient[Columns()] = part * Dot(normal, Vec2d(v + s * a));
+    return true;
+  }
+
+  // That the two do not separate and, in a regime, that they slip or stick.
+  int num_event_rows(int /*mode*/, int guard) const override { return IsWaypoint(guard) ? 0 : regime_ ? 2 : 1; }
+  void EventRows(const ModePoint& from, int guard, double* rows, double* jacobian) const override {
+    if (IsWaypoint(guard)) return;
+    using Jet = ceres::Jet<double, kOfPair>;
+    const int n = at_.size(), columns = FirstControl(), count = num_event_rows(from.mode, guard);
+    const std::array<int, kOfPair> places = PlacesOf(pairs_[guard].contact);
+    const PathMotion::Point wall = WallAt(pairs_[guard].contact, from.t);
+    const auto evaluate = [&](const Constants& of, const auto& x, auto* out) {
+      const auto impact = ImpactOf(of, guard, x, LawOf(of.laws[guard]), wall.velocity);
+      out[0] = impact.speed;
+      if (!regime_) return;
+      const auto most = of.laws[guard].MostDrag() * impact.speed;
+      const auto slip = impact.sliding * impact.sliding - most * most;
+      out[1] = *regime_ == ContactMode::kSlip ? -slip : slip;
+    };
+    std::array<Jet, kOfPair> x;
+    for (int i = 0; i < kOfPair; ++i) x[i] = Jet(places[i] < 0 ? 0.0 : from.x[places[i]], i);
+    std::array<Jet, 2> out;
+    With(from.p, [&](const Constants& of) { evaluate(of, x, out.data()); });
+    for (int row = 0; row < count; ++row) rows[row] = out[row].a;
+    if (jacobian == nullptr) return;
+    std::fill_n(jacobian, count * columns, 0.0);
+    for (int row = 0; row < count; ++row) {
+      for (int i = 0; i < kOfPair; ++i) {
+        if (places[i] >= 0) jacobian[row * columns + places[i]] = out[row].v[i];
+      }
+      jacobian[row * columns + n] = -Dot(Vec2d(out[row].v[4], out[row].v[5]), wall.acceleration);
+    }
+    if (!from.by_parameters) return;
+    std::array<double, kOfPair> values;
+    for (int i = 0; i < kOfPair; ++i) values[i] = x[i].a;
+    AddDifferences(
+        from.p, count, n + 1, columns, jacobian, [&](const Constants& of, double* at) { evaluate(of, values, at); });
+  }
+  std::shared_ptr<const HybridFunctions> RegimeOf(int regime) const override {
+    return std::make_shared<SceneSystem>(scene_, SceneParameters::kDesign, flight_, static_cast<ContactMode>(regime));
   }
 
   int Reset(const ModePoint& from, int guard, double* x_plus) const override {
@@ -573,7 +676,10 @@ class SceneSystem final : public HybridFunctions {
         const int control = turns ? at_.TorqueOn(i) : at_.ForceOn(i);
         for (int k = 0; k < size; ++k) part.states.push_back(first + k);
         for (int k = 0; k < size / 2 && control >= 0; ++k) part.controls.push_back(control + k);
-        part.motion = scene_.bodies[i].fixed ? kRests : control >= 0 ? kSteps : kCoasts;
+        // A step of a contact model has one length, that of the steps of the control.
+        const bool steps = control >= 0 || flight_ != nullptr;
+        part.motion = scene_.bodies[i].fixed ? kRests : steps ? kSteps : kCoasts;
+        part.always_moves_by_part = true;
         parts_.push_back(std::move(part));
       }
     }
@@ -741,10 +847,36 @@ class SceneSystem final : public HybridFunctions {
             law.inverse_inertia[0],
             law.inverse_inertia[1]};
   }
-  // Returns what an impact makes of the numbers of its pair. `law` has the numbers of LawOf().
-  template <typename T>
-  std::array<T, kOfPair> Strike(const Constants& of, int guard, std::array<T, kOfPair> x,
-                                const std::array<T, kOfLaw>& law, const Vec2d& of_wall) const {
+  // The part of a step of length h after which two that are p apart come nearest; v and a are relative too. `normal` is
+  // that of a plane.
+  static double NearestPart(const Vec2d& p, const Vec2d& v, const Vec2d& a, const Vec2d* normal, double h) {
+    double least = std::numeric_limits<double>::infinity(), at = 0;
+    constexpr int kSamples = 4, kNewtonSteps = 10;
+    const auto consider = [&](double part) {
+      const double s = part * h;
+      const Vec2d there = p + s * (v + 0.5 * s * a);
+      const double distance = normal != nullptr ? Dot(*normal, there) : there.norm();
+      if (!(distance < least)) return;
+      least = distance;
+      at = part;
+    };
+    for (int i = 0; i <= kSamples; ++i) consider(static_cast<double>(i) / kSamples);
+    for (int i = 0; i < kNewtonSteps; ++i) {
+      const double s = at * h;
+      const Vec2d w = v + s * a, there = p + s * (v + 0.5 * s * a);
+      const double slope = normal != nullptr ? Dot(*normal, w) : Dot(there, w);
+      const double curvature = normal != nullptr ? Dot(*normal, a) : Dot(w, w) + Dot(there, a);
+      if (!(curvature > 0) || h == 0) break;
+      const double before = at;
+      consider(std::clamp((s - slope / curvature) / h, 0.0, 1.0));
+      if (at == before) break;
+    }
+    return at;
+  }
+  // Returns the impact of a pair with these numbers. `law` has the numbers of LawOf().
+  template <typename T, typename L>
+  Impact<T> ImpactOf(const Constants& of, int guard, const std::array<T, kOfPair>& x, const std::array<L, kOfLaw>& law,
+                     const Vec2d& of_wall) const {
     const auto two = [&](int i) { return Vec2<T>(x[i], x[i + 1]); };
     const Candidate& c = pairs_[guard].contact;
     const Vec2<T> a = PositionIn<T>(of, c.a, two(0));
@@ -752,11 +884,25 @@ class SceneSystem final : public HybridFunctions {
         c.plane ? Separate<T>(a, of.planes[c.b]) : Separate<T>(a, PositionIn<T>(of, c.b, two(2)));
     const std::array<double, 2>& radius = of.laws[guard].radius;
     const Vec2<T> w = two(4) - two(6) - of_wall.cast<T>();
-    const T mobility = law[2] + law[3], speed = Dot(apart.normal, w);
-    const T turning = radius[0] * radius[0] * law[4] + radius[1] * radius[1] * law[5];
+    const T speed = Dot(apart.normal, w);
+    const L mobility = law[2] + law[3], turning = radius[0] * radius[0] * law[4] + radius[1] * radius[1] * law[5];
     const T sliding = Dot(Perpendicular(apart.normal), w) - AtRims(of.laws[guard], std::array<T, 2>{x[8], x[9]});
-    const Impact<T> impact = MakeImpact<T>(
-        apart.normal, speed, sliding, T(1.0 / mobility), T(1.0 / (mobility + turning)), T(1.0 + law[0]), law[1]);
+    return MakeImpact<T>(apart.normal,
+                         speed,
+                         sliding,
+                         L(1.0 / mobility),
+                         L(1.0 / (mobility + turning)),
+                         L(1.0 + law[0]),
+                         law[1],
+                         /*head_on=*/0,
+                         regime_);
+  }
+  // Returns what an impact makes of the numbers of its pair.
+  template <typename T>
+  std::array<T, kOfPair> Strike(const Constants& of, int guard, std::array<T, kOfPair> x,
+                                const std::array<T, kOfLaw>& law, const Vec2d& of_wall) const {
+    const Impact<T> impact = ImpactOf(of, guard, x, law, of_wall);
+    const std::array<double, 2>& radius = of.laws[guard].radius;
     for (int side = 0; side < 2; ++side) {
       const T gain = side == 0 ? law[2] : T(-law[3]);
       for (int j = 0; j < 2; ++j) x[4 + 2 * side + j] += gain * impact.impulse[j];
@@ -766,9 +912,12 @@ class SceneSystem final : public HybridFunctions {
   }
 
   const Scene scene_;
+  const Simulator* const flight_;
+  const std::optional<ContactMode> regime_;  // of all impacts
   const SceneLayout at_;
   const ParameterPlaces parameters_;
   const bool integrates_;
+  bool arcs_ = false;  // under constant forces, and without parameters
   const std::vector<double> waypoints_;
   std::vector<bool> placed_;         // discs whose positions are design parameters
   bool flight_is_designed_ = false;  // design parameters change the flow
@@ -808,14 +957,6 @@ struct NormExcess {
   }
 };
 
-template <typename F>
-std::shared_ptr<const ceres::CostFunction> MakeFunction(F function, const std::vector<int>& blocks, int residuals) {
-  auto made = std::make_shared<ceres::DynamicAutoDiffCostFunction<F, 4>>(new F(std::move(function)));
-  for (const int block : blocks) made->AddParameterBlock(block);
-  made->SetNumResiduals(residuals);
-  return made;
-}
-
 }  // namespace
 
 std::string WhyNoHybridProblem(const Scene& scene) {
@@ -843,8 +984,8 @@ std::string WhyNoHybridProblem(const Scene& scene) {
 
 HybridProblem HybridProblemOf(const Scene& scene) { return HybridProblemOf(scene, nullptr); }
 
-HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters) {
-  return HybridSystem(std::make_shared<SceneSystem>(scene, parameters));
+HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters, const Simulator* flight) {
+  return HybridSystem(std::make_shared<SceneSystem>(scene, parameters, flight, std::nullopt));
 }
 
 HybridInput InputOf(const HybridProblem& problem, const std::vector<double>& initial,
@@ -989,7 +1130,8 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
            .role = HybridTerm::Role::kInequality,
            .with_control = true,
            .function =
-               MakeFunction(NormExcess{2 * static_cast<int>(c), control.max_norm[c]}, {scene.control_width()}, 1)});
+               MakeFunction(NormExcess{2 * static_cast<int>(c), control.max_norm[c]}, {scene.control_width()}, 1),
+           .reads_controls = {2 * static_cast<int>(c), 2 * static_cast<int>(c) + 1}});
     }
   } else if (scene.optimize != Optimize::kNone) {
     for (const int body : scene.free) {

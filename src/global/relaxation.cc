@@ -41,6 +41,7 @@ constexpr double kPoor = 0.9;              // of the dual function at the worst 
 constexpr double kEnough = 2;              // of the known loss: a box needs no larger bound at its worst point
 constexpr double kNarrow = 0.3;            // of the widest parameter: a box is not divided in narrower ones
 constexpr double kViolated = 1e-9;         // of the distance of a wall from the origin: as far must a disc be behind it
+constexpr double kLeastShare = 0.03;       // a smaller one has too large an error in a box
 constexpr double kRegularization = 1e-11;  // relative to the curvature of the dual
 using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostMultipliers, 1>;
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostMultipliers, kMostMultipliers>;
@@ -100,10 +101,12 @@ struct Numbers {
     Pair<B> target;
     B inverse;  // 1 / (4 weight)
   };
-  B duration, effort, lightest, total_mass, first_root;
+  B duration, effort, lightest, total_mass;
+  B first_root;  // of the sum of m |v_i|^2 at the start, without the conserved part of the momentum
   bool has_gravity = false, starts = false;  // starts: discs move or fall by themselves
   Pair<B> gravity;
-  B gravity_size;
+  std::vector<Pair<B>> conserved;  // directions of unit length, in which no impact changes the momentum of all discs
+  B gravity_beyond;                // the length of gravity in the other directions
   std::vector<Disc> discs;
   std::vector<Touch> touches;
   std::vector<Term> terms;
@@ -117,10 +120,10 @@ struct Numbers {
         total_mass(0),
         first_root(0),
         has_gravity(scene.gravity != Vec2d::Zero()),
-        gravity(Of(scene.gravity)),
-        gravity_size(SquareRoot(Square(gravity.x) + Square(gravity.y))) {
+        gravity(Of(scene.gravity)) {
     double lightest_mass = std::numeric_limits<double>::infinity();
     B energy(0);
+    Pair<B> momentum;
     for (int i = 0; i < scene.num_bodies(); ++i) {
       const Body& body = scene.bodies[i];
       const std::vector<int>& pushed = scene.control.bodies;
@@ -143,21 +146,43 @@ struct Numbers {
       if (!body.fixed) {
         total_mass += mass;
         energy += mass * (Square(disc.velocity.x) + Square(disc.velocity.y));
+        momentum += mass * disc.velocity;
       }
       discs.push_back(disc);
     }
     lightest = B(lightest_mass);
-    first_root = SquareRoot(energy);
     starts = has_gravity || std::any_of(scene.bodies.begin(), scene.bodies.end(), [](const Body& body) {
                return body.velocity != Vec2d::Zero();
              });
     for (const Candidate& pair : AllPairs(scene)) touches.push_back(TouchOf(scene, pair));
+    FindConserved(scene);
+    B gravity_square = Square(gravity.x) + Square(gravity.y);
+    for (const Pair<B>& direction : conserved) {
+      energy -= Square(Dot(direction, momentum)) / total_mass;
+      gravity_square -= Square(Dot(direction, gravity));
+    }
+    first_root = SquareRoot(Positive(energy));
+    gravity_beyond = SquareRoot(Positive(gravity_square));
     for (const TerminalTerm& term : scene.objective.terminal) {
       if (term.weight == 0) continue;
       terms.push_back({term.body,
                        term.quantity == TerminalTerm::Quantity::kPosition,
                        Of(term.target),
                        B(1) / (B(4) * B(term.weight))});
+    }
+  }
+
+  // All directions without walls and fixed discs; the one along the walls, if they are parallel.
+  void FindConserved(const Scene& scene) {
+    conserved = {{B(1), B(0)}, {B(0), B(1)}};
+    std::optional<Vec2d> wall;
+    for (const Touch& touch : touches) {
+      if (!touch.b_fixed) continue;
+      const Vec2d normal = touch.pair.plane ? scene.planes[touch.pair.b].normal : Vec2d::Zero();
+      const bool is_parallel = touch.pair.plane && (!wall || normal == *wall || normal == -*wall);
+      conserved = {{B(-1) * touch.normal.y, touch.normal.x}};
+      if (!is_parallel) return conserved.clear();
+      wall = normal;
     }
   }
 
@@ -235,17 +260,16 @@ struct Layout {
 // Numbers by which the dual function is a quadratic one, whatever they are: the bound holds for any, and is best for
 // one.
 //
-// After an open sequence discs get further with more effort E. With multipliers a_i of the terms, a disc's reach enters
-// as the least of E - (root of the sum of |a_i|^2 / m_i) * push * root of E, of which effort is shared out: a part
-// `share` to the forces before, the rest to the reach. Only the effort is shared that can add to the energy at the end
-// of the sequence (see EnergyAtEnd).
+// After an open sequence discs get further with more effort E: their reach enters as the least of E - G * push * root
+// of E, of which effort is shared out (see EnergyAtEnd): a part `share` to the forces before, the rest to the reach.
+// Only the effort is shared that can add to the energy at the end of the sequence (see EnergyAtEnd).
 struct Weights {
   double share = 1;  // in (0, 1]; of 1 there are no terms in an open sequence
-  double reach = 1;  // > 0: about the root of the sum of |a_i|^2 / m_i
+  double reach = 1;  // > 0: about G
   double place = 1;  // > 0: about the length of the place's multipliers of a last touch whose normal is free
-  // The shares of the effort of each of the two discs of repeated impacts: that of the disc's costate, and those of the
-  // two costates through repeated impacts. Each > 0, with a sum below 1.
-  std::vector<std::array<std::array<double, 3>, 2>> parts = {};
+  // The shares of the effort of each of the two discs of repeated impacts: that of the disc's costate, and that of both
+  // costates through repeated impacts. Each > 0, with a sum below 1.
+  std::vector<std::array<std::array<double, 2>, 2>> parts = {};
   // Multipliers of the bound on the mean square of a force, >= 0, by flight from the last one and disc, of each
   // component. They add to the effort. Empty if no force is bounded.
   std::vector<std::array<double, 2>> held = {};
@@ -256,7 +280,7 @@ struct Weights {
 struct Record {
   double factor = 1;  // of what is added
   double spent = 0;   // square of the share, times the derivative by it of what effort before the end subtracts
-  std::vector<std::array<std::array<double, 3>, 2>> parts;  // integrals of squares
+  std::vector<std::array<std::array<double, 2>, 2>> parts;  // integrals of squares
   std::vector<double> lengths, durations;                   // integrals of squares, and times, of repeated impacts
   struct Push {
     std::array<double, 2> squares = {0, 0};  // integrals of the squares of a costate of velocity
@@ -333,24 +357,25 @@ Pair<P> NormalAt(const P& tau, int quarter) {
   }
 }
 
-// The reach after an open sequence, which ends at time `end`: the root of the sum of m |displacement|^2 is at most a
-// start plus the root of PushSquare, times the effort before `end` times `part`, and the effort after it. Before `end`
-// only the effort counts that EnergyAtEnd leaves.
-template <typename B, typename P>
-P PushSquare(const Numbers<B>& n, const P& end, const B& part) {
-  const P rest = P(n.duration) - end;
-  return Reciprocal(n.effort * n.lightest) * (Square(rest) * (Reciprocal(part) * end + (B(1) / B(3)) * rest));
-}
-
-// Twice the kinetic energy after an open sequence, as a quadratic form of the velocities of all discs at an earlier
-// time if no force follows. It is computed backwards in time and begins as the energy itself.
+// Reach. An open sequence ends at time t, with r = T - t left. No impact changes the momentum of all discs in the
+// directions of Numbers::conserved, so that in these the displacement D of their centre of mass M is linear in the
+// control; and |v|, the root of the sum of m |v_i|^2 less |conserved momentum|^2 / M, does not grow at impacts: those
+// of discs that matter later are all in the sequence, and after its last one each disc flies on. With costates a_i of
+// the positions at the end, their sum a in conserved directions, and G^2 = sum of |a_i|^2 / m_i - |a|^2 / M, the
+// displacements d_i after time t have
 //
-// |v|, the root of the sum of m |v_i|^2, does not grow at impacts: those of discs that matter later are all in the
-// sequence. With the linear map W_f from the velocities after flight f to those at the end, and J_f the change of
-// velocity by forces in that flight, |v(end)| <= |v(0)| + sum over flights of |W_f J_f| (and the integral of gravity).
-// J_f depends on the mean force of the flight only, and not on how the force varies around that mean. This does not
-// hold for a pair that may touch again during the flight at unknown normals: there |J_f| is replaced by the integral of
-// |u| / root of m, and W_f by the identity, which is Reset.
+//   sum of a_i . d_i >= a . D - G r |v(t)| - (G times what forces and gravity after t add to |v|, integrated).
+//
+// Forces after t enter D and |v| together: with |x y + z w|^2 <= (x^2 + z^2) (y^2 + w^2), they take at most
+// (|a|^2 / M + G^2) r^3 / (12 e m), with m the lightest pushed disc. |v(t)| is bounded by effort before t.
+//
+// |v(t)|^2 as a quadratic form of the velocities of all discs at an earlier time, if no force follows. It is computed
+// backwards in time. With the linear map W_f from the velocities after flight f to those at time t, and J_f the change
+// of velocity by forces in that flight, |v(t)| <= |v(0)| + sum over flights of |W_f J_f| (and the integral of gravity).
+// J_f depends on the mean force of the flight only, and not on how the force varies around that mean.
+//
+// This does not hold for a pair that may touch again during the flight at unknown normals: there |J_f| is replaced by
+// the integral of |u| / root of m, and W_f by the identity, which is Reset.
 template <typename B, typename P>
 class EnergyAtEnd {
  public:
@@ -362,7 +387,18 @@ class EnergyAtEnd {
   // Replaces the form by the energy at this time, which is no smaller.
   void Reset() {
     std::fill(form_.begin(), form_.end(), P(B(0)));
-    for (int k = 0; k < size(); ++k) At(k, k) = P(numbers_.discs[k / 2].mass);
+    for (int k = 0; k < size(); ++k) {
+      const auto& a = numbers_.discs[k / 2];
+      if (a.fixed) continue;
+      At(k, k) = P(a.mass);
+      for (int l = 0; l < size(); ++l) {
+        const auto& b = numbers_.discs[l / 2];
+        if (b.fixed) continue;
+        for (const auto& [x, y] : numbers_.conserved) {
+          At(k, l) -= P(a.mass * b.mass / numbers_.total_mass * ((k % 2 == 0 ? x : y) * (l % 2 == 0 ? x : y)));
+        }
+      }
+    }
   }
 
   // Goes back over an impact, v -> v - c (d . v) with the gradient d of the approach: the form Q becomes
@@ -390,11 +426,10 @@ class EnergyAtEnd {
     }
   }
 
-  // Returns the form of the velocity of one disc, relative to its mass: xx, xy and yy. It is at most the identity.
-  std::array<P, 3> Of(int disc) const {
-    const B inverse = B(1) / numbers_.discs[disc].mass;
-    const auto at = [&](int k, int l) { return inverse * form_[(2 * disc + k) * size() + 2 * disc + l]; };
-    return {at(0, 0), at(0, 1), at(1, 1)};
+  // Returns the coefficient of two components of momenta. As a form of one disc it is at most 1 / mass.
+  P Between(int k, int l) const {
+    const B inverse = B(1) / (numbers_.discs[k / 2].mass * numbers_.discs[l / 2].mass);
+    return inverse * form_[k * size() + l];
   }
 
  private:
@@ -405,16 +440,25 @@ class EnergyAtEnd {
   std::vector<P> form_;  // row by row
 };
 
+// An impact of the pair with the approach speed 1 changes the Lagrangian by at most the length of this, as the impulses
+// on the two discs are opposite.
+template <typename Touch, typename S>
+Pair<S> Apart(const Touch& touch, const std::vector<Pair<S>>& of_velocity) {
+  Pair<S> apart = touch.share_a * of_velocity[touch.pair.a];
+  if (!touch.b_fixed) apart -= touch.share_b * of_velocity[touch.pair.b];
+  return apart;
+}
+
 // The Lagrangian, minimised over all controls: a lower bound of the loss at impacts with parameters `theta` for any
 // multipliers z whose approaches are not negative. It is a concave quadratic function of z.
 //
 // Repeated impacts. After an impact of a pair its discs part: |r|' >= 0, with r between the discs. In flight
 // |r|'' >= n.w, with w their relative acceleration. So if the next impact is h later, the integral of t |w| over that
-// time is at least h times the speed a of approach. The impact changes the velocity of disc a by share_a * a, which is
-// at most the integral of share_a (t / h) |w|. With |w| <= sum of |u| / m over the pushed ones of the two (and gravity
-// at what is fixed), and effort quadratic in u, all later impacts together enter the Lagrangian by no more than a third
-// of the square of share_a times the largest costate of velocity from t on: the mean of (t / h)^2 is 1 / 3, that of t /
-// h 1 / 2. At a plane the velocity changes along its normal only.
+// time is at least h times the speed of approach, by which the impact changes the Lagrangian by up to the length of
+// Apart. With |w| <= sum of |u| / m over the pushed ones of the two (and gravity at what is fixed), and effort
+// quadratic in u, all later impacts together enter the Lagrangian by no more than a third of the largest square of
+// Apart from t on: the mean of (t / h)^2 is 1 / 3, that of t / h 1 / 2. At a plane the velocity changes along its
+// normal only.
 template <typename B, typename P, typename S, typename D>
 void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& layout, const P* theta, const S* z,
                      const S& zero, const Weights& weights, D* dual, Record* record = nullptr) {
@@ -425,35 +469,27 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
   struct Repeated {
     int impact;
     const typename Numbers<B>::Touch* touch;
-    Pair<S> end_a, end_b;  // costates of velocity where it ends
-    bool has_end_a, has_end_b;
+    Pair<S> end;  // of the costates of velocity where it ends
+    bool has_end;
   };
   std::vector<Repeated> running;
-  std::optional<EnergyAtEnd<B, P>> energy;  // of one pushed disc: those of several are not a sum over the discs
-  const auto is_pushed = [](const auto& disc) { return disc.pushed; };
-  if (box.open && weights.share < 1 && std::count_if(n.discs.begin(), n.discs.end(), is_pushed) == 1) energy.emplace(n);
+  std::optional<EnergyAtEnd<B, P>> energy;
+  if (box.open && weights.share < 1) energy.emplace(n);
   // Begins, backwards in time, the repetitions of the impacts that end before impact `next`.
   const auto begin_before = [&](int next) {
     for (int j = 0; j < impacts; ++j) {
       if (!box.repeated[j] || box.EndOfRepetition(j) != next) continue;
-      if (energy) energy->Reset();
       const auto& touch = n.Find(box.sequence[j]);
+      if (energy) energy->Reset();
       const int a = touch.pair.a, b = touch.b_fixed ? a : touch.pair.b;
-      running.push_back({j,
-                         &touch,
-                         of_velocity[a],
-                         of_velocity[b],
-                         static_cast<bool>(has_velocity[a]),
-                         !touch.b_fixed && has_velocity[b]});
+      running.push_back({j, &touch, Apart(touch, of_velocity), has_velocity[a] || has_velocity[b]});
     }
   };
   P end(n.duration);
   if (box.open) end = impacts > 0 ? theta[box.TimeIndex(impacts - 1)] : P(B(0));
-  // How far discs get after an open sequence: the root of the sum of m |displacement|^2 is at most
-  // start + push * root of the effort.
+  // The initial velocities and gravity add this to the integral of |v|.
   const P rest = P(n.duration) - end, mean_time = B(0.5) * (P(n.duration) + end);
-  const P push_square = PushSquare(n, end, B(1) - B(weights.share));
-  const P start = n.first_root * rest + (n.gravity_size * SquareRoot(n.total_mass)) * (rest * mean_time);
+  const P start = n.first_root * rest + (n.gravity_beyond * SquareRoot(n.total_mass)) * (rest * mean_time);
   for (size_t i = 0; i < n.terms.size(); ++i) {
     const auto& term = n.terms[i];
     if (box.open && (!term.position || weights.share == 1)) continue;
@@ -478,17 +514,34 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     }
   };
   if (!box.open || weights.share < 1) add_sides(impacts);
-  begin_before(impacts);
   if (box.open && weights.share < 1) {
+    const P square = Reciprocal(B(4) * n.effort * n.lightest) * Square(rest);
+    P before = Reciprocal(B(1) - B(weights.share)) * (square * end);
+    if (n.starts) {
+      before += (B(0.5) / B(weights.reach)) * start;
+      AddConstant(B(-0.5) * B(weights.reach) * start, dual);
+    }
+    const P all = before + (B(1) / B(3)) * (square * rest);
+    Pair<S> sum{zero, zero};
     for (size_t i = 0; i < discs; ++i) {
       if (!active[i]) continue;
-      P by_square = (B(0.25) / n.discs[i].mass) * push_square;
-      if (n.starts) by_square += (B(0.5) / n.discs[i].mass / B(weights.reach)) * start;
-      AddSquare(B(-1) * by_square, of_position[i].x, dual);
-      AddSquare(B(-1) * by_square, of_position[i].y, dual);
+      AddSquare((B(-1) / n.discs[i].mass) * all, of_position[i].x, dual);
+      AddSquare((B(-1) / n.discs[i].mass) * all, of_position[i].y, dual);
+      sum += of_position[i];
     }
-    if (n.starts) AddConstant(B(-0.5) * B(weights.reach) * start, dual);
+    for (const Pair<B>& direction : n.conserved) {
+      const S along = P(direction.x) * sum.x + P(direction.y) * sum.y;
+      AddSquare((B(1) / n.total_mass) * before, along, dual);
+      if (n.has_gravity) Add((B(0.5) * Dot(direction, n.gravity)) * Square(rest), along, dual);
+      for (size_t i = 0; i < discs; ++i) {
+        if (n.discs[i].fixed) continue;
+        const P part = (n.discs[i].mass / n.total_mass) * rest;
+        of_velocity[i] += {(part * P(direction.x)) * along, (part * P(direction.y)) * along};
+        active[i] = has_velocity[i] = true;
+      }
+    }
   }
+  begin_before(impacts);
 
   const auto spend = [&](const P& factor, const S& a) {
     AddSquare(B(-1) / B(weights.share) * factor, a, dual);
@@ -497,46 +550,89 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
     }
   };
   int flight = 0;
-  // Pushes disc i while its costate of velocity has that mean and gain. Minimises, over the mean force, the effort that
-  // is not shared out to the reach: a quadratic form with the components xx, xy and yy.
-  const auto push =
-      [&](int i, const B& effort, bool in_repetition, const P& duration, const Pair<S>& mean, const Pair<S>& gain) {
-        const auto& disc = n.discs[i];
-        const size_t at = flight * discs + i;
-        const auto held = weights.held.empty() ? std::array<double, 2>{0, 0} : weights.held[at];
-        const B given = (B(1) - B(weights.share)) * effort;
-        const B varying = in_repetition ? effort - given : effort;  // the price of the force around its mean
-        const P unit = Reciprocal(B(4) * Square(disc.mass)) * duration;
-        AddSquare(B(-1) / (B(12) * (varying + B(held[0]))) * unit, gain.x, dual);
-        AddSquare(B(-1) / (B(12) * (varying + B(held[1]))) * unit, gain.y, dual);
-        std::array<P, 3> form = {P(B(1)), P(B(0)), P(B(1))};
-        if (energy && !in_repetition) form = energy->Of(i);
-        const P xx = P(effort + B(held[0])) - given * form[0], xy = B(-1) * given * form[1];
-        const P yy = P(effort + B(held[1])) - given * form[2];
-        const P inverse = Reciprocal(xx), ratio = xy * inverse;
-        S across = mean.y;
-        across -= ratio * mean.x;
-        const P across_inverse = Reciprocal(yy - xy * ratio);
-        AddSquare(B(-1) * (inverse * unit), mean.x, dual);
-        AddSquare(B(-1) * (across_inverse * unit), across, dual);
-        for (const int k : {0, 1}) {
-          if (held[k] > 0 && !(disc.is_length && k == 1)) {
-            AddConstant((B(-held[k]) * Square(disc.largest)) * duration, dual);
-          }
-        }
+  // Minimises over the forces of a flight, in which the costates of velocity have these means and gains.
+  const auto push = [&](const P& duration, const std::vector<Pair<S>>& mean, const std::vector<Pair<S>>& gain) {
+    const bool by_mean = energy && running.empty();  // otherwise all of a force may add to the energy
+    std::vector<int> pushed;
+    std::vector<B> efforts;  // of each component, with the multiplier of its bound
+    for (size_t i = 0; i < discs; ++i) {
+      const auto& disc = n.discs[i];
+      if (!disc.pushed || !(active[i] || by_mean)) continue;
+      const auto square = [](const auto& v) { return Square(v.x) + Square(v.y); };
+      double own = 1;  // a disc is in one of the running repetitions at most
+      for (const Repeated& repeated : running) {
+        const bool is_a = repeated.touch->pair.a == static_cast<int>(i);
+        if (!is_a && (repeated.touch->b_fixed || repeated.touch->pair.b != static_cast<int>(i))) continue;
+        own = weights.parts[repeated.impact][is_a ? 0 : 1][0];
         if constexpr (std::is_same_v<S, double>) {
-          if (record == nullptr) return;
-          const double y = across_inverse * across, x = inverse * mean.x - ratio * y;
-          const double varied = in_repetition ? (Square(gain.x) + Square(gain.y)) / (12 * varying * varying) : 0;
-          record->spent += record->factor * Square(weights.share) * effort * unit *
-                           (form[0] * x * x + 2 * form[1] * x * y + form[2] * y * y + varied);
-          if (weights.held.empty()) return;
-          record->pushes[at].squares[0] += record->factor * duration * (Square(mean.x) + Square(gain.x) / 12);
-          record->pushes[at].squares[1] += record->factor * duration * (Square(mean.y) + Square(gain.y) / 12);
-          record->pushes[at].duration += record->factor * duration;
-          record->pushes[at].effort = weights.share * effort;
+          if (record == nullptr) continue;
+          record->parts[repeated.impact][is_a ? 0 : 1][0] +=
+              record->factor * duration * (square(mean[i]) + square(gain[i]) / 12);
         }
-      };
+      }
+      const B effort = n.effort * B(own), by_square = Reciprocal(B(4) * Square(disc.mass));
+      const B varying = energy && !by_mean ? B(weights.share) * effort : effort;  // of the force around its mean
+      const auto held = weights.held.empty() ? std::array<double, 2>{0, 0} : weights.held[flight * discs + i];
+      for (const int k : {0, 1}) {
+        const P factor = (B(-1) * by_square / (varying + B(held[k]))) * duration;
+        AddSquare((B(1) / B(12)) * factor, k == 0 ? gain[i].x : gain[i].y, dual);
+        if (!by_mean) AddSquare(factor, k == 0 ? mean[i].x : mean[i].y, dual);
+        if (held[k] > 0 && !(disc.is_length && k == 1)) {
+          AddConstant((B(-held[k]) * Square(disc.largest)) * duration, dual);
+        }
+        efforts.push_back(effort + B(held[k]));
+      }
+      pushed.push_back(static_cast<int>(i));
+      if constexpr (std::is_same_v<S, double>) {
+        if (record == nullptr) continue;
+        if (!by_mean) {
+          record->spent += record->factor * duration * by_square / effort * (square(mean[i]) + square(gain[i]) / 12);
+        }
+        if (weights.held.empty()) continue;
+        Record::Push& out = record->pushes[flight * discs + i];
+        out.squares[0] += record->factor * duration * (Square(mean[i].x) + Square(gain[i].x) / 12);
+        out.squares[1] += record->factor * duration * (Square(mean[i].y) + Square(gain[i].y) / 12);
+        out.duration += record->factor * duration;
+        out.effort = weights.share * effort;
+      }
+    }
+    if (!by_mean) return;
+    // Over the mean forces u of all discs: the effort less what is shared out of it is a quadratic form of u.
+    const B given = (B(1) - B(weights.share)) * n.effort * n.lightest;
+    const int size = static_cast<int>(efforts.size());
+    const auto component = [&](int k) { return 2 * pushed[k / 2] + k % 2; };
+    std::vector<P> matrix(size * size), inverse(size);  // the upper triangle
+    std::vector<S> side;
+    for (int k = 0; k < size; ++k) {
+      const Pair<S>& of = mean[pushed[k / 2]];
+      side.push_back(P(B(1) / n.discs[pushed[k / 2]].mass) * (k % 2 == 0 ? of.x : of.y));
+      for (int l = k; l < size; ++l) {
+        matrix[k * size + l] = (B(-1) * given) * energy->Between(component(k), component(l));
+      }
+      matrix[k * size + k] += P(efforts[k]);
+    }
+    for (int k = 0; k < size; ++k) {
+      inverse[k] = Reciprocal(matrix[k * size + k]);
+      AddSquare(B(-0.25) * (inverse[k] * duration), side[k], dual);
+      for (int l = k + 1; l < size; ++l) {
+        const P ratio = matrix[k * size + l] * inverse[k];
+        side[l] -= ratio * side[k];
+        for (int m = l; m < size; ++m) matrix[l * size + m] -= ratio * matrix[k * size + m];
+      }
+    }
+    if constexpr (std::is_same_v<S, double>) {
+      if (record == nullptr) return;
+      double square = 0;
+      for (int k = size - 1; k >= 0; --k) {  // `side` becomes twice the force
+        for (int l = k + 1; l < size; ++l) side[k] -= matrix[k * size + l] * side[l];
+        side[k] *= inverse[k];
+        for (int l = k; l < size; ++l) {
+          square += (l > k ? 2 : 1) * energy->Between(component(k), component(l)) * side[k] * side[l];
+        }
+      }
+      record->spent += record->factor * Square(weights.share) / (1 - weights.share) * 0.25 * duration * given * square;
+    }
+  };
   const auto fly = [&](const P& duration) {
     const P twelfth = B(1) / B(12) * duration;
     std::vector<Pair<S>> gain(discs, {zero, zero}), mean(discs, {zero, zero});
@@ -548,75 +644,50 @@ void AddDualFunction(const Numbers<B>& n, const ImpactBox& box, const Layout& la
         Add(n.gravity.x * duration, mean[i].x, dual);
         Add(n.gravity.y * duration, mean[i].y, dual);
       }
-      if (!n.discs[i].pushed) continue;
-      B effort = n.effort;
-      bool in_repetition = false;
-      for (const Repeated& repeated : running) {
-        const bool is_a = repeated.touch->pair.a == static_cast<int>(i);
-        const bool is_b = !repeated.touch->b_fixed && repeated.touch->pair.b == static_cast<int>(i);
-        if (!is_a && !is_b) continue;
-        effort = effort * B(weights.parts[repeated.impact][is_a ? 0 : 1][0]);
-        in_repetition = true;
+    }
+    push(duration, mean, gain);
+    for (const Repeated& repeated : running) {
+      const auto& touch = *repeated.touch;
+      const auto apart = [&](const std::vector<Pair<S>>& v) { return Apart(touch, v); };
+      // Calls use(factor, a) for squares a^2 whose sum, with factors, is an integral of the largest square from t on.
+      const auto for_squares = [&](const auto& use) {
+        const auto of = [&](const P& factor, const Pair<S>& v) {
+          if (touch.pair.plane) {  // only along the normal
+            use(factor, P(touch.normal.x) * v.x + P(touch.normal.y) * v.y);
+          } else {
+            use(factor, v.x);
+            use(factor, v.y);
+          }
+        };
+        of(duration, apart(mean));
+        of(twelfth, apart(gain));
+        if (repeated.has_end) of(duration, repeated.end);
+      };
+      for (const int source : {0, 1}) {  // the disc that is pushed
+        if (source == 1 && touch.b_fixed) continue;
+        const auto& disc = n.discs[source == 0 ? touch.pair.a : touch.pair.b];
+        if (!disc.pushed) continue;
+        const B price = disc.price / (B(3) * B(weights.parts[repeated.impact][source][1]));
+        for_squares([&](const P& factor, const S& a) { spend(price * factor, a); });
         if constexpr (std::is_same_v<S, double>) {
           if (record != nullptr) {
-            record->parts[repeated.impact][is_a ? 0 : 1][0] +=
-                record->factor * duration * (Square(mean[i].x) + Square(mean[i].y)) +
-                record->factor * twelfth * (Square(gain[i].x) + Square(gain[i].y));
+            for_squares([&](double factor, double a) {
+              record->parts[repeated.impact][source][1] += record->factor / 3 * factor * a * a;
+            });
           }
         }
       }
-      push(static_cast<int>(i), effort, in_repetition, duration, mean[i], gain[i]);
-    }
-    for (const Repeated& repeated : running) {
-      const auto& touch = *repeated.touch;
-      for (const bool is_a : {true, false}) {  // the disc whose velocity changes
-        if (!is_a && touch.b_fixed) continue;
-        const int i = is_a ? touch.pair.a : touch.pair.b;
-        if (!active[i]) continue;
-        const B share = Square(is_a ? touch.share_a : touch.share_b) / B(3);
-        const Pair<S>& at_end = is_a ? repeated.end_a : repeated.end_b;
-        const bool has_end = is_a ? repeated.has_end_a : repeated.has_end_b;
-        // Calls use(factor, a) for squares a^2 whose sum, with factors, is an integral of the largest square from t on.
-        const auto for_squares = [&](const auto& use) {
-          const auto of = [&](const P& factor, const Pair<S>& v) {
-            if (touch.pair.plane) {  // only along the normal
-              use(factor, P(touch.normal.x) * v.x + P(touch.normal.y) * v.y);
-            } else {
-              use(factor, v.x);
-              use(factor, v.y);
-            }
-          };
-          of(duration, mean[i]);
-          of(twelfth, gain[i]);
-          if (has_end) of(duration, at_end);
-        };
-        for (const int source : {0, 1}) {  // the disc that is pushed
-          if (source == 1 && touch.b_fixed) continue;
-          const auto& disc = n.discs[source == 0 ? touch.pair.a : touch.pair.b];
-          if (!disc.pushed) continue;
-          const B price = share * disc.price / B(weights.parts[repeated.impact][source][is_a ? 1 : 2]);
-          for_squares([&](const P& factor, const S& a) { spend(price * factor, a); });
-          if constexpr (std::is_same_v<S, double>) {
-            if (record != nullptr) {
-              for_squares([&](double factor, double a) {
-                record->parts[repeated.impact][source][is_a ? 1 : 2] += record->factor * share * factor * a * a;
-              });
-            }
-          }
-        }
-        if (n.has_gravity && touch.b_fixed) {
-          const B half = B(0.25) * touch.share_a * touch.fall;
-          for_squares([&](const P& factor, const S& a) {
-            AddSquare(B(-1) * half / B(weights.fall[repeated.impact]) * factor, a, dual);
-          });
-          AddConstant(B(-1) * half * B(weights.fall[repeated.impact]) * duration, dual);
-          if constexpr (std::is_same_v<S, double>) {
-            if (record != nullptr) {
-              for_squares([&](double factor, double a) {
-                record->lengths[repeated.impact] += record->factor * factor * a * a;
-              });
-              record->durations[repeated.impact] += record->factor * duration;
-            }
+      if (n.has_gravity && touch.b_fixed) {
+        const B half = B(0.25) * touch.fall;
+        for_squares([&](const P& factor, const S& a) {
+          AddSquare(B(-1) * half / B(weights.fall[repeated.impact]) * factor, a, dual);
+        });
+        AddConstant(B(-1) * half * B(weights.fall[repeated.impact]) * duration, dual);
+        if constexpr (std::is_same_v<S, double>) {
+          if (record != nullptr) {
+            for_squares(
+                [&](double factor, double a) { record->lengths[repeated.impact] += record->factor * factor * a * a; });
+            record->durations[repeated.impact] += record->factor * duration;
           }
         }
       }
@@ -881,7 +952,7 @@ class Relaxation::Impl {
     }
     Solution at_middle{Layout(static_cast<int>(plain_.terms.size()), box)};
     Weights& weights = at_middle.weights;
-    weights.parts.assign(box.sequence.size(), {{{0.3, 0.3, 0.3}, {0.3, 0.3, 0.3}}});
+    weights.parts.assign(box.sequence.size(), {{{0.5, 0.5}, {0.5, 0.5}}});
     weights.fall.assign(box.sequence.size(), 1.0);
     if (std::any_of(plain_.discs.begin(), plain_.discs.end(), [](const auto& disc) { return disc.largest > 0; }))
       weights.held.assign((box.sequence.size() + 1) * plain_.discs.size(), {0, 0});
@@ -995,7 +1066,7 @@ class Relaxation::Impl {
     const size_t impacts = box.sequence.size();
     Record record{1,
                   0,
-                  std::vector(impacts, std::array<std::array<double, 3>, 2>{}),
+                  std::vector(impacts, std::array<std::array<double, 2>, 2>{}),
                   std::vector(impacts, 0.0),
                   std::vector(impacts, 0.0),
                   std::vector<Record::Push>(weights->held.size())};
@@ -1022,25 +1093,30 @@ class Relaxation::Impl {
         of_end[layout.sides[i].body] -= z[layout.first_side + i] * Vec2d(normal.x, normal.y);
       }
       double square = 0;
-      for (size_t i = 0; i < of_end.size(); ++i) square += of_end[i].squaredNorm() / plain_.discs[i].mass;
+      Vec2d sum = Vec2d::Zero();
+      for (size_t i = 0; i < of_end.size(); ++i) {
+        square += of_end[i].squaredNorm() / plain_.discs[i].mass;
+        sum += of_end[i];
+      }
+      for (const Pair<double>& c : plain_.conserved) square -= Square(c.x * sum[0] + c.y * sum[1]) / plain_.total_mass;
       if (plain_.starts) move(&next.reach, std::max(1e-12, std::sqrt(square)));
       // The parts of the dual function that fall with 1 / share and 1 / (1 - share).
       const double after = std::sqrt(reach * square), before = std::sqrt(record.spent);
       double share = before + after > 0 ? before / (before + after) : 0.5;
-      share = square > 0 ? std::clamp(share, 1e-4, 1 - 1e-4) : 1;
+      share = square > 0 ? std::clamp(share, kLeastShare, 1 - 1e-4) : 1;
       changed = changed || std::abs(share - weights->share) > 0.01 * (1 - weights->share);
       move(&next.share, share);
     }
     for (size_t i = 0; i < impacts; ++i) {
       if (!box.repeated[i]) continue;
       for (int source = 0; source < 2; ++source) {
-        std::array<double, 3> roots;
+        std::array<double, 2> roots;
         double sum = 0;
-        for (int k = 0; k < 3; ++k) sum += roots[k] = std::sqrt(record.parts[i][source][k]);
+        for (int k = 0; k < 2; ++k) sum += roots[k] = std::sqrt(record.parts[i][source][k]);
         if (sum == 0) continue;
         double all = 0;
         for (double& root : roots) all += root = std::max(root / sum, 1e-5);
-        for (int k = 0; k < 3; ++k) move(&next.parts[i][source][k], (1 - 1e-12) * roots[k] / all);
+        for (int k = 0; k < 2; ++k) move(&next.parts[i][source][k], (1 - 1e-12) * roots[k] / all);
       }
       if (record.durations[i] > 0) {
         move(&next.fall[i], std::max(1e-9, std::sqrt(record.lengths[i] / record.durations[i])));

@@ -86,6 +86,22 @@ class GreatestValuesOfTerm final : public ceres::CostFunction {
 
 }  // namespace
 
+bool HybridFunctions::LeastGuard(const FlowStep& step, int guard, double* value, double* gradient) const {
+  GreatestValues greatest(*this, 1, 1, [&](const ModePoint& at, double, double* opposite, Matrix* by) {
+    by->setZero();
+    *opposite = -GuardGradient(at, guard, by->data());
+    *by = -*by;
+    return true;
+  });
+  double values[2];  // of the opposite, before the end and there
+  Matrix by;
+  if (!greatest.Find(step, values, gradient != nullptr ? &by : nullptr)) return false;
+  const int place = values[1] > values[0] ? 1 : 0;
+  *value = -values[place];
+  if (gradient != nullptr) Eigen::Map<Eigen::RowVectorXd>(gradient, by.cols()) = -by.row(place);
+  return true;
+}
+
 GreatestValues::GreatestValues(const HybridFunctions& system, int count, int parts, Functions functions)
     : system_(system), count_(count), parts_(parts), functions_(std::move(functions)), integrator_(system) {}
 

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <set>
 
 #include "base/number_text.h"
@@ -40,17 +41,30 @@ HybridTerm TermOfMiss(const std::string& name, const Miss& miss, int state_size,
 }
 
 // The residual sqrt(weight h) u.
-struct Effort {
-  int size;
-  double weight;
-
-  template <typename T>
-  bool operator()(T const* const* blocks, T* residuals) const {
-    using std::sqrt;
-    const T scale = sqrt(weight * blocks[1][0]);
-    for (int i = 0; i < size; ++i) residuals[i] = scale * blocks[0][i];
+// sqrt(weight h) u of some components. Blocks: control, length h.
+class Effort final : public ceres::CostFunction {
+ public:
+  Effort(double weight, int num_controls, std::vector<int> components)
+      : weight_(weight), components_(std::move(components)) {
+    *mutable_parameter_block_sizes() = {num_controls, 1};
+    set_num_residuals(static_cast<int>(components_.size()));
+  }
+  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
+    const double scale = std::sqrt(weight_ * blocks[1][0]);
+    const int columns = parameter_block_sizes()[0];
+    for (int i = 0; i < num_residuals(); ++i) residuals[i] = scale * blocks[0][components_[i]];
+    if (jacobians == nullptr) return true;
+    if (jacobians[0] != nullptr) std::fill_n(jacobians[0], num_residuals() * columns, 0.0);
+    for (int i = 0; i < num_residuals(); ++i) {
+      if (jacobians[0] != nullptr) jacobians[0][i * columns + components_[i]] = scale;
+      if (jacobians[1] != nullptr) jacobians[1][i] = weight_ / (2 * scale) * blocks[0][components_[i]];
+    }
     return true;
   }
+
+ private:
+  double weight_;
+  std::vector<int> components_;
 };
 
 struct Price {
@@ -190,16 +204,18 @@ HybridTerm MakeTerminalBound(int component, double bound, bool lower, int state_
   return term;
 }
 
-HybridTerm MakeEffortCost(double weight, int num_controls) {
-  auto function = std::make_shared<ceres::DynamicAutoDiffCostFunction<Effort, 4>>(new Effort{num_controls, weight});
-  function->AddParameterBlock(num_controls);
-  function->AddParameterBlock(1);
-  function->SetNumResiduals(num_controls);
-  return {.name = "effort",
-          .at = HybridTerm::At::kEachInterval,
-          .with_control = true,
-          .with_length = true,
-          .function = std::move(function)};
+HybridTerm MakeEffortCost(double weight, int num_controls, std::vector<int> components) {
+  HybridTerm term{.name = "effort",
+                  .at = HybridTerm::At::kEachInterval,
+                  .with_control = true,
+                  .with_length = true,
+                  .reads_controls = components};
+  if (components.empty()) {
+    components.resize(num_controls);
+    std::iota(components.begin(), components.end(), 0);
+  }
+  term.function = std::make_shared<Effort>(weight, num_controls, std::move(components));
+  return term;
 }
 
 HybridTerm MakeDurationCost(double weight) {

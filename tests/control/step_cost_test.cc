@@ -10,7 +10,7 @@
 #include <cmath>
 #include <string>
 
-#include "control/model_step.h"
+#include "control/scene_constraints.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
@@ -58,6 +58,35 @@ Blocks BlocksAt(const Simulator& simulator, std::span<const double> control, int
   for (size_t i = 0; i < blocks.next.size(); ++i) blocks.next[i] += 0.01 * std::sin(1.0 + i);
   return blocks;
 }
+
+// The motion of a part of a hybrid system. Blocks: its state, its control if it has any, and the length of the step.
+class MoveOfPart final : public ceres::CostFunction {
+ public:
+  MoveOfPart(const HybridFunctions& functions, int part) : functions_(functions), part_(part) {
+    const StatePart of = functions.Parts(0)[part];
+    const int n = static_cast<int>(of.states.size()), m = static_cast<int>(of.controls.size());
+    set_num_residuals(n);
+    *mutable_parameter_block_sizes() = m > 0 ? std::vector{n, m, 1} : std::vector{n, 1};
+  }
+  bool Evaluate(double const* const* blocks, double* after, double** jacobians) const override {
+    const std::vector<int>& sizes = parameter_block_sizes();
+    const int n = sizes[0], m = sizes.size() == 3 ? sizes[1] : 0, columns = n + 1 + m + 1;
+    std::vector<double> by(n * columns);
+    functions_.MovePart(
+        part_, {{0, 0, blocks[0], m > 0 ? blocks[1] : nullptr, nullptr}, *blocks[sizes.size() - 1]}, after, by.data());
+    const std::vector<int> first = m > 0 ? std::vector{0, n + 1, columns - 1} : std::vector{0, columns - 1};
+    for (size_t block = 0; jacobians != nullptr && block < sizes.size(); ++block) {
+      for (int i = 0; jacobians[block] != nullptr && i < n * sizes[block]; ++i) {
+        jacobians[block][i] = by[i / sizes[block] * columns + first[block] + i % sizes[block]];
+      }
+    }
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  const int part_;
+};
 
 // By ceres::GradientChecker; its own verdict is relative even to entries that are zero up to rounding.
 bool GradientsAgree(const ceres::CostFunction& cost, const std::vector<const double*>& blocks, double width,
@@ -113,20 +142,21 @@ TEST_P(StepCostOf, HasItsFreeFlightOverAnyLength) {
   std::shared_ptr<Simulator> simulator = MakeSimulator(GetParam(), scene, Precision::kDouble);
   std::vector<double> x(simulator->state_size()), next(x.size());
   simulator->ExpandInitial(InitialState(scene), x);
-  constexpr int kCount = 7;
-  const double begin = 0.4, end = begin + kCount * simulator->step();
   for (const bool pushed : {true, false}) {
     const std::vector<double> force = pushed ? std::vector{1.3, -0.6} : std::vector{0.0, 0.0};
     simulator->Step(x, force, next);
-    const std::optional push = pushed ? std::optional(Push{0.5, 0.3, 1e-9}) : std::nullopt;
-    const ModelStep<2> cost(*simulator, {2, kCount}, push);
-    std::vector<const double*> blocks{x.data(), &begin, &end, next.data()};
+    if (pushed) scene.control = {{0}, {Vec2d::Zero()}};
+    if (!pushed) scene.control = {};
+    const HybridSystem system = SceneSystemOf(scene, SceneParameters::kNone, simulator.get());
+    const MoveOfPart move(system.functions(), 0);
+    const double length = simulator->step();
+    std::vector<const double*> blocks{x.data(), &length};
     if (pushed) blocks.insert(blocks.begin() + 1, force.data());
-    std::vector<double> rows(cost.num_residuals());
-    ASSERT_TRUE(cost.Evaluate(blocks.data(), rows.data(), nullptr));
-    for (int r = 0; r < 4; ++r) EXPECT_NEAR(rows[r], 0, 1e-12) << r;
+    std::vector<double> after(4);
+    ASSERT_TRUE(move.Evaluate(blocks.data(), after.data(), nullptr));
+    for (int r = 0; r < 4; ++r) EXPECT_NEAR(after[r], next[r], 1e-12) << r;
     std::string error;
-    EXPECT_TRUE(GradientsAgree(cost, blocks, 1e-3, &error)) << error;
+    EXPECT_TRUE(GradientsAgree(move, blocks, 1e-3, &error)) << error;
   }
 }
 

@@ -8,6 +8,7 @@
 
 #include "control/hybrid_shooting.h"
 #include "control/pushed_scenes.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/control/scene_problem.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/optimality/hybrid_certificate.h"
@@ -150,6 +151,135 @@ TEST_P(SceneAsHybridProblem, HasPartsThatMoveAsInTheWholeState) {
     }
   }
   EXPECT_EQ(times_seen, std::vector<int>(n + m, 1));
+}
+
+// Returns a point of the problem beside the guess, with places for its numbers.
+struct PlacedPoint {
+  std::vector<double> x, u;
+  ModePoint at;
+};
+PlacedPoint PointBeside(const Scene& scene, const HybridProblem& problem, int seed) {
+  PlacedPoint point{problem.guess.initial, std::vector<double>(problem.system.num_controls()), {}};
+  for (size_t i = 0; i < point.x.size(); ++i) {
+    const bool is_fixed = i < 4 * scene.bodies.size() && scene.bodies[i / 4].fixed;
+    if (!is_fixed) point.x[i] += 0.3 * std::cos(static_cast<double>(7 * i) + seed);
+  }
+  for (size_t i = 0; i < point.u.size(); ++i) point.u[i] = 3 * std::sin(static_cast<double>(5 * i) + seed);
+  point.at = {0, 0.2, point.x.data(), point.u.data(), nullptr};
+  return point;
+}
+
+// The closed form of the least gap within a step is the least of many on the way, and what is found from the rates of
+// the guard; its derivative is that of differences where the time of the least gap does not jump.
+TEST_P(SceneAsHybridProblem, KnowsWherePairsComeNearestInAStep) {
+  Scene scene = GetParam().scene;
+  scene.objective.running.clear();
+  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridFunctions& functions = problem.system.functions();
+  const int n = functions.state_size(0), m = functions.layout().num_controls;
+  const int pairs = static_cast<int>(AllPairs(scene).size());
+  int inside = 0;
+  for (int seed = 0; seed < 12; ++seed) {
+    PlacedPoint point = PointBeside(scene, problem, seed);
+    for (int guard = 0; guard < pairs; ++guard) {
+      FlowStep step{point.at, 0.1 + 0.04 * seed};  // of one dip: of several, one is found
+      double least = 0, other = 0;
+      std::vector<double> gradient(n + 2 + m), after(n);
+      ASSERT_TRUE(functions.LeastGuard(step, guard, &least, gradient.data()));
+      ASSERT_TRUE(functions.HybridFunctions::LeastGuard(step, guard, &other, nullptr));
+      constexpr int kSamples = 2000;
+      double seen = INFINITY;
+      int nearest = 0;
+      for (int k = 0; k <= kSamples; ++k) {
+        FlowStep way = step;
+        way.h = step.h * k / kSamples;
+        ASSERT_TRUE(functions.Fly(way, after.data(), nullptr));
+        const double gap = functions.Guard({0, step.t + way.h, after.data(), point.u.data(), nullptr}, guard);
+        if (gap < seen) nearest = k;
+        seen = std::min(seen, gap);
+      }
+      EXPECT_LE(least, seen + 1e-12);
+      EXPECT_NEAR(least, seen, 2e-4);
+      EXPECT_LE(least, other + 1e-9);  // one of two dips is found from the rates
+      inside += nearest > 0 && nearest < kSamples;
+      const auto difference = [&](double* number, double width) {
+        const double before = *number;
+        double above = 0, below = 0;
+        *number = before + width;
+        EXPECT_TRUE(functions.LeastGuard(step, guard, &above, nullptr));
+        *number = before - width;
+        EXPECT_TRUE(functions.LeastGuard(step, guard, &below, nullptr));
+        *number = before;
+        return (above - below) / (2 * width);
+      };
+      const auto slope = [&](double* number) { return (4 * difference(number, 1e-4) - difference(number, 2e-4)) / 3; };
+      for (int i = 0; i < n; ++i) {
+        const bool moves = i >= 4 * scene.num_bodies() || i % 4 < 2 || !scene.bodies[i / 4].fixed;
+        if (moves) EXPECT_NEAR(gradient[i], slope(&point.x[i]), 1e-6) << i;
+      }
+      for (int i = 0; i < m; ++i) EXPECT_NEAR(gradient[n + 1 + i], slope(&point.u[i]), 1e-6) << i;
+      EXPECT_NEAR(gradient[n], slope(&step.t), 1e-6);
+      EXPECT_NEAR(gradient[n + 1 + m], slope(&step.h), 1e-6);
+    }
+  }
+  if (scene.num_bodies() > 1) EXPECT_GT(inside, 0);
+}
+
+// An event is one of discs that approach each other. In its regime an impact slips or sticks whatever Coulomb's law
+// says, and the row of a regime says whether the law does.
+TEST_P(SceneAsHybridProblem, KnowsWhatItsEventsRequire) {
+  const Scene& scene = GetParam().scene;
+  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridFunctions& functions = problem.system.functions();
+  const int n = functions.state_size(0);
+  const ContactSequence pairs = AllPairs(scene);
+  int slips = 0, sticks = 0;
+  for (int seed = 0; seed < 12; ++seed) {
+    PlacedPoint point = PointBeside(scene, problem, seed);
+    for (int guard = 0; guard < static_cast<int>(pairs.size()); ++guard) {
+      ASSERT_EQ(functions.num_event_rows(0, guard), 1);
+      std::vector<double> slope(n);
+      functions.Flow(point.at, slope.data());
+      double approach = 0, rate = 0;
+      functions.EventRows(point.at, guard, &approach, nullptr);
+      functions.GuardRate(point.at, guard, slope.data(), &rate);
+      EXPECT_NEAR(approach, rate, 1e-12);
+      if (!(scene.contact.friction > 0)) continue;
+      std::vector<double> expected(n), slipped(n), stuck(n);
+      const auto slip = functions.RegimeOf(static_cast<int>(ContactMode::kSlip));
+      const auto stick = functions.RegimeOf(static_cast<int>(ContactMode::kStick));
+      functions.Reset(point.at, guard, expected.data());
+      slip->Reset(point.at, guard, slipped.data());
+      stick->Reset(point.at, guard, stuck.data());
+      double of_slip[2], of_stick[2];
+      std::vector<double> by_slip(2 * (n + 1)), by_stick(2 * (n + 1));
+      slip->EventRows(point.at, guard, of_slip, by_slip.data());
+      stick->EventRows(point.at, guard, of_stick, by_stick.data());
+      EXPECT_EQ(of_slip[0], approach);
+      EXPECT_DOUBLE_EQ(of_slip[1], -of_stick[1]);
+      const bool is_slip = of_slip[1] <= 0;
+      ++(is_slip ? slips : sticks);
+      if (approach < 0) {
+        EXPECT_EQ(expected, is_slip ? slipped : stuck);
+        EXPECT_NE(slipped, stuck);
+      }
+      for (int i = 0; i < n; ++i) {
+        const double before = point.x[i], width = 1e-5;
+        double above[2], below[2];
+        point.x[i] = before + width;
+        stick->EventRows(point.at, guard, above, nullptr);
+        point.x[i] = before - width;
+        stick->EventRows(point.at, guard, below, nullptr);
+        point.x[i] = before;
+        for (int row = 0; row < 2; ++row) {
+          const double by = (above[row] - below[row]) / (2 * width);
+          EXPECT_NEAR(by_stick[row * (n + 1) + i], by, 1e-6 * std::max(1.0, std::abs(by))) << row << " " << i;
+        }
+        EXPECT_DOUBLE_EQ(by_slip[n + 1 + i], -by_stick[n + 1 + i]);
+      }
+    }
+  }
+  if (scene.contact.friction > 0) EXPECT_GT(slips + sticks, 10);
 }
 
 INSTANTIATE_TEST_SUITE_P(

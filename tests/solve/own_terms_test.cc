@@ -202,8 +202,7 @@ struct Mixed {
   }
 };
 
-// In units that share no factor, and with two times in the place of a step's length: what Ceres is given has the
-// values of the function in SI units, and its derivatives.
+// In units that share no factor: the values of the function in SI units, and its derivatives.
 TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   const Units units{.length = 4, .time = 0.5, .mass = 8, .loss = 32, .origin = Vec2d(64, -128)};
   Scene scene;
@@ -213,13 +212,11 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   term.function = std::make_shared<ceres::AutoDiffCostFunction<Mixed, 2, 4, 4, 2, 1>>(new Mixed);
   const std::array<double, 4> x{0.3, -0.7, 1.1, 0.6}, y{-0.2, 0.9, -1.3, 0.4};
   const std::array<double, 2> u{0.8, -1.7};
-  constexpr int kSteps = 5;
-  constexpr double kBegin = 0.3, kEnd = 0.9;
+  constexpr double kLength = 0.9;
 
   for (const OwnTerm::At at : {OwnTerm::At::kEachStep, OwnTerm::At::kEnd}) {
     term.at = at;
-    const bool steps = at == OwnTerm::At::kEachStep;
-    const double length = 0.5 * (steps ? (kEnd - kBegin) / kSteps : kEnd);
+    const double length = 0.5 * kLength;
     const auto in_si = [](const std::array<double, 4>& z) {
       return std::array<double, 4>{64 + 4 * z[0], -128 + 4 * z[1], 8 * z[2], 8 * z[3]};
     };
@@ -228,10 +225,8 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
     std::array<double, 2> expected;
     Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
 
-    const OwnTermCost cost(term, scene, kSteps);
-    std::vector<const double*> blocks{x.data(), y.data(), u.data()};
-    if (steps) blocks.push_back(&kBegin);
-    blocks.push_back(&kEnd);
+    const OwnTermCost cost(term, scene);
+    const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
     std::array<double, 2> residuals;
     ASSERT_TRUE(cost.Evaluate(blocks.data(), residuals.data(), nullptr));
     for (int r = 0; r < 2; ++r) EXPECT_NEAR(residuals[r], expected[r] / 0.25, 1e-12 * std::abs(expected[r]));
@@ -243,10 +238,10 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   // A cost's square is a loss.
   term.role = OwnTerm::Role::kCost;
   std::array<double, 2> constraint, residuals;
-  const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kEnd};
-  ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), residuals.data(), nullptr));
+  const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
+  ASSERT_TRUE(OwnTermCost(term, scene).Evaluate(blocks.data(), residuals.data(), nullptr));
   term.role = OwnTerm::Role::kEquality;
-  ASSERT_TRUE(OwnTermCost(term, scene, kSteps).Evaluate(blocks.data(), constraint.data(), nullptr));
+  ASSERT_TRUE(OwnTermCost(term, scene).Evaluate(blocks.data(), constraint.data(), nullptr));
   for (int r = 0; r < 2; ++r) {
     EXPECT_NEAR(
         residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);

@@ -24,7 +24,7 @@ namespace saltus {
 struct SequenceBound {
   ContactSequence sequence;    // of the relevant impacts
   std::vector<char> repeated;  // for each impact: 1 if the pair may touch again before one of its discs touches another
-  bool open = false;           // whether one or more relevant impacts follow
+  bool open = false;           // whether relevant impacts of any pairs may follow
   double lower = 0;            // no motion in these boxes has a loss below the smaller of this and GlobalBound::upper
   std::size_t boxes = 0;       // number of boxes that are excluded, or left
 };

@@ -72,6 +72,9 @@ struct HybridTerm {
 
   // The function, which must not keep state.
   std::shared_ptr<const ceres::CostFunction> function = nullptr;
+  // The components of the state and of the control on which the function depends; empty: all. Solvers in phases keep
+  // problems of several parts sparse by these.
+  std::vector<int> reads_states = {}, reads_controls = {};
 
   // Returns the number of residuals at a place: those of the function, or for a term that holds at all times twice as
   // many, the greatest ones before the end of an interval and then those at its end.
@@ -83,8 +86,8 @@ struct HybridTerm {
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode = -1);
 // Makes the constraint x_i <= bound, or bound <= x_i if it is a `lower` one, at the end.
 HybridTerm MakeTerminalBound(int component, double bound, bool lower, int state_size, int mode = -1);
-// Makes the cost weight int |u|^2 dt, of a control of `num_controls` numbers.
-HybridTerm MakeEffortCost(double weight, int num_controls);
+// Makes the cost weight int |u|^2 dt, of a control of `num_controls` numbers, or of some components of it.
+HybridTerm MakeEffortCost(double weight, int num_controls, std::vector<int> components = {});
 // Makes the cost weight T of the final time T.
 HybridTerm MakeDurationCost(double weight);
 

@@ -72,6 +72,7 @@ struct StatePart {
   };
   std::vector<int> states, controls;
   Motion motion = Motion::kSteps;
+  bool always_moves_by_part = false;  // by HybridFunctions::MovePart, where it is the only part too
 };
 
 // Values and derivatives of flow, guards and resets. x has the size of the mode's state (n), u of the control (m), p of
@@ -119,8 +120,8 @@ class HybridFunctions {
   // Returns the parts of a mode, in which each state and each component of the control is once; one, of all, if the
   // system is not known to have several.
   virtual std::vector<StatePart> Parts(int mode) const;
-  // Moves one of several parts by a closed form: x, u and `after` are those of the part. Unless `jacobian` is null, it
-  // is set to the derivative by [x t p u h]. Precondition: the part does not rest.
+  // Moves one of several parts, or one that always moves so, by a closed form: x, u and `after` are those of the part.
+  // Unless `jacobian` is null, it is set to the derivative by [x t p u h]. Precondition: the part does not rest.
   virtual void MovePart(int /*part*/, const FlowStep& /*step*/, double* /*after*/, double* /*jacobian*/) const {}
   // Returns the parts whose states a guard reads, or its reset reads or changes.
   virtual std::vector<int> PartsOf(int mode, int guard) const;
@@ -143,6 +144,19 @@ class HybridFunctions {
       values[guard] = GuardGradient(at, guard, gradients + guard * columns);
     }
   }
+
+  // Finds the least value of a guard within a step, its ends included, and sets its derivative by [x t p u h] unless
+  // `gradient` is null. Of several parts, the state has those of the guard, and zeros. Returns false if there is none
+  // that is finite.
+  virtual bool LeastGuard(const FlowStep& step, int guard, double* value, double* gradient) const;
+
+  // The inequalities, rows <= 0, without which a zero of a guard is no event: of discs that they do not separate.
+  virtual int num_event_rows(int /*mode*/, int /*guard*/) const { return 0; }
+  // Computes them before the reset and, unless `jacobian` is null, their derivatives by [x t p], a row each.
+  virtual void EventRows(const ModePoint& /*at*/, int /*guard*/, double* /*rows*/, double* /*jacobian*/) const {}
+  // Returns a system with the same modes whose events are all in one regime, with an inequality of each event that says
+  // so: of discs, whose regimes are ContactMode, that they slip or stick. Null if there is none.
+  virtual std::shared_ptr<const HybridFunctions> RegimeOf(int /*regime*/) const { return nullptr; }
 
   // Whether bounds of the functions are known.
   virtual bool HasBounds() const { return false; }

@@ -102,6 +102,7 @@ class AugmentedLagrangian {
   void Add(std::unique_ptr<ceres::CostFunction> function, const RowRoles& roles, const std::vector<double*>& blocks);
   // For constant blocks and bounds.
   ceres::Problem& problem() { return problem_; }
+  const ceres::Problem& problem() const { return problem_; }
 
   // Minimises from the present parameter blocks, and leaves them at the best point.
   Summary Minimize(const Options& options);

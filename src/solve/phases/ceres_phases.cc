@@ -10,7 +10,6 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
-#include "solve/phases/phase_transcription.h"
 #include "solve/phases/sequence_mending.h"
 #include "solve/solve_chain.h"
 
@@ -24,30 +23,37 @@ constexpr double kNoLoss = 1e-9;    // relative: of the loss, that the last digi
 
 // The phases of a motion: its impacts and the instants of via terms, and the number of steps between them.
 struct Phases {
-  std::vector<PhaseCut> cuts;
+  PhasePlan plan;
+  std::vector<double> times;  // of the cuts
   std::vector<int> steps;
 };
 
 // Returns std::nullopt if two of the events coincide or if one coincides with the final time.
 std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
   Phases phases;
+  std::vector<std::pair<double, std::optional<Candidate>>> cuts;
   for (size_t k = 0; k < trial.exact.events.size(); ++k) {
-    phases.cuts.push_back({trial.exact.contacts[k], trial.exact.events[k].time});
+    cuts.emplace_back(trial.exact.events[k].time, trial.exact.contacts[k]);
   }
-  for (const ViaTerm& via : scene.objective.via) phases.cuts.push_back({std::nullopt, via.time});
-  std::stable_sort(
-      phases.cuts.begin(), phases.cuts.end(), [](const PhaseCut& a, const PhaseCut& b) { return a.time < b.time; });
+  for (const double waypoint : WaypointsOf(scene)) cuts.emplace_back(waypoint, std::nullopt);
+  std::ranges::stable_sort(cuts, {}, &decltype(cuts)::value_type::first);
+  for (const auto& [time, impact] : cuts) {
+    phases.times.push_back(time);
+    phases.plan.cuts.push_back(impact);
+  }
+  phases.plan.tied.resize(cuts.size());
+  phases.plan.regimes.resize(cuts.size());
   double end = 0;
   int steps = 0;
   for (const double duration : trial.durations) {
     end += duration;
     ++steps;
     const size_t cut = phases.steps.size();
-    if (cut == phases.cuts.size() || std::abs(phases.cuts[cut].time - end) > kSameTime * scene.duration) continue;
+    if (cut == cuts.size() || std::abs(phases.times[cut] - end) > kSameTime * scene.duration) continue;
     phases.steps.push_back(steps);
     steps = 0;
   }
-  if (phases.steps.size() < phases.cuts.size() || steps == 0) return std::nullopt;
+  if (phases.steps.size() < cuts.size() || steps == 0) return std::nullopt;
   phases.steps.push_back(steps);
   return phases;
 }
@@ -110,22 +116,21 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
   run.report().work.evaluations = exact.work.evaluations;
   ContactSequence apart;
   for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
-  PhaseTranscription transcription(BeginningAs(trial, scene),
-                                   request.terms,
-                                   phases->cuts,
-                                   phases->steps,
-                                   ControlOf(trial, scene.control_width()),
-                                   apart,
-                                   0,
-                                   flight.get());
+  const ScenePhases along(scene, request.terms, phases->plan, WaypointsOf(scene), apart, flight.get());
+  const std::vector<double> overlaps(phases->times.size());
+  const auto transcription = along.Make(trial, phases->times, overlaps, phases->steps, /*margin=*/0);
+  if (transcription == nullptr) {
+    exact.termination = Termination::kFailed;
+    return give_up("the steps of " + request.contact.name() + " have no motion");
+  }
   AugmentedLagrangian::Options limits;
   limits.algorithm = algorithm;
   limits.iterations = std::max(1, options.limits.iterations - exact.work.iterations);
   limits.callback = [&](double cost) { return run.Record(cost); };
-  const AugmentedLagrangian::Summary summary = transcription.Minimize(limits);
+  const AugmentedLagrangian::Summary summary = transcription->Minimize(limits);
   run.report().work.evaluations += summary.jacobians;
   Trial found;
-  TakeControl(transcription, scene, &found);
+  along.TakeControl(*transcription, &found);
   const Termination termination = summary.interrupted ? Termination::kInterrupted
                                   : summary.converged ? Termination::kConverged
                                                       : Termination::kIterationLimit;

@@ -1,4 +1,4 @@
-// Ceres through collisions with a cost for every step (phase_transcription.h), for problems with bounds, constraints,
+// Ceres through collisions with a cost for every step (hybrid_transcription.h), for problems with bounds, constraints,
 // running costs and a free final time.
 #pragma once
 

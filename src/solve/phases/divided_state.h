@@ -48,15 +48,6 @@ class Divided {
   std::vector<std::vector<int>> parts_;
 };
 
-// Returns the division of a control among the parts that have one.
-inline Divided ControlParts(const std::vector<StatePart>& parts, int size) {
-  std::vector<std::vector<int>> controls;
-  for (const StatePart& part : parts) {
-    if (!part.controls.empty()) controls.push_back(part.controls);
-  }
-  return {size, std::move(controls)};
-}
-
 // The state at a node of a phase, of which the blocks are the parts that are read. Where a part coasts through the
 // node, its block is its state at the beginning of the phase.
 class StateAtNode {

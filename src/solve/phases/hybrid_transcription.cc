@@ -105,7 +105,10 @@ class StepRows final : public Rows {
     if (by_parameters) Put(jacobians, of_parameters, by_.middleCols(n + 1, P));
     Put(jacobians, times, (1 - part) * by_.col(n) - by_.rightCols(1) / count_);
     Put(jacobians, times + 1, part * by_.col(n) + by_.rightCols(1) / count_);
-    Put(jacobians, times + 2, scale_.asDiagonal().toDenseMatrix());
+    if (jacobians[times + 2] == nullptr) return true;
+    Eigen::Map<Matrix> by_next(jacobians[times + 2], n, n);
+    by_next.setZero();
+    by_next.diagonal() = scale_;
     return true;
   }
 
@@ -203,52 +206,100 @@ class GuardRows final : public Rows {
   mutable Eigen::VectorXd u_;
 };
 
-// The row margin - g / size of a guard where it is least within a step, before its end, of a system of one part.
-// Blocks: state at the beginning, control and parameters if there are any, begin and end of the phase.
+// The row margin - g / size of a guard where it is least within a step. Blocks: state at the beginning, control and
+// parameters if there are any, begin and end of the phase.
 class LeastGuardRow final : public Rows {
  public:
-  LeastGuardRow(const HybridFunctions& functions, const HeldGuard& guard, int index, int count, double margin,
-                double size)
-      : Rows(1, {}), functions_(functions), guard_(guard), index_(index), count_(count), margin_(margin), size_(size) {
-    const HybridLayout& layout = functions.layout();
-    for (const int block : {functions.state_size(guard.mode), layout.num_controls, layout.num_parameters, 1, 1}) {
-      if (block > 0) mutable_parameter_block_sizes()->push_back(block);
-    }
+  // `step`: its index, of so many in the phase.
+  LeastGuardRow(const HybridFunctions& functions, int mode, int guard, StateAtNode state, Divided control, int step,
+                int count, double margin, double size)
+      : Rows(1, {}),
+        functions_(functions),
+        mode_(mode),
+        guard_(guard),
+        state_(std::move(state)),
+        control_(std::move(control)),
+        index_(step),
+        count_(count),
+        margin_(margin),
+        size_(size),
+        u_(control_.size(), 0.0) {
+    std::vector<int>& sizes = *mutable_parameter_block_sizes();
+    state_.AppendSizes(&sizes);
+    control_.AppendSizes(&sizes);
+    if (functions.layout().num_parameters > 0) sizes.push_back(functions.layout().num_parameters);
+    sizes.insert(sizes.end(), {1, 1});
   }
 
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    const int n = functions_.state_size(guard_.mode), m = functions_.layout().num_controls,
+    const int n = functions_.state_size(mode_), m = functions_.layout().num_controls,
               P = functions_.layout().num_parameters;
-    const int of_control = 1, of_parameters = of_control + (m > 0), times = of_parameters + (P > 0);
+    const int of_control = state_.num_blocks(), of_parameters = of_control + control_.num_parts(),
+              times = of_parameters + (P > 0);
     const double begin = blocks[times][0], end = blocks[times + 1][0], part = static_cast<double>(index_) / count_;
-    FlowStep step{{guard_.mode, begin + part * (end - begin), blocks[0]}, (end - begin) / count_};
-    if (m > 0) step.u = blocks[of_control];
-    if (P > 0) step.p = blocks[of_parameters];
-    GreatestValues greatest(functions_, 1, 1, [&](const ModePoint& at, double, double* value, Matrix* by) {
-      by->setZero();
-      *value = -functions_.GuardGradient(at, guard_.guard, by->data());
-      *by = -*by;
-      return true;
-    });
-    double values[2];
-    Matrix by;
-    if (!greatest.Find(step, values, jacobians != nullptr ? &by : nullptr)) return false;
-    rows[0] = margin_ + values[0] / size_;
+    const double* p = P > 0 ? blocks[of_parameters] : nullptr;
+    const double* x = state_.Read(blocks, blocks + times, p, jacobians != nullptr);
+    control_.Join(blocks + of_control, u_.data());
+    const FlowStep step{{mode_, begin + part * (end - begin), x, u_.data(), p}, (end - begin) / count_};
+    double least = 0;
+    Matrix row(1, n + 2 + P + m);
+    if (!functions_.LeastGuard(step, guard_, &least, jacobians != nullptr ? row.data() : nullptr)) return false;
+    rows[0] = margin_ - least / size_;
     if (jacobians == nullptr) return true;
-    const Matrix row = by.row(0) / size_;
-    Put(jacobians, 0, row.leftCols(n));
-    if (m > 0) Put(jacobians, of_control, row.middleCols(n + 1 + P, m));
-    if (P > 0) Put(jacobians, of_parameters, row.middleCols(n + 1, P));
-    Put(jacobians, times, (1 - part) * row.col(n) - row.rightCols(1) / count_);
-    Put(jacobians, times + 1, part * row.col(n) + row.rightCols(1) / count_);
+    row /= -size_;
+    Matrix by_parameters = row.middleCols(n + 1, P), by_times(1, 2);
+    by_times << (1 - part) * row(0, n) - row(0, n + 1 + P + m) / count_,
+        part * row(0, n) + row(0, n + 1 + P + m) / count_;
+    state_.Put(row.leftCols(n), jacobians, &by_parameters, &by_times);
+    control_.Put(row.middleCols(n + 1 + P, m), jacobians + of_control);
+    if (P > 0) Put(jacobians, of_parameters, by_parameters);
+    for (int k = 0; k < 2; ++k) Put(jacobians, times + k, by_times.col(k));
     return true;
   }
 
  private:
   const HybridFunctions& functions_;
-  const HeldGuard guard_;
+  const int mode_, guard_;
+  mutable StateAtNode state_;
+  const Divided control_;
   const int index_, count_;
   const double margin_, size_;
+  mutable std::vector<double> u_;
+};
+
+// The inequalities of an event. Blocks: state before, parameters if there are any, time.
+class EventRows final : public Rows {
+ public:
+  EventRows(const HybridFunctions& functions, const ModeEvent& event, StateAtNode before)
+      : Rows(functions.num_event_rows(event.mode, event.guard), {}),
+        functions_(functions),
+        event_(event),
+        before_(std::move(before)) {
+    std::vector<int>& sizes = *mutable_parameter_block_sizes();
+    before_.AppendSizes(&sizes);
+    if (functions.layout().num_parameters > 0) sizes.push_back(functions.layout().num_parameters);
+    sizes.push_back(1);
+  }
+
+  bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
+    const int n = functions_.state_size(event_.mode), P = functions_.layout().num_parameters;
+    const int of_parameters = before_.num_blocks(), time = of_parameters + (P > 0);
+    const double* p = P > 0 ? blocks[of_parameters] : nullptr;
+    const ModePoint at{event_.mode, blocks[time][0], before_.Read(blocks, nullptr, p, false), nullptr, p};
+    Matrix by(num_residuals(), n + 1 + P);
+    functions_.EventRows(at, event_.guard, rows, jacobians != nullptr ? by.data() : nullptr);
+    if (!AreFinite(rows)) return false;
+    if (jacobians == nullptr) return true;
+    before_.Put(by.leftCols(n), jacobians, nullptr, nullptr);
+    if (P > 0) Put(jacobians, of_parameters, by.rightCols(P));
+    Put(jacobians, time, by.col(n));
+    return true;
+  }
+
+ private:
+  const HybridFunctions& functions_;
+  const ModeEvent event_;
+  mutable StateAtNode before_;
 };
 
 // The defect of a reset of the parts that it changes. Blocks: state before, parameters if there are any, time, state
@@ -346,6 +397,11 @@ class TermRows final : public Rows {
     of_parameters_ = static_cast<int>(sizes.size());
     if (num_parameters_ > 0) sizes.push_back(num_parameters_);
     if (timed_) sizes.resize(sizes.size() + time.num_blocks(), 1);
+    u_.setZero(control_.size());
+    for (const int size : function_->parameter_block_sizes()) by_.emplace_back(num_residuals(), size);
+    for (Matrix& derivative : by_) out_.push_back(derivative.data());
+    by_times_.resize(num_residuals(), 2);
+    by_parameters_.resize(num_residuals(), num_parameters_);
   }
 
   bool is_timed() const { return timed_; }
@@ -363,40 +419,32 @@ class TermRows final : public Rows {
       grows = length > least_;
       length = std::max(length, least_);
     }
-    // The blocks of the term's function, and its derivatives by them.
-    std::vector<const double*> in;
-    std::vector<Matrix> by;
-    std::vector<double*> out;
-    const auto add = [&](const double* block, int size) {
-      in.push_back(block);
-      if (derives) by.emplace_back(count, size);
-    };
-    const std::vector<int>& sizes = function_->parameter_block_sizes();
+    in_.clear();
     int block = 0;
     if (state_) {
-      add(state_->Read(blocks, blocks + times, p, derives), sizes[in.size()]);
+      in_.push_back(state_->Read(blocks, blocks + times, p, derives));
       block += state_->num_blocks();
     }
     if (initial_) {
-      add(initial_->Read(blocks + block, nullptr, nullptr, false), sizes[in.size()]);
+      in_.push_back(initial_->Read(blocks + block, nullptr, nullptr, false));
       block += initial_->num_blocks();
     }
-    Eigen::VectorXd u(control_.size());
     if (term_.with_control) {
-      control_.Join(blocks + block, u.data());
-      add(u.data(), sizes[in.size()]);
+      control_.Join(blocks + block, u_.data());
+      in_.push_back(u_.data());
     }
-    if (term_.with_parameters) add(p, num_parameters_);
-    if (term_.with_time) add(&time, 1);
-    if (term_.with_length) add(&length, 1);
-    for (Matrix& derivative : by) out.push_back(derivative.data());
-    if (!function_->Evaluate(in.data(), rows, derives ? out.data() : nullptr)) return false;
+    if (term_.with_parameters) in_.push_back(p);
+    if (term_.with_time) in_.push_back(&time);
+    if (term_.with_length) in_.push_back(&length);
+    if (!function_->Evaluate(in_.data(), rows, derives ? out_.data() : nullptr)) return false;
     for (int i = 0; i < count; ++i) rows[i] *= scale_;
     if (!AreFinite(rows)) return false;
     if (!derives) return true;
-    for (Matrix& derivative : by) derivative *= scale_;
-    Matrix by_times = Matrix::Zero(count, 2), by_parameters = Matrix::Zero(count, num_parameters_);
-    auto next = by.begin();
+    for (Matrix& derivative : by_) derivative *= scale_;
+    Matrix &by_times = by_times_, &by_parameters = by_parameters_;
+    by_times.setZero();
+    by_parameters.setZero();
+    auto next = by_.begin();
     double** jacobian = jacobians;
     if (state_) {
       state_->Put(*next++, jacobian, &by_parameters, &by_times);
@@ -411,7 +459,7 @@ class TermRows final : public Rows {
     if (num_parameters_ > 0) Put(jacobians, of_parameters_, by_parameters);
     for (int i = 0; timed_ && i < time_.num_blocks(); ++i) {
       if (term_.with_time) by_times.col(i) += time_.By(i) * *next;
-      if (term_.with_length && grows) by_times.col(i) += (i == 1 ? 1.0 : -1.0) / intervals_ * by.back();
+      if (term_.with_length && grows) by_times.col(i) += (i == 1 ? 1.0 : -1.0) / intervals_ * by_.back();
       Put(jacobians, times + i, by_times.col(i));
     }
     return true;
@@ -428,6 +476,12 @@ class TermRows final : public Rows {
   bool coasts_, timed_;
   int num_parameters_;  // that are read
   int of_parameters_ = 0;
+  // The blocks of the term's function, and its derivatives by them and by blocks of this one.
+  mutable std::vector<const double*> in_;
+  mutable Eigen::VectorXd u_;
+  mutable std::vector<Matrix> by_;
+  mutable std::vector<double*> out_;
+  mutable Matrix by_times_, by_parameters_;
 };
 
 // Rows min - z and z - max of the components that have bounds, relative to their sizes.
@@ -440,13 +494,14 @@ class BoundRows final : public Rows {
   BoundRows(int block, std::vector<Bound> bounds)
       : Rows(static_cast<int>(bounds.size()), {block}), bounds_(std::move(bounds)) {}
   bool Evaluate(double const* const* blocks, double* rows, double** jacobians) const override {
-    Matrix by = Matrix::Zero(num_residuals(), parameter_block_sizes()[0]);
+    const int columns = parameter_block_sizes()[0];
+    double* by = jacobians != nullptr ? jacobians[0] : nullptr;
+    if (by != nullptr) std::fill_n(by, bounds_.size() * columns, 0.0);
     for (size_t i = 0; i < bounds_.size(); ++i) {
       const Bound& bound = bounds_[i];
       rows[i] = bound.sign * (blocks[0][bound.component] - bound.at) / bound.size;
-      by(static_cast<int>(i), bound.component) = bound.sign / bound.size;
+      if (by != nullptr) by[i * columns + bound.component] = bound.sign / bound.size;
     }
-    if (jacobians != nullptr) Put(jacobians, 0, by);
     return true;
   }
 
@@ -572,15 +627,23 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
     boundary_.push_back(static_cast<int>(times_.size()) - 1);
   }
   FindParts();
+  for (const std::optional<int>& regime : plan.regimes) {
+    laws_.push_back(regime ? functions_.RegimeOf(*regime) : nullptr);
+  }
+  laws_.resize(plan.cuts.size());
   valid_ = Lay(start);
   if (!valid_) return;
   FindScalesOfNewModes();
   AddSteps();
   HoldWhatIsGiven();
-  if (plan.on_grid) HoldGrid();
+  HoldInstants();
   AddEvents(overlaps);
-  AddGuards(margin, held);
-  AddGuardsWithinSteps(margin, held);
+  if (scales_.are_natural) {
+    KeepApart(margin);
+  } else {
+    AddGuards(margin, held);
+    AddGuardsWithinSteps(margin, held);
+  }
   AddTerms();
   AddBounds();
 }
@@ -662,12 +725,43 @@ std::vector<double> HybridTranscription::JoinedControl(int interval) const {
   return u;
 }
 
-std::vector<double*> HybridTranscription::ControlBlocks(int interval) {
+std::vector<double*> HybridTranscription::ControlBlocks(const std::vector<int>& parts, int interval) {
   std::vector<double*> blocks;
-  for (std::vector<double>& block : controls_[interval]) {
-    if (!block.empty()) blocks.push_back(block.data());
+  for (const int part : parts) {
+    if (!parts_[part].controls.empty()) blocks.push_back(controls_[interval][part].data());
   }
   return blocks;
+}
+
+Divided HybridTranscription::DividedControl(const std::vector<int>& parts) const {
+  std::vector<std::vector<int>> controls;
+  for (const int part : parts) {
+    if (!parts_[part].controls.empty()) controls.push_back(parts_[part].controls);
+  }
+  return {functions_.layout().num_controls, std::move(controls)};
+}
+
+// Returns the parts with some of the components of the state or of the control; all parts, if there are none.
+std::vector<int> HybridTranscription::PartsWith(const std::vector<int>& components,
+                                                std::vector<int> StatePart::*of) const {
+  if (components.empty()) return all_;
+  std::vector<int> parts;
+  for (const int part : all_) {
+    if (std::ranges::find_first_of(parts_[part].*of, components) != (parts_[part].*of).end()) parts.push_back(part);
+  }
+  return parts;
+}
+
+// Returns the functions of the event at the end of a phase.
+const HybridFunctions& HybridTranscription::LawOf(int phase) const {
+  return laws_[phase] != nullptr ? *laws_[phase] : functions_;
+}
+
+// Whether a zero of a guard is no event, as that of discs that separate.
+bool HybridTranscription::IsNone(const ModeEvent& event, const ModePoint& at) const {
+  std::vector<double> rows(functions_.num_event_rows(event.mode, event.guard));
+  functions_.EventRows(at, event.guard, rows.data(), nullptr);
+  return std::ranges::any_of(rows, [](double row) { return row > 0; });
 }
 
 bool HybridTranscription::Lay(const Start& start) {
@@ -728,9 +822,10 @@ bool HybridTranscription::Lay(const Start& start) {
     const std::vector<double> before = StateAt(j, count);
     const std::vector<double> u =
         controls_.empty() ? std::vector<double>() : JoinedControl(static_cast<int>(controls_.size()) - 1);
-    const int next =
-        functions_.Reset({event.mode, *End(j), before.data(), u.data(), parameters_.data()}, event.guard, after.data());
+    const ModePoint at{event.mode, *End(j), before.data(), u.data(), parameters_.data()};
+    const int next = LawOf(j).Reset(at, event.guard, after.data());
     if (next != event.next_mode && !functions_.CreatesModes()) return false;
+    if (IsNone(event, at)) std::ranges::copy(before, after.begin());
     for (const int part : PartsOf(event)) {
       if (IsOnePart()) {
         nodes_.emplace_back(after.begin(), after.begin() + functions_.state_size(event.next_mode));
@@ -796,17 +891,17 @@ void HybridTranscription::HoldWhatIsGiven() {
     hold(parameters_, rest(all, problem_.free.parameters));
   }
   for (std::size_t k = 0; k < controls_.size() && !problem_.free.control; ++k) {
-    for (double* block : ControlBlocks(static_cast<int>(k))) ceres.SetParameterBlockConstant(block);
+    for (double* block : ControlBlocks(all_, static_cast<int>(k))) ceres.SetParameterBlockConstant(block);
   }
   ceres.SetParameterBlockConstant(&times_.front());
   if (!problem_.free.duration) ceres.SetParameterBlockConstant(&times_.back());
 }
 
-// Holds the ends of control intervals where they are, as parts of the duration.
-void HybridTranscription::HoldGrid() {
+// Holds instants where they are; the ends of control intervals as parts of the duration.
+void HybridTranscription::HoldInstants() {
   for (int j = 0; j + 1 < num_phases(); ++j) {
-    if (EndsWithEvent(j)) continue;
-    if (!problem_.free.duration) {
+    if (plan_.on_grid ? EndsWithEvent(j) : plan_.cuts[j].has_value()) continue;
+    if (!plan_.on_grid || !problem_.free.duration) {
       lagrangian_.problem().SetParameterBlockConstant(End(j));
       continue;
     }
@@ -850,15 +945,19 @@ int HybridTranscription::IntervalBefore(int node, const Phase& phase) const {
 }
 
 void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
-  const int m = functions_.layout().num_controls;
   for (int j = 0; j + 1 < num_phases(); ++j) {
     if (!EndsWithEvent(j)) continue;
     const ModeEvent& event = *plan_.cuts[j];
     const int count = phases_[j].intervals * substeps_;
     const std::vector<int> parts = PartsOf(event);
+    if (scales_.are_natural && parts.empty()) {  // at a time that is given
+      lagrangian_.problem().SetParameterBlockConstant(End(j));
+      continue;
+    }
+    const double size = scales_.OfEvent(event), overlap = overlaps[j] * scales_.guard[event.mode][event.guard] / size;
     const StateAtNode before = MakeState(parts, j, count);
     std::vector<double*> blocks = NodesAt(parts, j, count);
-    const std::vector<double*> control = ControlBlocks(IntervalBefore(count, phases_[j]));
+    const std::vector<double*> control = ControlBlocks(all_, IntervalBefore(count, phases_[j]));
     std::vector<double*> with_control = blocks;
     if (functions_.ReadsControl(event.mode, event.guard)) {
       with_control.insert(with_control.end(), control.begin(), control.end());
@@ -867,25 +966,27 @@ void HybridTranscription::AddEvents(const std::vector<double>& overlaps) {
       if (!parameters_.empty()) all->push_back(parameters_.data());
       all->push_back(End(j));
     }
-    lagrangian_.Add(
-        std::make_unique<GuardRows>(
-            functions_,
-            event.mode,
-            std::vector<GuardRows::Row>{{event.guard, overlaps[j], 1 / scales_.guard[event.mode][event.guard]}},
-            before,
-            ControlParts(parts_, m),
-            TimeOf{}),
-        {.equalities = 1},
-        with_control);
+    lagrangian_.Add(std::make_unique<GuardRows>(functions_,
+                                                event.mode,
+                                                std::vector<GuardRows::Row>{{event.guard, overlap, 1 / size}},
+                                                before,
+                                                DividedControl(all_),
+                                                TimeOf{}),
+                    {.equalities = 1},
+                    with_control);
     if (parts.empty()) continue;  // the event is at a given time and changes no state
+    const HybridFunctions& law = LawOf(j);
+    if (const int rows = law.num_event_rows(event.mode, event.guard); rows > 0) {
+      lagrangian_.Add(std::make_unique<EventRows>(law, event, before), {.inequalities = rows}, blocks);
+    }
     const std::vector<double*> after = NodesAt(parts, j + 1, 0);
     blocks.insert(blocks.end(), after.begin(), after.end());
-    auto reset = std::make_unique<ResetRows>(functions_,
+    auto reset = std::make_unique<ResetRows>(law,
                                              event,
                                              before,
                                              DividedState(parts, event.next_mode),
                                              std::vector<const double*>(control.begin(), control.end()),
-                                             ControlParts(parts_, m),
+                                             DividedControl(all_),
                                              scales_.state[event.next_mode]);
     const int rows = reset->num_residuals();
     lagrangian_.Add(std::move(reset), {.equalities = rows, .affine_blocks = static_cast<int>(after.size())}, blocks);
@@ -922,20 +1023,17 @@ void HybridTranscription::AddGuards(double margin, const std::vector<HeldGuard>&
         const int size = static_cast<int>(rows.size());
         std::vector<double*> blocks = NodesAt(parts, j, k);
         if (reads_control) {
-          const std::vector<double*> control = ControlBlocks(interval);
+          const std::vector<double*> control = ControlBlocks(all_, interval);
           blocks.insert(blocks.end(), control.begin(), control.end());
         }
         if (!parameters_.empty()) blocks.push_back(parameters_.data());
         blocks.insert(blocks.end(), {Begin(j), End(j)});
         const TimeOf time{static_cast<double>(k) / count, false};
-        lagrangian_.Add(std::make_unique<GuardRows>(functions_,
-                                                    phase.mode,
-                                                    std::move(rows),
-                                                    MakeState(parts, j, k),
-                                                    ControlParts(parts_, functions_.layout().num_controls),
-                                                    time),
-                        {.inequalities = size},
-                        blocks);
+        lagrangian_.Add(
+            std::make_unique<GuardRows>(
+                functions_, phase.mode, std::move(rows), MakeState(parts, j, k), DividedControl(all_), time),
+            {.inequalities = size},
+            blocks);
       };
       for (int k = 1; k <= count; ++k) add(k, IntervalBefore(k, phase));
       // At the beginnings of intervals, under the new control.
@@ -956,16 +1054,41 @@ void HybridTranscription::AddGuardsWithinSteps(double margin, const std::vector<
         const bool inside = one.mode == phase.mode && length > 0 && time > begin && time < begin + length;
         if (inside) steps.insert(std::min(static_cast<int>(count * (time - begin) / length), count - 1));
       }
-      for (const int k : steps) {
-        std::vector<double*> blocks = NodesAt(all_, j, k), control = ControlBlocks(phase.first_control + k / substeps_);
-        blocks.insert(blocks.end(), control.begin(), control.end());
-        if (!parameters_.empty()) blocks.push_back(parameters_.data());
-        blocks.insert(blocks.end(), {Begin(j), End(j)});
-        lagrangian_.Add(
-            std::make_unique<LeastGuardRow>(functions_, one, k, count, margin, scales_.guard[phase.mode][one.guard]),
-            {.inequalities = 1},
-            blocks);
-      }
+      for (const int k : steps) AddLeastGuard(one.guard, j, k, margin);
+    }
+  }
+}
+
+void HybridTranscription::AddLeastGuard(int guard, int phase, int step, double margin) {
+  const Phase& of = phases_[phase];
+  const std::vector<int> parts = PartsOf({of.mode, guard});
+  std::vector<double*> blocks = NodesAt(parts, phase, step);
+  const std::vector<double*> control = ControlBlocks(parts, of.first_control + step / substeps_);
+  blocks.insert(blocks.end(), control.begin(), control.end());
+  if (!parameters_.empty()) blocks.push_back(parameters_.data());
+  blocks.insert(blocks.end(), {Begin(phase), End(phase)});
+  lagrangian_.Add(std::make_unique<LeastGuardRow>(functions_,
+                                                  of.mode,
+                                                  guard,
+                                                  MakeState(parts, phase, step),
+                                                  DividedControl(parts),
+                                                  step,
+                                                  of.intervals * substeps_,
+                                                  margin,
+                                                  scales_.guard[of.mode][guard]),
+                  {.inequalities = 1},
+                  blocks);
+}
+
+// Holds the guards of plan.apart within all steps, except in phases that an event of theirs begins or ends.
+void HybridTranscription::KeepApart(double margin) {
+  for (const ModeEvent& apart : plan_.apart) {
+    const auto happens_at = [&](int k) {
+      return k >= 0 && k + 1 < num_phases() && plan_.cuts[k] && plan_.cuts[k]->guard == apart.guard;
+    };
+    for (int j = 0; j < num_phases(); ++j) {
+      if (phases_[j].mode != apart.mode || happens_at(j - 1) || happens_at(j)) continue;
+      for (int k = 0; k < phases_[j].intervals * substeps_; ++k) AddLeastGuard(apart.guard, j, k, margin);
     }
   }
 }
@@ -1008,6 +1131,12 @@ StateAtNode HybridTranscription::MakeState(const std::vector<int>& parts, int ph
   return {functions_, of.mode, DividedState(parts, of.mode), parts, std::move(coasts), part_of_phase};
 }
 
+bool HybridTranscription::AreGiven(const std::vector<double*>& blocks) const {
+  const ceres::Problem& ceres = lagrangian_.problem();
+  return std::ranges::all_of(
+      blocks, [&](double* block) { return ceres.HasParameterBlock(block) && ceres.IsParameterBlockConstant(block); });
+}
+
 void HybridTranscription::AddTerms() {
   const double root = 1 / std::sqrt(scales_.loss);
   // At a node of a phase, with the control of an interval.
@@ -1018,22 +1147,24 @@ void HybridTranscription::AddTerms() {
                        const TimeOf& time,
                        int intervals,
                        const std::vector<double*>& times) {
-    const int n = functions_.state_size(phases_[phase].mode), m = functions_.layout().num_controls;
+    const int n = functions_.state_size(phases_[phase].mode);
     if (term.with_state && term.function->parameter_block_sizes()[0] != n) return;
     std::vector<double*> blocks;
     const auto append = [&](const std::vector<double*>& more) {
       blocks.insert(blocks.end(), more.begin(), more.end());
     };
     std::optional<StateAtNode> state, initial;
+    const std::vector<int> read = PartsWith(term.reads_states, &StatePart::states);
+    const std::vector<int> pushed = PartsWith(term.reads_controls, &StatePart::controls);
     if (term.with_state) {
-      state.emplace(MakeState(all_, phase, node));
-      append(NodesAt(all_, phase, node));
+      state.emplace(MakeState(read, phase, node));
+      append(NodesAt(read, phase, node));
     }
     if (term.with_initial) {
       initial.emplace(MakeState(all_, 0, 0));
       append(NodesAt(all_, 0, 0));
     }
-    if (term.with_control) append(ControlBlocks(control));
+    if (term.with_control) append(ControlBlocks(pushed, control));
     const int rows = term.NumRows();
     RowRoles roles;
     double scale = 1;
@@ -1044,7 +1175,8 @@ void HybridTranscription::AddTerms() {
       scale = root * root * (plan_.only_violation ? kCostOfViolation * kCostOfViolation : 1);
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
-      roles.are_goals = term.at == HybridTerm::At::kEnd;
+      const bool limits_states = scales_.are_natural && !term.with_control;
+      roles.are_goals = term.at == HybridTerm::At::kEnd || limits_states;
     } else if (!plan_.only_violation) {
       roles.equalities = rows;
     }
@@ -1052,7 +1184,7 @@ void HybridTranscription::AddTerms() {
                                                FunctionIn(term, problem_.system, phases_[phase].mode, substeps_),
                                                std::move(state),
                                                std::move(initial),
-                                               ControlParts(parts_, m),
+                                               DividedControl(pushed),
                                                functions_.layout().num_parameters,
                                                time,
                                                intervals,
@@ -1061,6 +1193,7 @@ void HybridTranscription::AddTerms() {
     if (function->reads_parameters()) blocks.push_back(parameters_.data());
     if (function->is_timed()) append(times);
     if (term.role == HybridTerm::Role::kInequality) roles.are_curved = term.with_control && blocks.size() == 1;
+    if (!term.IsCost() && AreGiven(blocks)) return;
     lagrangian_.Add(std::move(function), roles, blocks);
   };
   for (const HybridTerm& term : problem_.terms) {
@@ -1115,6 +1248,7 @@ void HybridTranscription::AddBounds() {
                        const std::vector<double>& max,
                        bool are_goals = false) {
     std::vector<BoundRows::Bound> bounds = BoundsOf(components, min, max);
+    for (BoundRows::Bound& bound : bounds) bound.size *= scales_.are_natural ? 0.5 : 1;  // that of one side
     const int rows = static_cast<int>(bounds.size());
     if (rows > 0)
       lagrangian_.Add(std::make_unique<BoundRows>(size, std::move(bounds)),
@@ -1165,7 +1299,13 @@ void HybridTranscription::AddBounds() {
       free.parameters_min,
       free.parameters_max,
       /*are_goals=*/true);
-  if (free.duration) add(&times_.back(), 1, {0}, {free.duration_min}, {free.duration_max});
+  if (!free.duration) return;
+  if (scales_.are_natural) {  // steps end at the bounds, as a motion that is longer by far has other events
+    lagrangian_.problem().SetParameterLowerBound(&times_.back(), 0, free.duration_min);
+    lagrangian_.problem().SetParameterUpperBound(&times_.back(), 0, free.duration_max);
+  } else {
+    add(&times_.back(), 1, {0}, {free.duration_min}, {free.duration_max});
+  }
 }
 
 double HybridTranscription::LeastLength() const {
@@ -1178,10 +1318,12 @@ AugmentedLagrangian::Summary HybridTranscription::Minimize(AugmentedLagrangian::
   int steps = 0;
   for (const Phase& phase : phases_) steps = std::max(steps, phase.intervals * substeps_);
   // Steps of parts are linear in all but their length, and need no caution unless that is free.
-  if (IsOnePart() || problem_.free.duration) options.weight_of_costs = kWeightOfCosts;
-  options.most_open = kMostOpen;
-  options.gain = kGain;
-  options.change_of_multipliers = kChangeOfMultipliers;
+  if (!scales_.are_natural) {
+    if (IsOnePart() || problem_.free.duration) options.weight_of_costs = kWeightOfCosts;
+    options.most_open = kMostOpen;
+    options.gain = kGain;
+    options.change_of_multipliers = kChangeOfMultipliers;
+  }
   options.most_cost /= scales_.loss;
   options.ScaleTo(steps);
   if (options.callback) {
@@ -1214,7 +1356,7 @@ std::vector<double> HybridTranscription::CutSpeeds() {
     functions_.Flow(at, slope.data());
     double rate = 0;
     functions_.GuardRate(at, event.guard, slope.data(), &rate);
-    speeds.push_back(rate * problem_.guess.duration / scales_.guard[event.mode][event.guard]);
+    speeds.push_back(rate * problem_.guess.duration / scales_.OfEvent(event));
   }
   return speeds;
 }

@@ -6,8 +6,10 @@
 // reset, the controls, the parameters. With h = (end - begin) / (number of steps of the phase), the rows are
 //
 //   step        x_{k+1} - F(x_k, u, p, t_k, h) = 0, F with the projection onto the equations of the mode, if it has any
-//   event       g(t, x-, u, p) = 0 and x+ - R(t, x-, p) = 0 at the end of a phase
-//   guards      g >= 0 at every node inside a phase; those that depend on the control under that on either side
+//   event       g(t, x-, u, p) = 0 and x+ - R(t, x-, p) = 0 at the end of a phase, and the inequalities of the event
+//               (HybridFunctions::EventRows), by the law of its regime if the plan has one (HybridFunctions::RegimeOf)
+//   guards      g >= 0 at every node inside a phase; those that depend on the control under that on either side; of a
+//               scene of discs (HybridScales::are_natural) within the steps, of pairs that are to stay apart alone
 //   bounds      of controls, parameters, initial state, T, and of the lengths of phases
 //   terms       those of the problem, at the nodes that they name
 //
@@ -18,6 +20,7 @@
 // nodes of those that they concern: a part that coasts has one step in each phase.
 //
 // Where the mode changes because the control jumps (ModeEvent), phases meet without rows: the guards of both say when.
+// Instants, and waypoints of a scene, are at times that are given.
 //
 // A plan on a grid (PlanOf::on_grid) has each control interval as a phase of its own, whose ends are held: at given
 // times, or with a free duration at given parts f of it by a row t - f T = 0. An event divides its interval into two
@@ -26,6 +29,7 @@
 
 #include <deque>
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "hybrid/runge_kutta.h"
@@ -54,6 +58,12 @@ struct HeldGuard {
 struct HybridScales {
   std::vector<std::vector<double>> state, guard;
   double loss = 1;
+  // Whether the problem is one without units, a scene of discs, with rows of order one as they are: events are not
+  // divided by the sizes of their guards. No guards are held at the ends of steps, but those of PlanOf::apart within
+  // all steps.
+  bool are_natural = false;
+
+  double OfEvent(const ModeEvent& event) const { return are_natural ? 1 : guard[event.mode][event.guard]; }
 
   // Takes a state in a mode, with its control, into account; `slope` is the rate of x, which makes a difference
   // within a tenth of `duration`.
@@ -121,7 +131,8 @@ class HybridTranscription {
   double* Begin(int phase) { return &times_[boundary_[phase]]; }
   double* End(int phase) { return &times_[boundary_[phase + 1]]; }
   void FindParts();
-  bool IsOnePart() const { return parts_.size() == 1; }
+  // Whether the state moves as a whole.
+  bool IsOnePart() const { return parts_.size() == 1 && !parts_.front().always_moves_by_part; }
   std::vector<int> PartsOf(const ModeEvent& event) const;
   int StepsOf(int part, int phase) const;
   // Whether a part has no node at the end of a step, before which there are `step` others.
@@ -133,8 +144,13 @@ class HybridTranscription {
   Divided DividedState(const std::vector<int>& parts, int mode) const;
   StateAtNode MakeState(const std::vector<int>& parts, int phase, int step) const;
   std::vector<double> JoinedControl(int interval) const;
-  // Returns the blocks of the parts that have a control.
-  std::vector<double*> ControlBlocks(int interval);
+  // Return the blocks of those parts that have a control, and their places in it.
+  std::vector<double*> ControlBlocks(const std::vector<int>& parts, int interval);
+  Divided DividedControl(const std::vector<int>& parts) const;
+  std::vector<int> PartsWith(const std::vector<int>& components, std::vector<int> StatePart::*of) const;
+  const HybridFunctions& LawOf(int phase) const;
+  bool IsNone(const ModeEvent& event, const ModePoint& at) const;
+  bool AreGiven(const std::vector<double*>& blocks) const;
   bool Lay(const Start& start);
   void AddSteps();
   void FindScalesOfNewModes();
@@ -143,10 +159,12 @@ class HybridTranscription {
   void AddEvents(const std::vector<double>& overlaps);
   void AddGuards(double margin, const std::vector<HeldGuard>& held);
   void AddGuardsWithinSteps(double margin, const std::vector<HeldGuard>& held);
+  void AddLeastGuard(int guard, int phase, int step, double margin);
+  void KeepApart(double margin);
   void AddTerms();
   void AddBounds();
   void HoldWhatIsGiven();
-  void HoldGrid();
+  void HoldInstants();
   double LeastLength() const;
 
   const HybridProblem& problem_;
@@ -156,6 +174,7 @@ class HybridTranscription {
   const int substeps_;
   RungeKutta integrator_;
   bool valid_ = false;
+  std::vector<std::shared_ptr<const HybridFunctions>> laws_;  // of the events at the ends of phases; null: functions_
   std::vector<Phase> phases_;
   std::vector<double> times_;  // 0, of the cuts, T
   std::vector<int> boundary_;  // of each phase and after the last one: which of the times

@@ -1,7 +1,6 @@
 // One solve along a plan by a transcription with a cost for every step, and the exact roll-out of what it finds.
 //
-// Run::Transcriber makes the transcriptions of a plan: of a scene PhaseTranscription, of a hybrid system
-// HybridTranscription.
+// Run::Transcriber makes the transcriptions of a plan (hybrid_transcription.h).
 #pragma once
 
 #include <algorithm>

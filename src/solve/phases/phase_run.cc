@@ -177,9 +177,7 @@ void PhaseRun::PlanAlong(ContactSequence sequence, const Trial& trial, PhasePlan
   Scene scene = scene_;
   scene.duration = DurationOf(trial);
   const std::vector<double> impacts = GuessFrom(scene, FlightOf(scene, trial), sequence).times;
-  std::vector<double> instants;
-  for (const ViaTerm& via : scene_.objective.via) instants.push_back(via.time);
-  std::sort(instants.begin(), instants.end());
+  const std::vector<double> instants = WaypointsOf(scene_);
   for (size_t k = 0, i = 0; k < impacts.size() || i < instants.size();) {
     const bool impact = i == instants.size() || (k < impacts.size() && impacts[k] < instants[i]);
     times->push_back(impact ? impacts[k] : instants[i]);
@@ -270,32 +268,12 @@ SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termin
 }
 
 PhaseRun::Transcriber::Transcriber(const PhaseRun& run, const PhasePlan& plan, const PlanStart& start)
-    : DiscMotions(scene_, run.terms()), run_(run), plan_(plan), scene_(run.scene()) {
+    : DiscMotions(scene_, run.terms()), scene_(run.scene()) {
   if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
   if (plan.only_violation) AimAtConstraints(start.trial);
   for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
   apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
-}
-
-std::unique_ptr<PhaseTranscription> PhaseRun::Transcriber::Make(const PlanStart& start,
-                                                                const std::vector<double>& overlaps,
-                                                                const std::vector<int>& steps, double margin) const {
-  std::vector<PhaseCut> cuts;
-  for (size_t k = 0; k < plan_.cuts.size(); ++k) {
-    cuts.push_back({plan_.cuts[k], start.times[k], overlaps[k]});
-    if (plan_.regimes[k]) cuts.back().mode = static_cast<ContactMode>(*plan_.regimes[k]);
-  }
-  return std::make_unique<PhaseTranscription>(BeginningAs(start.trial, scene_),
-                                              run_.terms(),
-                                              std::move(cuts),
-                                              steps,
-                                              ControlOf(start.trial, scene_.control_width()),
-                                              apart_,
-                                              margin);
-}
-
-void PhaseRun::Transcriber::TakeControl(const PhaseTranscription& transcription, Trial* trial) const {
-  saltus::TakeControl(transcription, scene_, trial);
+  phases_.emplace(scene_, run.terms(), plan, WaypointsOf(run.scene()), apart_);
 }
 
 // In natural units, a force that matters costs far less than the misses that it mends. The target of a region is the
@@ -323,18 +301,6 @@ void PhaseRun::Transcriber::AimAtConstraints(const Trial& start) {
   only.duration = scene_.objective.duration;
   if (only.duration) only.duration->weight = 0;
   scene_.objective = only;
-}
-
-void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial) {
-  transcription.Control(&trial->control, &trial->durations);
-  if (scene.optimize != Optimize::kControl) trial->initial = transcription.InitialState();
-  // A phase that vanished may be a little less than nothing.
-  for (double& duration : trial->durations) duration = std::max(duration, 1e-12 * scene.duration);
-  if (!scene.objective.duration) {
-    const double whole = DurationOf(*trial);
-    for (double& duration : trial->durations) duration *= scene.duration / whole;
-  }
-  MoveWithinBounds(scene, trial->control);  // multipliers leave about 1e-10 beyond
 }
 
 }  // namespace saltus

@@ -11,7 +11,7 @@
 #include "saltus/solve/solver.h"
 #include "solve/phases/phase_plan.h"
 #include "solve/phases/phase_solution.h"
-#include "solve/phases/phase_transcription.h"
+#include "solve/phases/scene_phases.h"
 #include "solve/phases/sequence_run.h"
 
 namespace saltus {
@@ -138,24 +138,24 @@ class PhaseRun::Transcriber : public DiscMotions {
   // Pairs that must not touch, except at the cuts.
   const ContactSequence& apart() const { return apart_; }
   // Gaps that stay at zero are those of events, or apart.
-  bool HoldBorders(PhaseTranscription* /*transcription*/, const Trial& /*trial*/) { return false; }
+  bool HoldBorders(HybridTranscription* /*transcription*/, const Trial& /*trial*/) { return false; }
   std::string borders() const { return ""; }
-  std::unique_ptr<PhaseTranscription> Make(const PlanStart& start, const std::vector<double>& overlaps,
-                                           const std::vector<int>& steps, double margin) const;
-  void TakeControl(const PhaseTranscription& transcription, Trial* trial) const;
+  std::unique_ptr<HybridTranscription> Make(const PlanStart& start, const std::vector<double>& overlaps,
+                                            const std::vector<int>& steps, double margin) const {
+    return phases_->Make(start.trial, start.times, overlaps, steps, margin);
+  }
+  void TakeControl(const HybridTranscription& transcription, Trial* trial) const {
+    phases_->TakeControl(transcription, trial);
+  }
 
  private:
   void AimAtConstraints(const Trial& start);
 
-  const PhaseRun& run_;
-  const PhasePlan& plan_;
   Scene scene_;
   ContactSequence apart_;
+  std::optional<ScenePhases> phases_;
 };
 
 using TryPlan = TryPlanOf<PhaseRun>;
-
-// The control that a transcription stands at, within its bounds and as long as the horizon, to the last bit.
-void TakeControl(const PhaseTranscription& transcription, const Scene& scene, Trial* trial);
 
 }  // namespace saltus

@@ -68,9 +68,10 @@ class OwnMotion {
   bool known_ = true;
 };
 
-class Bounds {
+class LeastLosses {
  public:
-  Bounds(const Scene& scene, const std::vector<bool>& pushed) : scene_(scene), pushed_(pushed), own_(scene, pushed) {}
+  LeastLosses(const Scene& scene, const std::vector<bool>& pushed)
+      : scene_(scene), pushed_(pushed), own_(scene, pushed) {}
 
   bool known() const { return own_.known(); }
 
@@ -224,7 +225,7 @@ class Bounds {
 
 LossBound::LossBound(const Scene& scene) : pushed_(scene.num_bodies(), false) {
   for (const int body : scene.control.bodies) pushed_[body] = true;
-  const Bounds bounds(scene, pushed_);
+  const LeastLosses bounds(scene, pushed_);
   if (!bounds.known()) return;  // a sum of squares is not negative
   lowest_ = without_impact_ = (1 - kRounding) * bounds.WithoutImpact();
   for (const Candidate& pair : AllPairs(scene)) {

@@ -14,6 +14,7 @@
 #include "saltus/simulate/exact_run.h"
 #include "saltus/simulate/registry.h"
 #include "saltus/solve/solver.h"
+#include "scene/control_problems.h"
 #include "test_scenes.h"
 
 namespace saltus {
@@ -380,6 +381,78 @@ TEST(FreeDuration, BetweenEqualBoundsIsAFixedOne) {
     EXPECT_EQ(certificate.verdict, same.verdict);
     EXPECT_FALSE(certificate.final_time);
   }
+}
+
+// Returns a problem of that number with these waypoints, which are places beside the start of the pushed disc.
+Scene WithWaypoints(int seed, const std::vector<ViaTerm>& via) {
+  Scene scene = ControlProblem(seed);
+  scene.steps = 40;
+  const int pushed = scene.control.bodies[0];
+  for (ViaTerm term : via) {
+    term.body = pushed;
+    term.time *= scene.duration;
+    if (term.quantity == TerminalTerm::Quantity::kPosition) term.target += scene.bodies[pushed].position;
+    scene.objective.via.push_back(term);
+  }
+  return scene;
+}
+
+// Two waypoints at one time are one: w_1 |q - r_1|^2 + w_2 |q - r_2|^2 is (w_1 + w_2) |q -
+// r|^2 and a constant, with r their mean. So they are counted once.
+TEST(Waypoints, AtOneTimeAreCountedOnceBySolversInPhases) {
+  const ViaTerm first{.time = 0.3, .target = {0.1, 0.02}, .weight = 1},
+      second{.time = 0.3, .target = {0.07, 0.08}, .weight = 2};
+  const double weight = first.weight + second.weight;
+  ViaTerm both{.time = 0.3, .weight = weight};
+  both.target = (first.weight * first.target + second.weight * second.target) / weight;
+  const double constant = first.weight * second.weight / weight * (first.target - second.target).squaredNorm();
+  for (const int seed : {0, 1, 5, 7}) {
+    const Scene one = WithWaypoints(seed, {both}), two = WithWaypoints(seed, {first, second});
+    for (const char* solver : {"ceres_phases", "ipopt", "mode_search"}) {
+      SolverOptions options;
+      options.sequences.limits.starts = 1;
+      options.sequences.limits.work = 3e5;
+      const SolveReport expected = Solve(solver, {one, "event"}, options);
+      if (expected.termination == Termination::kNotApplicable) continue;  // this build has no IPOPT
+      const SolveReport report = Solve(solver, {two, "event"}, options);
+      EXPECT_EQ(report.termination, expected.termination) << solver << " " << seed << " " << report.reason;
+      EXPECT_NEAR(report.solution.loss, expected.solution.loss + constant, 1e-8 * report.solution.loss)
+          << solver << " " << seed;
+      const ExactRun exact =
+          SimulateExactly(two, report.solution.initial_state, report.solution.control, report.solution.durations);
+      EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12 * exact.loss);
+    }
+  }
+}
+
+// Waypoints at several times, of which two are at one, with motions that get to their impacts before, between and
+// behind them: every solver returns a motion with the loss that it reports, and a hard waypoint is met where a solve
+// converges.
+TEST(Waypoints, OfManyKindsLeadToMotions) {
+  const std::vector<ViaTerm> via = {
+      {.time = 0.3, .target = {0.05, 0.03}, .weight = 0.5},
+      {.time = 0.3, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0.3, 0.1}, .weight = 0.1},
+      {.time = 0.7, .target = {0.2, 0.1}, .weight = 0.3},
+      {.time = 0.15, .target = {0.02, 0.01}, .hard = true}};
+  int converged = 0;
+  for (const int seed : {2, 3, 4, 6, 8, 9, 14}) {
+    const Scene scene = WithWaypoints(seed, via);
+    for (const char* solver : {"ceres_phases", "ipopt", "mode_search"}) {
+      SolverOptions options{.limits = {.iterations = 300}};
+      options.sequences.limits.starts = 1;
+      options.sequences.limits.work = 3e5;
+      const SolveReport report = Solve(solver, {scene, "event"}, options);
+      if (report.termination == Termination::kNotApplicable || report.solution.control.empty()) continue;
+      const ExactRun exact =
+          SimulateExactly(scene, report.solution.initial_state, report.solution.control, report.solution.durations);
+      ASSERT_TRUE(exact.ok) << solver << " " << seed;
+      EXPECT_NEAR(exact.loss, report.solution.loss, 1e-9 * exact.loss) << solver << " " << seed;
+      if (report.termination != Termination::kConverged) continue;
+      ++converged;
+      EXPECT_LE(report.solution.violation, kFeasible) << solver << " " << seed;
+    }
+  }
+  EXPECT_GE(converged, 8);
 }
 
 }  // namespace
